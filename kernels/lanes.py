@@ -1,0 +1,211 @@
+"""Arrays in lanes: the layout that lets one source run as SIMD on a CPU and as plain floats.
+
+Column x of an image lies in lane ``x // strip`` at strip position ``x % strip``. A lane array of
+k components is float32 of shape (k, H + 2·halo, strip + 2·halo, lanes), or without the last axis
+when lanes = 1. Eastern and western neighbours lie in the same lane one strip position away, so a
+kernel loads and stores whole vectors of lanes, and red and black sites alternate along the strip
+in every lane at once (the strip is even).
+
+The halo columns repeat the border columns of the neighbouring strips; rows and columns outside
+the image are zero unless a function says otherwise. Columns between the image's width and
+``lanes * strip`` are padding: no data, no edges, always zero.
+"""
+
+import types
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
+
+
+@dataclass(frozen=True)
+class LaneArray:
+    """Annotation of a kernel argument that is a lane array with `ndim` axes before the lanes."""
+
+    ndim: int
+
+
+def lane_kernel(function):
+    """Make a Taichi kernel for each lane count out of one function.
+
+    Arguments annotated with `LaneArray` become arrays of 8-lane vectors or of plain floats; the
+    kernel for n lanes is ``result[n]``.
+    """
+
+    def typed(element):
+        copy = types.FunctionType(
+            function.__code__, function.__globals__, function.__name__, function.__defaults__
+        )
+        copy.__qualname__, copy.__module__ = function.__qualname__, function.__module__
+        copy.__doc__ = function.__doc__
+        copy.__annotations__ = {
+            name: ti.types.ndarray(dtype=element, ndim=kind.ndim)
+            if isinstance(kind, LaneArray)
+            else kind
+            for name, kind in function.__annotations__.items()
+        }
+        return ti.kernel(copy)
+
+    return {1: typed(ti.f32), 8: typed(ti.types.vector(8, ti.f32))}
+
+
+def lane_count(array) -> int:
+    """Return the number of lanes of a kernel argument, while the kernel is being compiled."""
+    shape = array.element_shape()
+    return shape[0] if shape else 1
+
+
+@ti.func
+def lane_of(value, lane: ti.template(), lanes: ti.template()):
+    """Return one lane of a loaded value as a plain float."""
+    result = 0.0
+    if ti.static(lanes > 1):
+        result = value[lane]
+    else:
+        result = value
+    return result
+
+
+@ti.func
+def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
+    """Write one lane of an element of a lane array."""
+    if ti.static(lane_count(array) > 1):
+        array[k, y, s][lane] = value
+    else:
+        array[k, y, s] = value
+
+
+@ti.func
+def refresh_halo(array: ti.template(), k, y):
+    """Copy the border columns of the neighbouring strips into the halo columns of row y."""
+    if ti.static(lane_count(array) > 1):
+        strip = array.shape[2] - 2
+        first, last = array[k, y, 1], array[k, y, strip]
+        west, east = 0.0 * first, 0.0 * last
+        for lane in ti.static(range(lane_count(array) - 1)):
+            west[lane + 1] = last[lane]
+            east[lane] = first[lane + 1]
+        array[k, y, 0] = west
+        array[k, y, strip + 1] = east
+
+
+@dataclass(frozen=True)
+class LaneGrid:
+    """An image grid of `height` × `width` pixels cut into `lanes` strips.
+
+    Parameters
+    ----------
+    height, width : int
+        Size of the image, px.
+    lanes : {8, 1}
+        Strips side by side: 8 for SIMD on a CPU, 1 for plain floats.
+    """
+
+    height: int
+    width: int
+    lanes: int = 8
+
+    def __post_init__(self):
+        if self.height < 1 or self.width < 1:
+            raise ValueError(f"a grid of {self.height} × {self.width} pixels has no pixel")
+        if self.lanes not in (1, 8):
+            raise ValueError(f"lanes is {self.lanes}: expected 1 or 8")
+
+    @property
+    def strip(self) -> int:
+        """Columns per lane: even, so that red and black alternate alike in every lane."""
+        columns = -(-self.width // self.lanes)
+        return columns + columns % 2
+
+    def shape(self, components: int, halo: int = 1) -> tuple[int, ...]:
+        """Return the shape of a lane array of this grid."""
+        return (components, self.height + 2 * halo, *self._strip_shape(halo))
+
+    def allocate(self, components: int, halo: int = 1) -> np.ndarray:
+        """Return a lane array of zeros, aligned for vector loads."""
+        return aligned_zeros(self.shape(components, halo))
+
+    def columns(self, values: np.ndarray, halo: int = 1) -> np.ndarray:
+        """Lay a function of the column into lanes.
+
+        Parameters
+        ----------
+        values : (lanes · strip,) array
+            One value per column, padding included.
+
+        Returns
+        -------
+        (strip + 2·halo[, lanes]) float32, zero in the halo
+        """
+        table = aligned_zeros(self._strip_shape(halo))
+        by_lane = np.asarray(values, np.float32).reshape(self.lanes, self.strip).T
+        table[halo : halo + self.strip] = by_lane.reshape(table[halo : halo + self.strip].shape)
+        return table
+
+    def column_index(self) -> np.ndarray:
+        """Return the index of every column, padding included, as float64."""
+        return np.arange(self.lanes * self.strip, dtype=np.float64)
+
+    def inside(self) -> np.ndarray:
+        """Return a lane array (1 component) that is 1 on pixels of the image, else 0."""
+        mask = self.allocate(1)
+        mask[0, 1:-1] = self.columns(self.column_index() < self.width)
+        return mask
+
+    def open_edges(self) -> np.ndarray:
+        """Return a column table that is 1 where a pixel has an eastern neighbour, else 0."""
+        return self.columns(self.column_index() < self.width - 1)
+
+    def check(self, array: np.ndarray, components: int, name: str, halo: int = 1) -> None:
+        """Raise unless `array` is a lane array of this grid that a kernel may write to."""
+        check_array(array, self.shape(components, halo), name)
+
+    def check_columns(self, table: np.ndarray, name: str, halo: int = 1) -> None:
+        """Raise unless `table` is a column table of this grid."""
+        check_array(table, self._strip_shape(halo), name)
+
+    def check_rows(self, table: np.ndarray, name: str) -> None:
+        """Raise unless `table` has one float32 per row, halo included."""
+        check_array(table, (self.height + 2,), name)
+
+    def check_image(self, image: np.ndarray, name: str, components: int | None = None) -> None:
+        """Raise unless `image` is a float32 image of this grid, or a stack of `components`."""
+        size = (self.height, self.width)
+        check_array(image, size if components is None else (components, *size), name, aligned=False)
+
+    def _strip_shape(self, halo: int) -> tuple[int, ...]:
+        columns = self.strip + 2 * halo
+        return (columns,) if self.lanes == 1 else (columns, self.lanes)
+
+
+def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """Return float32 zeros whose first element lies on an `ALIGNMENT` boundary."""
+    count = int(np.prod(shape))
+    buffer = np.zeros(count * 4 + ALIGNMENT, np.uint8)
+    start = -buffer.ctypes.data % ALIGNMENT
+    return buffer[start : start + count * 4].view(np.float32).reshape(shape)
+
+
+def check_array(
+    array: np.ndarray, shape: tuple[int, ...], name: str, dtype=np.float32, aligned: bool = True
+) -> None:
+    """Raise unless `array` can be handed to a kernel.
+
+    Raises
+    ------
+    TypeError
+        If it is not a NumPy array of this dtype.
+    ValueError
+        If its shape differs, or it is not C-contiguous, writable and (if asked) aligned.
+    """
+    if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        kind = getattr(array, "dtype", type(array).__name__)
+        raise TypeError(f"{name} is {kind}: expected a NumPy array of {np.dtype(dtype).name}")
+    if array.shape != tuple(shape):
+        raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
+    if not (array.flags.c_contiguous and array.flags.writeable):
+        raise ValueError(f"{name} must be C-contiguous and writable")
+    if aligned and array.ctypes.data % 32:
+        raise ValueError(f"{name} must be aligned to 32 bytes: allocate it with LaneGrid.allocate")

@@ -1,0 +1,169 @@
+"""Sums over the image whose bits do not depend on the number of threads.
+
+A kernel sums blocks of `BLOCK` strip positions of one row, each by one thread in one order; the
+blocks are then added in float64, in the order of the image.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel, lane_of
+from tisfm.kernels.rigid_motion import flow_of, motion_columns
+
+BLOCK = 16
+
+
+def energy(
+    grid: LaneGrid, tensor, weights, open_edges, x_hat, y_hat, rho, *, alpha: float, contrast: float
+) -> tuple[float, float, float]:
+    """Compute the energy (eq. 6, 20) and its half-quadratic form (eq. 8, 21).
+
+    The regularisation is that of edges: every edge once, Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)).
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+    weights : lane array, 2n components
+        b, for the half-quadratic form.
+    open_edges, x_hat : column tables
+    y_hat : (H + 2,) float32
+    rho : lane array, n components
+    alpha : float
+        α = λ̂β.
+    contrast : float
+        δ, px/frame; infinite for quadratic smoothness.
+
+    Returns
+    -------
+    data, smoothness, half_quadratic : float
+        Data term, α Σ Φ_δ, and α Σ [bΔ² + δ²(b + 1/b − 2)]. The energy is ``data + smoothness``,
+        its half-quadratic form ``data + half_quadratic``; they agree where b belongs to `rho`.
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    grid.check(weights, 2 * components, "weights")
+    grid.check(rho, components, "rho")
+    grid.check_columns(open_edges, "open_edges")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    blocks = -(-grid.strip // BLOCK)
+    partial = np.zeros((grid.height, blocks, 3))
+    # With δ infinite, b is 1 and its penalty vanishes.
+    squared = contrast * contrast if np.isfinite(contrast) else 0.0
+    _energy[grid.lanes](
+        tensor, weights, open_edges, x_hat, y_hat, rho, 1.0 / contrast, squared, components, partial
+    )
+    data, smoothness, half_quadratic = partial.sum(axis=1).sum(axis=0)
+    return float(data), float(alpha * smoothness), float(alpha * half_quadratic)
+
+
+@lane_kernel
+def _energy(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n, H+2, S+2)
+    open_edges: LaneArray(1),  # (S+2,)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    inverse_contrast: ti.f32,
+    squared_contrast: ti.f32,
+    n: ti.template(),
+    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 3)
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        open_south = ti.select(row < height - 1, 1.0, 0.0)
+        data, smooth, half = 0.0 * x_hat[1], 0.0 * x_hat[1], 0.0 * x_hat[1]
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+            u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
+            data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
+            data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
+            for k in ti.static(range(n)):
+                center = rho[k, y, s]
+                east = (rho[k, y, s + 1] - center) * open_edges[s]
+                south = (rho[k, y + 1, s] - center) * open_south
+                smooth += _aubert(east, inverse_contrast) + _aubert(south, inverse_contrast)
+                half += _half_quadratic(east, weights[k, y, s], squared_contrast)
+                half += _half_quadratic(south, weights[n + k, y, s], squared_contrast)
+        _store(partial, row, block, 0, data, ti.static(lane_count(rho)))
+        _store(partial, row, block, 1, smooth, ti.static(lane_count(rho)))
+        _store(partial, row, block, 2, half, ti.static(lane_count(rho)))
+
+
+@ti.func
+def _aubert(difference, inverse_contrast):
+    scaled = difference * inverse_contrast
+    return 2.0 * difference * difference / (1.0 + ti.sqrt(1.0 + scaled * scaled))
+
+
+@ti.func
+def _half_quadratic(difference, weight, squared_contrast):
+    # (1 − b)²/b is b + 1/b − 2 without its cancellation.
+    gap = 1.0 - weight
+    present = ti.min(1.0, weight * 1e20)  # 0 where there is no edge
+    penalty = present * squared_contrast * gap * gap / ti.max(weight, 1e-20)
+    return weight * difference * difference + penalty
+
+
+@ti.func
+def _store(partial: ti.template(), row, block, term: ti.template(), value, lanes: ti.template()):
+    total = ti.cast(0.0, ti.f64)
+    for lane in ti.static(range(lanes)):
+        total += ti.cast(lane_of(value, lane, lanes), ti.f64)
+    partial[row, block, term] = total
+
+
+def change(grid: LaneGrid, rho, previous) -> tuple[float, float]:
+    """Measure how far ρ̂ moved, and remember it.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    rho : lane array, n components
+    previous : lane array, n components
+        An earlier ρ̂; overwritten with `rho`.
+
+    Returns
+    -------
+    moved, size : float
+        ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
+    """
+    components = rho.shape[0]
+    grid.check(rho, components, "rho")
+    grid.check(previous, components, "previous")
+    blocks = -(-grid.strip // BLOCK)
+    partial = np.zeros((grid.height, blocks, 2))
+    _change[grid.lanes](rho, previous, components, partial)
+    moved, size = np.sqrt(partial.sum(axis=1).sum(axis=0))
+    return float(moved), float(size)
+
+
+@lane_kernel
+def _change(
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    previous: LaneArray(3),  # (n, H+2, S+2), in place
+    n: ti.template(),
+    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 2)
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        moved, size = 0.0 * rho[0, y, 1], 0.0 * rho[0, y, 1]
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            for k in ti.static(range(n)):
+                value = rho[k, y, s]
+                step = value - previous[k, y, s]
+                moved += step * step
+                size += value * value
+                previous[k, y, s] = value
+        _store(partial, row, block, 0, moved, ti.static(lane_count(rho)))
+        _store(partial, row, block, 1, size, ti.static(lane_count(rho)))

@@ -1,0 +1,106 @@
+"""Small symmetric positive definite systems, unrolled while a kernel is being compiled.
+
+These are plain Python functions over Taichi expressions: called inside ``ti.static(...)`` they
+write out straight-line code for one pixel (or one vector of lanes). Matrices and vectors are
+Python lists.
+"""
+
+import taichi as ti
+from taichi.lang.impl import expr_init as bind  # names a value, so that it is computed once
+
+PIVOT_FLOOR = 1e-6  # relative to the diagonal entry: about ten float32 roundings
+TINY = 1e-20  # absolute: keeps a pixel without data and without neighbours exactly at zero
+DIAGONAL_FLOOR = 1e-12  # the same for what is inverted and then squared in float32
+
+
+def cholesky_solve(matrix, rhs):
+    """Solve ``matrix · x = rhs`` by square-root-free Cholesky (L D Lᵀ) with floored pivots.
+
+    Parameters
+    ----------
+    matrix : list of n lists
+        Symmetric; only the lower triangle is read.
+    rhs : list of n
+
+    Returns
+    -------
+    list of n
+        x, or the solution for a slightly larger matrix where a pivot fell to the floor.
+    """
+    n = len(rhs)
+    lower = [[None] * n for _ in range(n)]
+    inverse_pivot = [None] * n
+    for j in range(n):
+        scaled = [None] * n  # row j of L D
+        pivot = matrix[j][j]
+        for k in range(j):
+            scaled[k] = lower[j][k]
+            lower[j][k] = bind(scaled[k] * inverse_pivot[k])
+            pivot = pivot - scaled[k] * lower[j][k]
+        floor = matrix[j][j] * PIVOT_FLOOR + TINY
+        inverse_pivot[j] = bind(1.0 / ti.max(pivot, floor))
+        for i in range(j + 1, n):
+            entry = matrix[i][j]
+            for k in range(j):
+                entry = entry - lower[i][k] * lower[j][k]
+            lower[i][j] = bind(entry)  # of L D until row i is reached
+    x = [None] * n
+    for i in range(n):
+        entry = rhs[i]
+        for k in range(i):
+            entry = entry - lower[i][k] * x[k]
+        x[i] = bind(entry)
+    for i in reversed(range(n)):
+        entry = x[i] * inverse_pivot[i]
+        for k in range(i + 1, n):
+            entry = entry - lower[k][i] * x[k]
+        x[i] = bind(entry)
+    return x
+
+
+def woodbury_solve(diagonal, columns, tensor, rhs):
+    """Solve ``(diag + Gᵀ J G) x = rhs`` through a 2×2 system (Woodbury).
+
+    With D the diagonal and M = G D⁻¹ Gᵀ, x = D⁻¹(rhs − Gᵀ K G D⁻¹ rhs), where
+
+        K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
+
+    For one channel and the translation model this is the paper's eq. 18 (whose third line must
+    read s3, not s1). The denominator is at least 1: nothing needs a floor but the diagonal. A J
+    of rank 1 has det J = 0 only up to rounding, which costs up to ‖J M‖ roundings of accuracy.
+
+    Parameters
+    ----------
+    diagonal, rhs : list of n
+    columns : list of n pairs
+        Columns of G.
+    tensor : (J11, J12, J22)
+    """
+    j11, j12, j22 = tensor
+    inverse = [bind(1.0 / (entry + DIAGONAL_FLOOR)) for entry in diagonal]
+    m11 = bind(_sum(a * a * d for (a, _), d in zip(columns, inverse, strict=True)))
+    m12 = bind(_sum(a * b * d for (a, b), d in zip(columns, inverse, strict=True)))
+    m22 = bind(_sum(b * b * d for (_, b), d in zip(columns, inverse, strict=True)))
+    det_j = bind(ti.max(j11 * j22 - j12 * j12, 0.0))
+    det_m = bind(ti.max(m11 * m22 - m12 * m12, 0.0))
+    trace = bind(j11 * m11 + 2.0 * j12 * m12 + j22 * m22)
+    scale = bind(1.0 / (1.0 + ti.max(trace, 0.0) + det_j * det_m))
+    k11 = bind((j11 + det_j * m22) * scale)
+    k12 = bind((j12 - det_j * m12) * scale)
+    k22 = bind((j22 + det_j * m11) * scale)
+    y = [bind(entry * d) for entry, d in zip(rhs, inverse, strict=True)]
+    u = bind(_sum(a * entry for (a, _), entry in zip(columns, y, strict=True)))
+    v = bind(_sum(b * entry for (_, b), entry in zip(columns, y, strict=True)))
+    q1 = bind(k11 * u + k12 * v)
+    q2 = bind(k12 * u + k22 * v)
+    return [
+        bind(entry - d * (a * q1 + b * q2))
+        for entry, d, (a, b) in zip(y, inverse, columns, strict=True)
+    ]
+
+
+def _sum(terms):
+    total = None
+    for term in terms:
+        total = term if total is None else total + term
+    return total

@@ -1,0 +1,86 @@
+"""Fixtures shared by the tests."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm import reference, runtime
+
+SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items):
+    """Start Taichi once, before any test builds a kernel."""
+    if items:
+        runtime.start()
+
+
+@pytest.fixture
+def shared_data():
+    """Folder of real sequences; tests that need it skip where it is absent."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no real sequences beside the checkout ({SHARED_DATA.name} is missing)")
+    return SHARED_DATA
+
+
+@dataclass
+class Problem:
+    """A small linearised problem, as float64 arrays for the reference and in lanes."""
+
+    grid: object
+    field: object
+    camera: tisfm.Camera
+    motion: np.ndarray  # (2, n, H, W)
+    tensor: np.ndarray  # (6, H, W)
+    rho: np.ndarray  # (n, H, W)
+    tensor_lanes: np.ndarray
+
+    def to_lanes(self, images):
+        """Lay (k, H, W) into lanes, halo columns included, the rest zero."""
+        grid = self.grid
+        out = grid.allocate(len(images))
+        for lane in range(grid.lanes):
+            for position in range(grid.strip + 2):
+                x = lane * grid.strip + position - 1
+                if 0 <= x < grid.width:
+                    site = (slice(None), slice(1, -1), position)
+                    out[site if grid.lanes == 1 else (*site, lane)] = images[:, :, x]
+        return out
+
+    def from_lanes(self, array):
+        """Read a lane array back as (k, H, W) by plain indexing."""
+        grid = self.grid
+        columns = [divmod(x, grid.strip) for x in range(grid.width)]
+        inner = array if grid.lanes == 8 else array[..., None]
+        return np.stack([inner[:, 1:-1, s + 1, lane] for lane, s in columns], axis=-1)
+
+
+@pytest.fixture
+def make_problem():
+    """Build a random linearised problem of a given size, model and lane count."""
+
+    def make(height, width, components, lanes, *, seed=0, focal=50.0, channels=1):
+        from tisfm.field import Field
+        from tisfm.kernels.lanes import LaneGrid
+
+        rng = np.random.default_rng(seed)
+        camera = tisfm.Camera(focal=focal, center=(0.4 * width, 0.6 * height))
+        grid = LaneGrid(height, width, lanes)
+        field = Field(grid, camera, components)
+        tensor = np.zeros((6, height, width))
+        for _ in range(channels):
+            gradients = rng.normal(scale=(10, 10, 5), size=(height, width, 3)).transpose(2, 0, 1)
+            zero = np.zeros((2, height, width))
+            tensor += reference.brightness_tensor(tuple(gradients), zero, 1.0)
+        tensor = tensor.astype(np.float32).astype(np.float64)
+        rho = rng.normal(size=(components, height, width)).astype(np.float32).astype(np.float64)
+        motion = reference.motion_matrix(camera, height, width, components)
+        problem = Problem(grid, field, camera, motion, tensor, rho, None)
+        problem.tensor_lanes = problem.to_lanes(tensor)
+        field.rho[...] = problem.to_lanes(rho)
+        return problem
+
+    return make

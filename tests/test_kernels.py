@@ -1,0 +1,281 @@
+"""Every kernel against the NumPy reference: odd sizes, padding, lanes 1 and 8, all models."""
+
+import numpy as np
+import pytest
+
+from tisfm import reference
+
+# One pixel per lane, one lane wide, odd, non-square, exactly full strips, wider than high.
+SIZES = [(5, 1), (4, 8), (7, 9), (13, 37), (6, 64), (21, 5)]
+MODELS = [6, 3, 2]
+LANES = [8, 1]
+
+each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
+each_model = pytest.mark.parametrize("components", MODELS)
+each_lanes = pytest.mark.parametrize("lanes", LANES)
+
+
+def close(actual, expected, scale=1.0):
+    """Equal up to a few dozen float32 roundings of the values' own magnitude."""
+    magnitude = max(float(np.abs(expected).max(initial=0.0)), scale)
+    np.testing.assert_allclose(actual, expected, rtol=2e-5, atol=4e-6 * magnitude)
+
+
+def padding(problem, array):
+    """Return everything of a lane array that is not a pixel or a copy of one."""
+    kept = problem.to_lanes(np.ones((1, problem.grid.height, problem.grid.width)))[0] == 0
+    return array[:, kept]
+
+
+@each_size
+@each_lanes
+def test_images_go_into_lanes_and_back(size, lanes, make_problem):
+    from tisfm.kernels.images import IMAGE_HALO, image_to_lanes, lanes_to_images
+
+    problem = make_problem(*size, 6, lanes)
+    grid = problem.grid
+    image = np.random.default_rng(1).normal(size=size).astype(np.float32)
+    array = grid.allocate(1, halo=IMAGE_HALO)
+    image_to_lanes(grid, image, array)
+    rows = np.clip(np.arange(-2, size[0] + 2), 0, size[0] - 1)
+    for lane in range(lanes):
+        columns = np.clip(lane * grid.strip + np.arange(-2, grid.strip + 2), 0, size[1] - 1)
+        in_lane = array[0] if lanes == 1 else array[0, ..., lane]
+        np.testing.assert_array_equal(in_lane, image[np.ix_(rows, columns)])
+
+    stack = np.empty((6, *size), np.float32)
+    lanes_to_images(grid, problem.field.rho, stack)
+    np.testing.assert_array_equal(stack, problem.rho)
+
+
+@each_size
+@each_lanes
+@pytest.mark.parametrize("scheme", ["cube", "five_tap"])
+def test_derivatives(size, lanes, scheme, make_problem):
+    from tisfm.kernels.derivatives import derivatives
+    from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
+
+    problem = make_problem(*size, 6, lanes)
+    grid = problem.grid
+    frames = np.random.default_rng(2).uniform(0, 255, size=(2, *size)).astype(np.float32)
+    in_lanes = [grid.allocate(1, halo=IMAGE_HALO) for _ in frames]
+    for frame, array in zip(frames, in_lanes, strict=True):
+        image_to_lanes(grid, frame, array)
+    out = grid.allocate(3)
+    derivatives(grid, *in_lanes, out, scheme=scheme)
+    close(problem.from_lanes(out), np.array(reference.derivatives(*frames, scheme)), scale=255)
+
+
+@each_size
+@each_model
+@each_lanes
+def test_flow(size, components, lanes, make_problem):
+    problem = make_problem(*size, components, lanes)
+    out = problem.field.flow(problem.grid.allocate(2))
+    close(problem.from_lanes(out), reference.flow(problem.motion, problem.rho))
+
+
+@each_size
+@each_lanes
+def test_warp(size, lanes, make_problem):
+    from tisfm.kernels.warp import warp
+
+    problem = make_problem(*size, 6, lanes)
+    rng = np.random.default_rng(3)
+    image = rng.uniform(0, 255, size=size).astype(np.float32)
+    flow = rng.normal(scale=3, size=(2, *size)).astype(np.float32)
+    flow.reshape(2, -1)[:, 0] = 1e9, -1e9  # far outside
+    out, mask = np.empty_like(image), problem.grid.allocate(1)
+    warp(problem.grid, image, problem.to_lanes(flow), out, mask)
+    expected, expected_mask = reference.warp(image, flow.astype(np.float64))
+    np.testing.assert_array_equal(problem.from_lanes(mask)[0], expected_mask)
+    assert not padding(problem, mask).any()
+    # A float32 position is off by up to 2⁻²³ of the width: times the steepest slope, 255 a pixel.
+    np.testing.assert_allclose(out, expected, atol=255 * 64 * 2.0**-23)
+
+
+@each_size
+@each_lanes
+def test_brightness_tensor(size, lanes, make_problem):
+    from tisfm.kernels.motion_tensor import brightness_tensor
+
+    problem = make_problem(*size, 6, lanes)
+    rng = np.random.default_rng(4)
+    gradients = rng.normal(scale=20, size=(3, *size)).astype(np.float32)
+    flow = rng.normal(scale=2, size=(2, *size)).astype(np.float32)
+    mask = rng.integers(0, 2, size=(1, *size)).astype(np.float32)
+    out = problem.grid.allocate(6)
+    arguments = [problem.to_lanes(a) for a in (gradients, flow, mask)]
+    brightness_tensor(problem.grid, *arguments, out)
+    close(problem.from_lanes(out), reference.brightness_tensor(tuple(gradients), flow, mask[0]))
+    assert not padding(problem, out).any()
+
+
+@each_size
+@each_model
+@each_lanes
+@pytest.mark.parametrize("contrast", [0.03, 1.0, 600.0, np.inf])
+def test_edge_weights(size, components, lanes, contrast, make_problem):
+    from tisfm.kernels.diffusivity import edge_weights
+
+    problem = make_problem(*size, components, lanes)
+    field = problem.field
+    out = problem.grid.allocate(2 * components)
+    edge_weights(problem.grid, field.rho, field.open_edges, out, contrast=contrast)
+    expected = reference.edge_weights(problem.rho, contrast)
+    close(problem.from_lanes(out), expected)
+    # In the halo columns, too, the eastern ones: they are the western weights of every strip.
+    close(out[:components], problem.to_lanes(expected)[:components])
+
+
+@each_size
+@each_model
+@each_lanes
+@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
+@pytest.mark.parametrize("relaxation", [1.0, 1.9])
+def test_one_sweep_is_the_reference_sweep(
+    size, components, lanes, solver, relaxation, make_problem
+):
+    from tisfm.kernels.relaxation import sweep
+
+    problem = make_problem(*size, components, lanes, channels=2)
+    field, alpha = problem.field, 40.0
+    weights = reference.edge_weights(problem.rho, 1.0)
+    sweep(
+        problem.grid,
+        problem.tensor_lanes,
+        problem.to_lanes(weights),
+        field.x_hat,
+        field.y_hat,
+        field.rho,
+        alpha=alpha,
+        relaxation=relaxation,
+        solver=solver,
+    )
+    expected = problem.rho.copy()
+    reference.sweep_red_black(
+        problem.tensor, problem.motion, weights, expected, alpha=alpha, relaxation=relaxation
+    )
+    # B has condition numbers up to about 100 here.
+    np.testing.assert_allclose(problem.from_lanes(field.rho), expected, rtol=1e-4, atol=1e-4)
+    assert np.abs(expected - problem.rho).max() > 0.1
+    np.testing.assert_array_equal(field.rho, problem.to_lanes(problem.from_lanes(field.rho)))
+
+
+@each_lanes
+@each_model
+def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
+    from tisfm.kernels.relaxation import sweep
+
+    results = []
+    for solver in ("cholesky", "closed_form"):
+        problem = make_problem(19, 43, components, lanes)
+        weights = problem.to_lanes(reference.edge_weights(problem.rho, 0.3))
+        field = problem.field
+        tables = (field.x_hat, field.y_hat, field.rho)
+        sweep(
+            problem.grid,
+            problem.tensor_lanes,
+            weights,
+            *tables,
+            alpha=40.0,
+            relaxation=1.5,
+            solver=solver,
+            sweeps=50,
+        )
+        results.append(problem.from_lanes(field.rho))
+    difference = np.linalg.norm(results[0] - results[1]) / np.linalg.norm(results[0])
+    assert difference < 1e-4
+
+
+@each_size
+@each_model
+@each_lanes
+@pytest.mark.parametrize("contrast", [0.05, 600.0, np.inf])
+def test_energy(size, components, lanes, contrast, make_problem):
+    from tisfm.kernels.reductions import energy
+
+    problem = make_problem(*size, components, lanes)
+    field = problem.field
+    weights = reference.edge_weights(0.5 * problem.rho, contrast)  # of another ρ̂
+    data, smoothness, half_quadratic = energy(
+        problem.grid,
+        problem.tensor_lanes,
+        problem.to_lanes(weights),
+        field.open_edges,
+        field.x_hat,
+        field.y_hat,
+        field.rho,
+        alpha=40.0,
+        contrast=contrast,
+    )
+    arguments = (problem.tensor, problem.motion, problem.rho)
+    expected = reference.energy(*arguments, 40.0, contrast)
+    expected_half = reference.half_quadratic_energy(*arguments, weights, 40.0, contrast)
+    assert data + smoothness == pytest.approx(expected, rel=1e-6)
+    assert data + half_quadratic == pytest.approx(expected_half, rel=1e-6)
+
+
+@each_size
+@each_model
+@each_lanes
+def test_change(size, components, lanes, make_problem):
+    from tisfm.kernels.reductions import change
+
+    problem = make_problem(*size, components, lanes)
+    before = np.random.default_rng(5).normal(size=problem.rho.shape).astype(np.float32)
+    previous = problem.to_lanes(before)
+    moved, size_ = change(problem.grid, problem.field.rho, previous)
+    assert moved == pytest.approx(np.linalg.norm(problem.rho - before), rel=1e-6)
+    assert size_ == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
+    np.testing.assert_array_equal(problem.from_lanes(previous), problem.rho)
+
+
+@each_size
+@each_model
+@each_lanes
+@pytest.mark.parametrize("ratio", [0.5, 0.73, 1.0])
+def test_prolong(size, components, lanes, ratio, make_problem):
+    problem = make_problem(*size, components, lanes)
+    shape = tuple(max(1, round(ratio * side)) for side in size)
+    coarse = np.random.default_rng(6).normal(size=(components, *shape)).astype(np.float32)
+    problem.field.start_from(coarse, ratio)
+    expected = reference.prolong(coarse.astype(np.float64), size, ratio)
+    close(problem.from_lanes(problem.field.rho), expected, scale=10)
+    assert not padding(problem, problem.field.rho).any()
+
+
+@each_size
+@each_model
+@each_lanes
+def test_evidence(size, components, lanes, make_problem):
+    from tisfm.kernels.evidence import evidence
+
+    problem = make_problem(*size, components, lanes)
+    weights = reference.edge_weights(problem.rho, 1.0)
+    out, field = problem.grid.allocate(7), problem.field
+    evidence(
+        problem.grid,
+        problem.tensor_lanes,
+        problem.to_lanes(weights),
+        field.x_hat,
+        field.y_hat,
+        field.rho,
+        out,
+        alpha=40.0,
+    )
+    actual = problem.from_lanes(out)
+    np.testing.assert_array_equal(actual[:3], problem.tensor[:3])
+
+    u, v = reference.flow(problem.motion, problem.rho)
+    ix, iy = np.sqrt(problem.tensor[0]), np.sqrt(problem.tensor[2])
+    iy *= np.sign(problem.tensor[1])
+    residual = (ix * u + iy * v + np.sqrt(problem.tensor[5]) * np.sign(problem.tensor[3])) ** 2
+    close(actual[3], residual, scale=1e3)
+
+    without_data = np.zeros_like(problem.tensor)
+    prior = reference.local_matrices(without_data, problem.motion, weights, 40.0)
+    g = np.moveaxis(problem.motion, (0, 1), (-2, -1))
+    covariance = g @ np.linalg.inv(prior) @ np.swapaxes(g, -1, -2)
+    for k, (i, j) in enumerate([(0, 0), (0, 1), (1, 1)]):
+        close(actual[4 + k], covariance[..., i, j], scale=covariance.max())

@@ -1,0 +1,56 @@
+"""How far to trust the image motion of a pixel."""
+
+import cv2
+import numpy as np
+
+WINDOW = 15  # px: about as far as the regularisation carries data
+TOLERATED = 4.0  # times the median residual that halves the confidence
+
+
+def confidence(evidence: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Combine what the data determine with how well they are met.
+
+    The share of the data in the two degrees of freedom of a pixel's flow is
+    ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around it and M the
+    covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
+    is seen (the aperture problem), near 1 at a corner. It is divided by 1 + r/(4·r̃), r the mean
+    squared residual in the window and r̃ its median over the image: where the brightness
+    constraint is not met, at occlusions above all, texture is no reason for trust.
+
+    Parameters
+    ----------
+    evidence : (7, H, W) float32
+        J11, J12, J22, squared residual, M11, M12, M22 (`tisfm.kernels.evidence`). Modified.
+    flow : (2, H, W) float32
+        px/frame.
+
+    Returns
+    -------
+    (H, W) float32
+        In [0, 1]; 0 where the flow leaves the image.
+    """
+    for k in range(4):
+        cv2.boxFilter(evidence[k], -1, (WINDOW, WINDOW), dst=evidence[k], normalize=k == 3)
+    j11, j12, j22, residual, m11, m12, m22 = evidence
+    trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
+    # det(I + J M) = 1 + tr(J M) + det J · det M
+    determinant = np.maximum(j11 * j22 - j12 * j12, 0)
+    determinant *= np.maximum(m11 * m22 - m12 * m12, 0)
+    determinant += 1 + trace
+    trace *= 0.5
+    trace += 1
+    share = 1 - trace / determinant
+    tolerated = TOLERATED * float(np.median(residual))
+    if tolerated > 0:
+        share /= 1 + residual / tolerated
+    else:
+        share[residual > 0] = 0
+    share[~_lands_inside(flow)] = 0
+    return np.clip(share, 0, 1, out=share)
+
+
+def _lands_inside(flow: np.ndarray) -> np.ndarray:
+    height, width = flow.shape[1:]
+    x = flow[0] + np.arange(width, dtype=np.float32)
+    y = flow[1] + np.arange(height, dtype=np.float32)[:, None]
+    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

@@ -1,0 +1,66 @@
+"""The unknown ρ̂ on one level of the pyramid, in lanes."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.flow import flow
+from tisfm.kernels.images import lanes_to_images
+from tisfm.kernels.lanes import LaneGrid, aligned_zeros
+from tisfm.kernels.transfer import prolong
+
+
+class Field:
+    """ρ̂, zero at first, with the geometry of its level.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    camera : Camera
+        The camera of this level.
+    components : {6, 3, 2}
+        Rigid motion, translation, or the image motion itself.
+
+    Attributes
+    ----------
+    rho : lane array, `components` components
+        ρ̂, px/frame of this level.
+    x_hat, open_edges : column tables
+    y_hat : (H + 2,) float32
+    """
+
+    def __init__(self, grid: LaneGrid, camera: Camera, components: int) -> None:
+        self.grid = grid
+        self.components = components
+        cx, cy = camera.center_for(grid.height, grid.width)
+        self.x_hat = grid.columns((grid.column_index() - cx) / camera.focal)
+        self.y_hat = aligned_zeros((grid.height + 2,))
+        self.y_hat[1:-1] = (np.arange(grid.height) - cy) / camera.focal
+        self.open_edges = grid.open_edges()
+        self.rho = grid.allocate(components)
+
+    def start_from(self, coarse: np.ndarray, ratio: float) -> None:
+        """Set ρ̂ from a coarser level.
+
+        Parameters
+        ----------
+        coarse : (components, h, w) float32
+            ρ̂, px/frame of the coarser level.
+        ratio : float
+            Sampling density of the coarser level over this one's.
+        """
+        prolong(self.grid, coarse, self.rho, ratio=ratio)
+
+    def flow(self, out: np.ndarray) -> np.ndarray:
+        """Write the image motion (eq. 25) to a lane array of 2 components, and return it."""
+        flow(self.grid, self.rho, self.x_hat, self.y_hat, out)
+        return out
+
+    def images(self) -> np.ndarray:
+        """Return ρ̂ as (components, H, W) float32, px/frame of this level."""
+        return self.to_images(self.rho)
+
+    def to_images(self, array: np.ndarray) -> np.ndarray:
+        """Return a lane array of this grid as (k, H, W) float32."""
+        out = np.empty((array.shape[0], self.grid.height, self.grid.width), np.float32)
+        lanes_to_images(self.grid, array, out)
+        return out

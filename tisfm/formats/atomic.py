@@ -1,0 +1,80 @@
+"""Files that appear complete or not at all."""
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator
+from typing import BinaryIO
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Write a file that replaces `path` only when the block ends without an exception.
+
+    The block writes to a temporary file in the same folder, so that replacing is one rename
+    within one file system. After any exception, ``KeyboardInterrupt`` included, the temporary
+    file is removed and whatever was at `path` before is untouched. A symbolic link is followed:
+    the file it points to is replaced, and the link stays.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write. Its folder must exist.
+
+    Yields
+    ------
+    BinaryIO
+        The temporary file, open for writing bytes.
+
+    Raises
+    ------
+    FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError, OSError
+        If the file cannot be written, with a text that says what to do.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> path = os.path.join(tempfile.mkdtemp(), "note.txt")
+    >>> with atomic_write(path) as file:
+    ...     _ = file.write(b"complete")
+    """
+    name = os.fspath(path)
+    target = os.path.realpath(name)
+    if os.path.isdir(target):
+        raise IsADirectoryError(f"cannot write {name}: it is a folder; give the path of a file")
+    if os.path.exists(target) and not os.path.isfile(target):
+        # Renaming over a device or a pipe would delete it (root could lose /dev/null).
+        raise OSError(f"cannot write {name}: it is a device or a pipe, not a file; give a file")
+    folder = os.path.dirname(target)
+    # The name does not contain the target's, which may already be as long as the system allows.
+    temporary = os.path.join(folder, f".tisfm-{secrets.token_hex(8)}.tmp")
+    try:
+        # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
+        file = open(temporary, "xb")  # noqa: SIM115 (closed below, before the rename)
+    except OSError as error:
+        raise _explained(error, name, folder) from error
+    try:
+        with file:
+            yield file
+        try:
+            # No fsync: a reader never sees half a file, and a sequence writes hundreds of them.
+            os.replace(temporary, target)
+        except OSError as error:
+            raise _explained(error, name, folder) from error
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def _explained(error: OSError, name: str, folder: str) -> OSError:
+    """Return an error of the same class whose text names the file and says what to do."""
+    if isinstance(error, FileNotFoundError):
+        advice = f"the folder {folder} does not exist; create it first or give another path"
+    elif isinstance(error, NotADirectoryError):
+        advice = f"{folder} is not a folder; give a path in a folder"
+    elif isinstance(error, PermissionError):
+        advice = f"no permission to write in {folder}; give a path in a folder of your own"
+    else:
+        advice = f"{error.strerror}; give a path in another folder"
+    return type(error)(f"cannot write {name}: {advice}")

@@ -1,0 +1,89 @@
+"""Whether all of a picture file is there, from its own account of its length.
+
+PNG and TIFF say where each of their pieces ends. Checking that first is exact, needs no decoding,
+and keeps libpng and libtiff from printing complaints of their own to standard error.
+"""
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+# TIFF value types to NumPy: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
+_TIFF_TYPES = {
+    1: "u1", 2: "u1", 3: "u2", 4: "u4", 5: "V8", 6: "i1", 7: "u1", 8: "i2", 9: "i4", 10: "V8",
+    11: "f4", 12: "f8", 13: "u4", 16: "u8", 17: "i8", 18: "u8",
+}  # fmt: skip
+_STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
+_TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
+
+
+def missing_part(data: bytes) -> str | None:
+    """Name the first part of a PNG or TIFF file that lies beyond its end.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+
+    Returns
+    -------
+    str or None
+        What is missing, such as "its end mark"; None if nothing is, or for another format.
+    """
+    if data.startswith(_PNG_SIGNATURE):
+        return _missing_from_png(data)
+    if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        try:
+            return _missing_from_tiff(data)
+        except struct.error:
+            return "its directory"
+    return None
+
+
+def _missing_from_png(data: bytes) -> str | None:
+    """Walk the chunks (length, type, payload, check sum) up to the end mark."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        position += 12 + length
+        if kind == b"IEND" and position <= len(data):
+            return None
+    return "its end mark"
+
+
+def _missing_from_tiff(data: bytes) -> str | None:
+    """Check the first directory, the values it points to, and the strips or tiles of pixels.
+
+    Raises ``struct.error`` where the directory itself is cut off.
+    """
+    order = "<" if data[:2] == b"II" else ">"
+    big = 43 in data[2:4]  # BigTIFF: 64-bit offsets and counts
+    offset_type, count_type = ("Q", "Q") if big else ("I", "H")
+    (directory,) = struct.unpack_from(order + offset_type, data, 8 if big else 4)
+    (entries,) = struct.unpack_from(order + count_type, data, directory)
+    position = directory + struct.calcsize(order + count_type)
+    values: dict[int, NDArray[np.generic]] = {}
+    for _ in range(entries):
+        tag, kind, count = struct.unpack_from(order + "HH" + offset_type, data, position)
+        inline = struct.calcsize(order + offset_type)
+        start = position + 4 + inline
+        position = start + inline
+        if kind not in _TIFF_TYPES or count == 0:
+            continue  # a type of later years, or nothing: readers skip it as well
+        dtype = np.dtype(order + _TIFF_TYPES[kind])
+        if dtype.itemsize * count > inline:
+            (start,) = struct.unpack_from(order + offset_type, data, start)
+        if start + dtype.itemsize * count > len(data):
+            return f"the value of its tag {tag}"
+        if dtype.kind == "u":
+            values[tag] = np.frombuffer(data, dtype, count, start)
+    struct.unpack_from(order + offset_type, data, position)  # where the next directory is
+    for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
+        offsets = values.get(offsets_tag, np.empty(0)).tolist()
+        lengths = values.get(lengths_tag, np.empty(0)).tolist()
+        # One may be left out by a sloppy writer, in which case the decoder has the last word.
+        if any(start + length > len(data) for start, length in zip(offsets, lengths, strict=False)):
+            return "part of its pixels"
+    return None

@@ -1,0 +1,166 @@
+"""Depth in 16-bit grey PNG files that state their own scale."""
+
+import io
+import math
+import os
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image, PngImagePlugin
+
+from .atomic import atomic_write
+from .completeness import missing_part
+from .errors import FormatError
+from .reading import read_bytes
+
+_SCALE_KEYWORD = "tisfm:depth_scale"
+_MEDIAN_VALUE = 2000.0
+
+
+def choose_depth_scale(depth: ArrayLike) -> float:
+    """Choose a scale that stores the median of the valid depths as 2000.
+
+    Relative depth has no unit, so the scale has to come from the depth itself. At 2000 for the
+    median, a step of the file is 0.05 % of it, and depths from 1/2000 of it to 32 times it fit.
+    A sequence takes the scale of its first pair that has one for all of its files: until then no
+    depth is valid, and a file without valid depth is all zeros at any scale (1.0 will do).
+
+    Parameters
+    ----------
+    depth : array_like
+        Depths in any unit; those that are not finite and positive are ignored.
+
+    Returns
+    -------
+    float
+        Scale for `write_depth_png`, file values per unit of depth.
+
+    Raises
+    ------
+    ValueError
+        If no depth is valid. (An answer such as 1.0 could be kept by mistake for a sequence.)
+    """
+    values = np.asarray(depth, dtype=np.float64)
+    valid = values[_is_valid(values)]
+    if valid.size == 0:
+        raise ValueError(
+            f"depth has no finite positive value among {values.size}: there is nothing to choose "
+            "a scale from; take the scale of another pair of the sequence"
+        )
+    return _MEDIAN_VALUE / float(np.median(valid))
+
+
+def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: float) -> None:
+    """Write depth as a 16-bit grey PNG, whole or not at all.
+
+    The value of a pixel is depth times scale, rounded. Missing depth is 0; a valid depth never
+    is: values clip to 1 below and to 65535 above. The scale is written into the file as the text
+    chunk "tisfm:depth_scale".
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    depth : (H, W) array_like of real numbers
+        Depths in any unit. Missing are NaN, infinity, zero and negative values.
+    scale : float
+        File values per unit of depth, such as 5000 per metre (TUM) or 256 per metre (KITTI).
+
+    Raises
+    ------
+    ValueError
+        If `depth` is not (H, W) or `scale` is not a finite positive number.
+    OSError
+        If the file cannot be written.
+    """
+    values = np.asarray(depth, dtype=np.float64)
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"depth is {values.shape}, expected (H, W) with some pixels")
+    _check_scale(scale)
+    stored = np.zeros(values.shape, dtype=np.uint16)
+    valid = _is_valid(values)
+    with np.errstate(over="ignore"):  # infinity clips as well
+        stored[valid] = np.clip(np.rint(values[valid] * scale), 1, 65535)
+    text = PngImagePlugin.PngInfo()
+    text.add_text(_SCALE_KEYWORD, repr(float(scale)))
+    with atomic_write(path) as file:
+        Image.fromarray(stored).save(file, format="PNG", pnginfo=text)
+
+
+def read_depth_png(
+    path: str | os.PathLike[str], *, scale: float | None = None
+) -> NDArray[np.float32]:
+    """Read depth from a 16-bit grey PNG.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to read.
+    scale : float, optional
+        File values per unit of depth, instead of what the file states.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Depth, value divided by scale; NaN where the file has 0.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, not a 16-bit grey PNG, or states no scale and none is given.
+    ValueError
+        If `scale` is not a finite positive number.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    name = os.fspath(path)
+    if scale is not None:
+        _check_scale(scale)
+    data = read_bytes(name)
+    missing = missing_part(data)
+    if missing is not None:
+        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+            picture.load()
+            # Older versions of Pillow widen 16-bit grey ("I;16") to 32 bits ("I").
+            kind = picture.mode
+            stored = np.asarray(picture)
+            stated = picture.info.get(_SCALE_KEYWORD)
+    except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
+        raise FormatError(f"{name} cannot be read as a depth PNG: {error}") from error
+    if kind not in ("I;16", "I;16B", "I"):
+        raise FormatError(f"{name} is a PNG of mode {kind}, expected 16-bit grey: not a depth file")
+    if scale is None:
+        scale = _stated_scale(name, stated)
+    depth = stored.astype(np.float64) / scale
+    depth[stored == 0] = np.nan
+    return depth.astype(np.float32)
+
+
+def _stated_scale(name: str, stated: object) -> float:
+    """Return the scale that a file states about itself."""
+    if stated is None:
+        raise FormatError(
+            f"{name} does not state its scale (no text chunk {_SCALE_KEYWORD!r}): give scale, "
+            "for example 5000 per metre for TUM or 256 per metre for KITTI"
+        )
+    try:
+        scale = float(str(stated))
+        _check_scale(scale)
+    except ValueError as error:
+        raise FormatError(
+            f"{name} states the scale {stated!r}, expected a finite positive number: give scale"
+        ) from error
+    return scale
+
+
+def _is_valid(depth: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark the depths that are finite and positive."""
+    return np.isfinite(depth) & (depth > 0)
+
+
+def _check_scale(scale: float) -> None:
+    """Refuse a scale that cannot be divided by."""
+    if not (math.isfinite(scale) and scale > 0):
+        raise ValueError(f"scale is {scale!r}, expected a finite positive number")

@@ -1,0 +1,195 @@
+"""The result: 3D motion, depth, image motion and how far to trust them."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.settings import Settings
+
+FORMAT = 1  # of the .npz; raised when a reader of the one before would go wrong
+
+
+class Status(str):
+    """A short code that says how the interpretation ended, with a message on what to try.
+
+    Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
+    ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
+    gradient that motion could be seen by.
+    """
+
+    message: str
+
+    def __new__(cls, code: str, message: str = "") -> "Status":
+        """Make a status that compares equal to its code."""
+        status = super().__new__(cls, code)
+        status.message = message
+        return status
+
+
+@dataclass(frozen=True, kw_only=True)
+class History:
+    """Record of every half-quadratic iteration, in order; arrays of one length.
+
+    Attributes
+    ----------
+    level : (N,) int32
+        Level of the pyramid, 0 the finest.
+    warp : (N,) int32
+        Linearisation within the level.
+    energy : (N,) float64
+        Energy (eq. 6, 20) after the iteration; within a warp it never rises.
+    half_quadratic : (N,) float64
+        Its half-quadratic form (eq. 8, 21) with the weights the iteration used.
+    change : (N,) float64
+        ‖change of ρ̂‖ / ‖ρ̂‖.
+    """
+
+    level: np.ndarray
+    warp: np.ndarray
+    energy: np.ndarray
+    half_quadratic: np.ndarray
+    change: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interpretation:
+    """The 3D interpretation of a pair of frames.
+
+    Attributes
+    ----------
+    rho : (6, H, W) float32
+        ρ̂ = f·(τ, ω), px/frame; ω is zero under the translation model.
+    flow : (H, W, 2) float32
+        Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
+    confidence : (H, W) float32
+        In [0, 1]: how much the data of a pixel, not its neighbours, determine its image motion.
+        0 where the pixel leaves the image.
+    frame : (H, W) or (H, W, 3) uint8
+        Frame 0, on the 8-bit scale: what a picture of the result is drawn on.
+    camera : Camera
+    settings : Settings
+    status : Status
+        A code that compares as text, with ``status.message`` saying what to try.
+    history : History
+        Energy and relative change of every iteration.
+    version : str
+        Version of tisfm that computed it.
+    """
+
+    rho: np.ndarray
+    flow: np.ndarray
+    confidence: np.ndarray
+    frame: np.ndarray = field(repr=False)
+    camera: Camera
+    settings: Settings
+    status: Status
+    history: History = field(repr=False)
+    version: str
+
+    @cached_property
+    def tau(self) -> np.ndarray:
+        """Scaled translation τ = T/Z, (3, H, W) float32, 1/frame."""
+        return self.rho[:3] / np.float32(self.camera.focal)
+
+    @cached_property
+    def omega(self) -> np.ndarray:
+        """Rotation ω, (3, H, W) float32, rad/frame."""
+        return self.rho[3:] / np.float32(self.camera.focal)
+
+    @cached_property
+    def inverse_depth(self) -> np.ndarray:
+        """Relative inverse depth ‖τ‖ (eq. 24), (H, W) float32, for ‖T‖ = 1.
+
+        True where the scene translates parallel to the image plane; elsewhere see the README.
+        """
+        return np.sqrt(np.einsum("khw,khw->hw", self.tau, self.tau))
+
+    @cached_property
+    def depth(self) -> np.ndarray:
+        """Relative depth 1/‖τ‖ (eq. 24), (H, W) float32; NaN where the inverse depth is 0."""
+        depth = np.full_like(self.inverse_depth, np.nan)
+        np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
+        return depth
+
+    def save(self, path: str | Path) -> None:
+        """Write everything to a compressed ``.npz`` without pickles, whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            The file; ``.npz`` is the customary suffix, and none is added.
+
+        Raises
+        ------
+        OSError
+            If the folder does not exist or cannot be written to.
+        """
+        from tisfm.formats import atomic_write
+
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        record = {f"history_{name}": array for name, array in vars(self.history).items()}
+        about = {
+            "format": FORMAT,
+            "version": self.version,
+            "camera": asdict(self.camera),
+            "settings": asdict(self.settings),
+            "status": str(self.status),
+            "message": self.status.message,
+        }
+        with atomic_write(path) as file:
+            np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays, **record)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Interpretation":
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not a complete interpretation, or of a format this version cannot read.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return cls._from_arrays({name: file[name] for name in file.files})
+        except FileNotFoundError:
+            raise FileNotFoundError(f"there is no file {path}") from None
+        except IsADirectoryError:
+            raise IsADirectoryError(f"{path} is a folder: give one .npz file") from None
+        except (BadZipFile, EOFError, KeyError, TypeError, ValueError, OSError) as error:
+            raise ValueError(f"{path} is not an interpretation written by tisfm: {error}") from None
+
+    @classmethod
+    def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
+        about: dict[str, Any] = json.loads(str(data["about"]))
+        if about["format"] != FORMAT:
+            raise ValueError(
+                f"its format is {about['format']} and this version reads {FORMAT}: "
+                f"it was written by tisfm {about['version']}"
+            )
+        camera = about["camera"]
+        if camera["center"] is not None:
+            camera["center"] = tuple(camera["center"])
+        history = {
+            name.removeprefix("history_"): array
+            for name, array in data.items()
+            if name.startswith("history_")
+        }
+        return cls(
+            **{name: data[name] for name in _ARRAYS},
+            camera=Camera(**camera),
+            settings=Settings(**about["settings"]),
+            status=Status(about["status"], about["message"]),
+            history=History(**history),
+            version=about["version"],
+        )
+
+
+_ARRAYS = ("rho", "flow", "confidence", "frame")

@@ -1,0 +1,179 @@
+"""The files that `tisfm run` and `tisfm demo` write for every pair."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.formats import (
+    atomic_write,
+    choose_depth_scale,
+    write_depth_png,
+    write_flo,
+    write_png,
+)
+from tisfm.interpretation import Interpretation
+from tisfm.settings import Settings
+from tisfm.show import (
+    anaglyph,
+    comparison_figure,
+    depth_grey,
+    flow_radius,
+    inverse_depth_limit,
+    save_figure,
+)
+from tisfm.version import __version__
+
+RECORD = "run.json"
+
+
+class PairWriter:
+    """Writes interpretations into a folder, with one range and one depth scale for all.
+
+    For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
+    and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
+    ``name_anaglyph.png``, ``name_figure.png``, and last ``name.npz``, which therefore marks a
+    complete pair. The record, ``run.json``, holds settings, camera, scale and the status of every
+    pair, and is renewed after each.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist.
+    camera : Camera
+    settings : Settings
+    figures : bool
+        Whether to draw the figure, with Horn and Schunck's flow beside ours.
+    resume : bool
+        Continue a run that was interrupted: keep its ranges and the pairs it finished.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made or written to.
+    ValueError
+        If `resume` is set and the folder holds a run with another camera or other settings.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        camera: Camera,
+        settings: Settings,
+        figures: bool = True,
+        resume: bool = False,
+    ) -> None:
+        self.folder = Path(folder)
+        self.figures = figures
+        self._record: dict[str, Any] = {
+            "version": __version__,
+            "camera": asdict(camera),
+            "settings": asdict(settings),
+            "depth16_values_per_unit": None,
+            "inverse_depth_limit": None,
+            "flow_limit": None,
+            "pairs": {},
+        }
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise type(error)(
+                f"cannot make the folder {self.folder} ({error.strerror}): give another with -o"
+            ) from error
+        if resume:
+            self._continue()
+        self._write_record()  # tells at once whether the folder can be written to
+
+    def is_complete(self, name: str) -> bool:
+        """Return whether an earlier run finished this pair."""
+        return name in self._record["pairs"] and (self.folder / f"{name}.npz").is_file()
+
+    def write(
+        self,
+        name: str,
+        result: Interpretation,
+        *,
+        baseline_flow: np.ndarray | None = None,
+        **truth: np.ndarray,
+    ) -> None:
+        """Write all files of a pair.
+
+        Parameters
+        ----------
+        name : str
+            Beginning of the file names.
+        result : Interpretation
+        baseline_flow : (H, W, 2), optional
+            Horn and Schunck's flow, for the figure.
+        **truth
+            ``truth_flow`` and ``truth_inverse_depth``, for the figure.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
+        record = self._record
+        if not record["inverse_depth_limit"] and result.inverse_depth.any():
+            # The first pair that moves sets the ranges: one for a whole sequence, no flicker.
+            record["inverse_depth_limit"] = inverse_depth_limit(result.inverse_depth)
+            record["depth16_values_per_unit"] = choose_depth_scale(result.depth)
+            record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
+        limit = record["inverse_depth_limit"] or None
+        scale = record["depth16_values_per_unit"] or 1.0
+        path = self.folder / name
+        write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
+        write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
+        write_flo(f"{path}_flow.flo", result.flow)
+        write_png(
+            f"{path}_anaglyph.png", anaglyph(result.frame, result.inverse_depth, limit=limit)
+        )
+        if self.figures:
+            figure = comparison_figure(
+                result.frame,
+                result.inverse_depth,
+                result.flow,
+                baseline_flow=baseline_flow,
+                title=name,
+                depth_limit=limit,
+                flow_limit=record["flow_limit"] or None,
+                **truth,
+            )
+            save_figure(f"{path}_figure.png", figure)
+        result.save(f"{path}.npz")
+        record["pairs"][name] = {"status": str(result.status), "message": result.status.message}
+        self._write_record()
+
+    @property
+    def statuses(self) -> list[str]:
+        """Status codes of the pairs written so far, those of a resumed run included."""
+        return [pair["status"] for pair in self._record["pairs"].values()]
+
+    def _continue(self) -> None:
+        path = self.folder / RECORD
+        if not path.is_file():
+            return
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+            same = all(
+                before[key] == json.loads(json.dumps(self._record[key]))
+                for key in ("version", "camera", "settings")
+            )
+            missing = set(self._record) - set(before)
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} is damaged ({error}): run without --resume") from error
+        if missing or not same:
+            raise ValueError(
+                f"{self.folder} holds a run with another camera, other settings or of another "
+                "version: repeat its options, or run without --resume to start again"
+            )
+        self._record = before
+
+    def _write_record(self) -> None:
+        text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
+        with atomic_write(self.folder / RECORD) as file:
+            file.write(text.encode("utf-8"))

@@ -1,0 +1,129 @@
+"""Two frames in, one interpretation out."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from tisfm.camera import Camera
+from tisfm.confidence import confidence
+from tisfm.frames import eight_bit, grey_pair
+from tisfm.interpretation import History, Interpretation, Status
+from tisfm.settings import Settings
+from tisfm.version import __version__
+
+if TYPE_CHECKING:  # loading it loads Taichi
+    from tisfm.pyramid import Solution
+
+
+def interpret(
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    pose: npt.ArrayLike | None = None,
+) -> Interpretation:
+    """Interpret two frames: 3D motion, depth and image motion at every pixel of frame 0.
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) or (H, W, 3) array
+        Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
+    camera : Camera, optional
+        By default a focal length of 600 px, as in the paper, and the image's centre.
+    settings : Settings, optional
+        By default the preset ``"balanced"``.
+    pose : array, optional
+        A known motion of the camera. Not used by ``motion="field"``, the only reading of motion
+        there is so far: anything but None is refused.
+
+    Returns
+    -------
+    Interpretation
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
+        NaN or infinite; if `pose` is given.
+
+    References
+    ----------
+    Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
+    Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
+    """
+    camera = Camera() if camera is None else camera
+    settings = Settings() if settings is None else settings
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera")
+    if not isinstance(settings, Settings):
+        raise TypeError(
+            f"settings is {settings!r}: expected a tisfm.Settings, "
+            'for instance Settings.preset("accurate")'
+        )
+    if pose is not None:
+        raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
+    grey0, grey1 = grey_pair(frame0, frame1)
+
+    from tisfm.pyramid import coarse_to_fine
+
+    solution = coarse_to_fine(
+        grey0,
+        grey1,
+        camera,
+        settings,
+        components=settings.components,
+        contrast=settings.contrast_for(camera.focal),
+    )
+    field = solution.field
+    rho = np.zeros((6, *grey0.shape), np.float32)
+    rho[: field.components] = field.images()
+    flow = field.to_images(field.flow(field.grid.allocate(2)))
+    return Interpretation(
+        rho=rho,
+        flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
+        confidence=confidence(solution.minimiser.evidence(solution.tensor), flow),
+        frame=eight_bit(frame0),
+        camera=camera,
+        settings=settings,
+        status=_status(solution, settings),
+        history=_history(solution),
+        version=__version__,
+    )
+
+
+def _status(solution: "Solution", settings: Settings) -> Status:
+    last = solution.history[-1][2]
+    if not solution.tensor[:3].any():
+        return Status(
+            "no_texture",
+            "the frames are uniform, so no motion can be seen: check that they are images of a "
+            "textured scene",
+        )
+    if not solution.field.rho.any():
+        return Status(
+            "no_motion",
+            "the frames do not differ, so there is no motion to interpret: take frames further "
+            "apart in time",
+        )
+    if not solution.converged:
+        return Status(
+            "iteration_limit",
+            f"ρ̂ still changed by {last.change:.1e} of its norm in the last of "
+            f"{settings.outer_iterations} iterations (tolerance {settings.tolerance:g}): raise "
+            "outer_iterations or sweeps, or accept a higher tolerance",
+        )
+    return Status("converged", f"ρ̂ changed by {last.change:.1e} of its norm in the last iteration")
+
+
+def _history(solution: "Solution") -> History:
+    levels, warps, iterations = zip(*solution.history, strict=True)
+    return History(
+        level=np.array(levels, np.int32),
+        warp=np.array(warps, np.int32),
+        **{
+            name: np.array([getattr(iteration, name) for iteration in iterations])
+            for name in ("energy", "half_quadratic", "change")
+        },
+    )

@@ -1,0 +1,387 @@
+"""The method in plain NumPy float64, to be read beside the paper and tested against.
+
+Nothing here is fast: every function is the equation it cites, on arrays of shape (…, H, W).
+ρ̂ = f·ρ is in px/frame and coordinates are normalised, x̂ = x/f, so that eq. 2 becomes
+(u, v)ᵀ = G ρ̂ and the paper's λ becomes λ̂ = λ/f².
+
+Departures from the paper, beyond that scaling:
+
+- eq. 10 on edges: b belongs to the difference of two neighbours, as in eq. 14, so that the
+  iteration majorises and minimises one energy exactly;
+- a contrast δ in eq. 10: Φ_δ(s) = 2δ²(√(1 + s²/δ²) − 1); the paper has δ = 1 in the units of τ;
+- a warp: frame 1 is brought to frame 0 by the current flow before derivatives are taken.
+
+Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
+the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)
+has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.camera import Camera
+
+# --- Images -----------------------------------------------------------------------------------
+
+
+def derivatives(
+    frame0: np.ndarray, frame1: np.ndarray, scheme: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (I_x, I_y, I_t), each (H, W); images repeat beyond their border.
+
+    ``"cube"``: Horn and Schunck's 2×2×2 cube. ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of
+    both frames, and their difference.
+    """
+    height, width = frame0.shape
+    a = np.pad(np.asarray(frame0, np.float64), 2, mode="edge")
+    b = np.pad(np.asarray(frame1, np.float64), 2, mode="edge")
+
+    def at(image: np.ndarray, dy: int, dx: int) -> np.ndarray:
+        return image[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
+
+    if scheme == "five_tap":
+        mean = (a + b) / 2
+        taps = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
+        ix = sum(weight * at(mean, 0, d) for d, weight in taps)
+        iy = sum(weight * at(mean, d, 0) for d, weight in taps)
+        return ix, iy, at(b, 0, 0) - at(a, 0, 0)
+    corners = [(dy, dx) for dy in (0, 1) for dx in (0, 1)]
+    both = a + b
+    ix = sum((1 if dx else -1) * at(both, dy, dx) for dy, dx in corners) / 4
+    iy = sum((1 if dy else -1) * at(both, dy, dx) for dy, dx in corners) / 4
+    it = sum(at(b, dy, dx) - at(a, dy, dx) for dy, dx in corners) / 4
+    return ix, iy, it
+
+
+def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sample an image at x + flow by Keys' bicubic convolution (a = −½).
+
+    Parameters
+    ----------
+    image : (H, W)
+    flow : (2, H, W)
+        px/frame.
+
+    Returns
+    -------
+    warped, mask : (H, W)
+        The mask is 1 where the target lies inside the image.
+    """
+    height, width = image.shape
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    x, y = columns + flow[0], rows + flow[1]
+    mask = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = np.clip(x, -2, width + 1), np.clip(y, -2, height + 1)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    warped = np.zeros((height, width))
+    for i in range(-1, 3):
+        for j in range(-1, 3):
+            weight = _keys(x - (left + i)) * _keys(y - (top + j))
+            tap = image[np.clip(top + j, 0, height - 1), np.clip(left + i, 0, width - 1)]
+            warped += weight * tap
+    return warped, mask.astype(np.float64)
+
+
+def _keys(distance: np.ndarray) -> np.ndarray:
+    d = np.abs(distance)
+    near = 1.5 * d**3 - 2.5 * d**2 + 1
+    far = -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2
+    return np.where(d <= 1, near, np.where(d < 2, far, 0.0))
+
+
+# --- Model ------------------------------------------------------------------------------------
+
+
+def motion_matrix(camera: Camera, height: int, width: int, components: int) -> np.ndarray:
+    """Return G, (2, components, H, W): eq. 2 in scaled unknowns.
+
+    6 components are rigid motion, 3 translation, 2 the image motion itself.
+    """
+    cx, cy = camera.center_for(height, width)
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    x, y = (columns - cx) / camera.focal, (rows - cy) / camera.focal
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rigid = np.array(
+        [
+            [one, zero, -x, -x * y, 1 + x * x, -y],
+            [zero, one, -y, -(1 + y * y), x * y, x],
+        ]
+    )
+    return rigid[:, :components]
+
+
+def flow(motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return (u, v), (2, H, W): eq. 25, Gρ̂."""
+    return np.einsum("ckyx,kyx->cyx", motion, rho)
+
+
+def brightness_tensor(
+    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
+    flow0: np.ndarray,
+    mask: np.ndarray,
+) -> np.ndarray:
+    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, in the whole flow.
+
+    `flow0`, (2, H, W), is the flow that the gradients' frame 1 was warped by.
+    """
+    ix, iy, it = gradients
+    c = it - ix * flow0[0] - iy * flow0[1]
+    return mask * np.array([ix * ix, ix * iy, iy * iy, c * ix, c * iy, c * c])
+
+
+# --- Half-quadratic algorithm -----------------------------------------------------------------
+
+
+def aubert(difference: np.ndarray, contrast: float) -> np.ndarray:
+    """Return Φ_δ(s) = 2δ²(√(1 + s²/δ²) − 1), written without its cancellation."""
+    square = difference**2
+    return 2 * square / (1 + np.sqrt(1 + square / contrast**2))
+
+
+def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eastern and southern differences (eq. 13), (n, H, W), 0 across the border."""
+    east, south = np.zeros_like(rho), np.zeros_like(rho)
+    east[:, :, :-1] = np.diff(rho, axis=2)
+    south[:, :-1] = np.diff(rho, axis=1)
+    return east, south
+
+
+def edge_weights(rho: np.ndarray, contrast: float) -> np.ndarray:
+    """Return b (eq. 10, 14), (2n, H, W): n eastern edges, n southern ones, 0 across the border."""
+    east, south = (1 / np.sqrt(1 + (d / contrast) ** 2) for d in differences(rho))
+    east[:, :, -1] = 0
+    south[:, -1] = 0
+    return np.concatenate([east, south])
+
+
+def energy(
+    tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, contrast: float
+) -> float:
+    """Return the energy (eq. 6, 20): the data term plus α Σ_edges Σ_k Φ_δ(Δρ̂_k)."""
+    penalty = sum(aubert(d, contrast).sum() for d in differences(rho))
+    return data_energy(tensor, motion, rho) + alpha * float(penalty)
+
+
+def half_quadratic_energy(
+    tensor: np.ndarray,
+    motion: np.ndarray,
+    rho: np.ndarray,
+    weights: np.ndarray,
+    alpha: float,
+    contrast: float,
+) -> float:
+    """Return its half-quadratic form (eq. 8, 21): per edge bΔ² + δ²(b + 1/b − 2)."""
+    steps = np.concatenate(differences(rho))
+    inside = weights > 0
+    b = np.where(inside, weights, 1.0)
+    penalty = b * steps**2
+    if np.isfinite(contrast):
+        penalty = penalty + contrast**2 * (1 - b) ** 2 / b
+    return data_energy(tensor, motion, rho) + alpha * float(penalty[inside].sum())
+
+
+def data_energy(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> float:
+    """Return Σ (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt."""
+    u, v = flow(motion, rho)
+    j11, j12, j22, j1, j2, jtt = tensor
+    return float((j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt).sum())
+
+
+def local_matrices(
+    tensor: np.ndarray, motion: np.ndarray, weights: np.ndarray, alpha: float
+) -> np.ndarray:
+    """Return B, (H, W, n, n), of Bρ̂ = c (eq. 16, 22–23) at every pixel."""
+    n = motion.shape[1]
+    j11, j12, j22, *_ = tensor
+    total = sum(_neighbour_weights(weights))  # b̄, eq. 17
+    j_motion = np.stack([j11 * motion[0] + j12 * motion[1], j12 * motion[0] + j22 * motion[1]])
+    matrix = np.einsum("ckyx,clyx->yxkl", motion, j_motion)
+    matrix[..., range(n), range(n)] += alpha * np.moveaxis(total, 0, -1)
+    return matrix
+
+
+def local_right_sides(
+    tensor: np.ndarray, motion: np.ndarray, weights: np.ndarray, rho: np.ndarray, alpha: float
+) -> np.ndarray:
+    """Return c, (H, W, n), of Bρ̂ = c at every pixel."""
+    north, south, east, west = _neighbour_weights(weights)
+    neighbours = np.zeros_like(rho)  # Σ b_N ρ̂_N, eq. 17
+    neighbours[:, 1:] += north[:, 1:] * rho[:, :-1]
+    neighbours[:, :-1] += south[:, :-1] * rho[:, 1:]
+    neighbours[:, :, :-1] += east[:, :, :-1] * rho[:, :, 1:]
+    neighbours[:, :, 1:] += west[:, :, 1:] * rho[:, :, :-1]
+    right = alpha * neighbours - motion[0] * tensor[3] - motion[1] * tensor[4]
+    return np.moveaxis(right, 0, -1)
+
+
+def _neighbour_weights(
+    weights: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return b to the north, south, east and west of every pixel, each (n, H, W)."""
+    n = len(weights) // 2
+    east, south = weights[:n], weights[n:]
+    north, west = np.zeros_like(south), np.zeros_like(east)
+    north[:, 1:] = south[:, :-1]
+    west[:, :, 1:] = east[:, :, :-1]
+    return north, south, east, west
+
+
+def sweep_lexicographic(
+    tensor: np.ndarray,
+    motion: np.ndarray,
+    weights: np.ndarray,
+    rho: np.ndarray,
+    *,
+    alpha: float,
+    relaxation: float = 1.0,
+) -> None:
+    """Gauss–Seidel in reading order, one pixel at a time; `rho` is modified in place."""
+    n, height, width = rho.shape
+    j11, j12, j22, j1, j2, _ = tensor
+    east, south = weights[:n], weights[n:]
+    for y in range(height):
+        for x in range(width):
+            g = motion[:, :, y, x]
+            tensor_here = np.array([[j11[y, x], j12[y, x]], [j12[y, x], j22[y, x]]])
+            right = -g.T @ np.array([j1[y, x], j2[y, x]])
+            total = np.zeros(n)
+            for edge, inside, ny, nx in (
+                (east[:, y, x], x + 1 < width, y, x + 1),
+                (east[:, y, x - 1], x > 0, y, x - 1),
+                (south[:, y, x], y + 1 < height, y + 1, x),
+                (south[:, y - 1, x], y > 0, y - 1, x),
+            ):
+                if inside:
+                    total += edge
+                    right += alpha * edge * rho[:, ny, nx]
+            matrix = g.T @ tensor_here @ g + alpha * np.diag(total)
+            rho[:, y, x] += relaxation * (np.linalg.solve(matrix, right) - rho[:, y, x])
+
+
+def sweep_red_black(
+    tensor: np.ndarray,
+    motion: np.ndarray,
+    weights: np.ndarray,
+    rho: np.ndarray,
+    *,
+    alpha: float,
+    relaxation: float = 1.0,
+) -> None:
+    """Gauss–Seidel over the red pixels at once, then the black; `rho` is modified in place.
+
+    Red pixels have an even sum of row and column.
+    """
+    rows, columns = np.indices(rho.shape[1:])
+    matrix = local_matrices(tensor, motion, weights, alpha)
+    for color in (0, 1):
+        sites = (rows + columns) % 2 == color
+        right = local_right_sides(tensor, motion, weights, rho, alpha)
+        solution = np.linalg.solve(matrix[sites], right[sites][..., None])[..., 0].T
+        rho[:, sites] += relaxation * (solution - rho[:, sites])
+
+
+@dataclass(frozen=True)
+class Minimisation:
+    """Energies and relative changes of the half-quadratic iterations."""
+
+    energies: list[float]
+    half_quadratic: list[float]
+    changes: list[float]
+    converged: bool
+
+
+def minimise(
+    tensor: np.ndarray,
+    motion: np.ndarray,
+    rho: np.ndarray,
+    *,
+    alpha: float,
+    contrast: float,
+    outer_iterations: int,
+    sweeps: int,
+    relaxation: float = 1.0,
+    tolerance: float = 0.0,
+) -> Minimisation:
+    """Run the half-quadratic algorithm (Table 1); `rho` is modified in place."""
+    energies: list[float] = []
+    half: list[float] = []
+    changes: list[float] = []
+    for _ in range(outer_iterations):
+        before = rho.copy()
+        weights = edge_weights(rho, contrast)
+        for _ in range(sweeps):
+            sweep_red_black(tensor, motion, weights, rho, alpha=alpha, relaxation=relaxation)
+        energies.append(energy(tensor, motion, rho, alpha, contrast))
+        half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, contrast))
+        moved, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
+        changes.append(float(moved / size) if size > 0 else 0.0)
+        if moved <= tolerance * size:
+            return Minimisation(energies, half, changes, True)
+    return Minimisation(energies, half, changes, False)
+
+
+# --- Coarse to fine ---------------------------------------------------------------------------
+
+
+def prolong(coarse: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
+    """Return ρ̂ of a coarser level, (n, h, w), on a finer grid of `shape`, bilinearly.
+
+    Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse one, and ρ̂, in pixels of its
+    level, is divided by `ratio`.
+    """
+
+    def positions(count: int, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        x = np.clip((np.arange(count) + 0.5) * ratio - 0.5, 0, size - 1)
+        first = np.minimum(x.astype(int), max(size - 2, 0))
+        return first, np.minimum(first + 1, size - 1), x - first
+
+    top, bottom, down = positions(shape[0], coarse.shape[1])
+    left, right, across = positions(shape[1], coarse.shape[2])
+    columns = coarse[:, :, left] * (1 - across) + coarse[:, :, right] * across
+    down = down[:, None]
+    return (columns[:, top] * (1 - down) + columns[:, bottom] * down) / ratio
+
+
+def coarse_to_fine(
+    pyramid0: list[np.ndarray],
+    pyramid1: list[np.ndarray],
+    cameras: list[Camera],
+    *,
+    components: int,
+    factor: float,
+    scheme: str,
+    warps: int,
+    alpha: float,
+    contrast: float,
+    outer_iterations: int,
+    sweeps: int,
+    relaxation: float,
+    tolerance: float,
+) -> np.ndarray:
+    """Return ρ̂, (components, H, W), of the finest of the given levels, the finest first."""
+    rho: np.ndarray | None = None
+    for frame0, frame1, camera in reversed(list(zip(pyramid0, pyramid1, cameras, strict=True))):
+        if rho is None:
+            rho = np.zeros((components, *frame0.shape))
+        else:
+            rho = prolong(rho, frame0.shape, factor)
+        motion = motion_matrix(camera, *frame0.shape, components)
+        for _ in range(warps):
+            flow0 = flow(motion, rho)
+            warped, mask = warp(frame1, flow0)
+            tensor = brightness_tensor(derivatives(frame0, warped, scheme), flow0, mask)
+            minimise(
+                tensor,
+                motion,
+                rho,
+                alpha=alpha,
+                contrast=contrast,
+                outer_iterations=outer_iterations,
+                sweeps=sweeps,
+                relaxation=relaxation,
+                tolerance=tolerance,
+            )
+    if rho is None:
+        raise ValueError("pyramids are empty: expected at least one level")
+    return rho

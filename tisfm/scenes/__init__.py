@@ -1,0 +1,30 @@
+"""Synthetic frame pairs with exact truth: textured planes and boxes in rigid motion, ray-cast.
+
+Camera axes are X right, Y down, Z forward, those of frame 0; lengths are in any one unit. A motion
+is a twist (T, ω) per frame: a point P has velocity T + ω × P (eq. 1-2 of the paper) and moves, from
+one frame to the next, by the exact exponential of the twist, P1 = R P0 + t. A camera that moves by
+(V, Ω) in its own axes sees a static scene with T = -V, ω = -Ω.
+
+Grey levels are painted on the surfaces, so brightness constancy holds exactly up to anti-aliasing
+and quantisation. The paint is band-limited and measured in scene units: the picture does not
+depend on the size at which it is rendered, except that waves too short for the pixels fade out.
+The ready scenes add shorter waves to larger pictures, unless told how many.
+"""
+
+from .geometry import Box, Plane
+from .ready import STATIC_KINDS, static_scene, two_blocks
+from .render import Scene, SyntheticPair
+from .rigid import rigid_motion
+from .texture import Texture
+
+__all__ = [
+    "STATIC_KINDS",
+    "Box",
+    "Plane",
+    "Scene",
+    "SyntheticPair",
+    "Texture",
+    "rigid_motion",
+    "static_scene",
+    "two_blocks",
+]

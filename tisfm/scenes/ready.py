@@ -1,0 +1,187 @@
+"""Ready scenes: blocks in a room, seen by a camera that looks down on its floor."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tisfm.camera import Camera
+
+from .checks import Floats, finite, whole
+from .geometry import Box, Plane
+from .render import Scene, SyntheticPair
+from .rigid import rigid_motion
+from .texture import Texture
+
+# (V, Ω) of the camera in its own axes. The turn adds to the sideways flow.
+_STATIC_MOTIONS = {
+    "sideways": (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "forward": (0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
+    "sideways+rotation": (0.03, 0.0, 0.0, 0.002, 0.004, 0.003),
+    "forward+rotation": (0.0, 0.0, 0.1, 0.002, 0.004, 0.003),
+}
+STATIC_KINDS = tuple(_STATIC_MOTIONS)
+
+# The camera looks down on the floor by 25°, from a height of 2.6.
+_COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
+_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
+_EYE_HEIGHT = 2.6
+_WALL_DISTANCE = 9.0
+
+# Without detail the finest wave has this length, px, in a picture of this width.
+_FINEST = 4.0
+_WIDTH = 320
+
+# A block: where it stands in the room, (X, Z), its edge lengths, its turn in degrees.
+_Block = tuple[tuple[float, float], tuple[float, float, float], float]
+_TWO_BLOCKS: list[_Block] = [
+    ((-0.62, 4.7), (1.5, 1.3, 1.2), 28),
+    ((0.75, 3.7), (0.8, 0.85, 0.8), -33),
+]
+_THREE_BLOCKS: list[_Block] = [
+    ((-1.0, 4.4), (0.9, 1.2, 0.9), 35),
+    ((0.95, 5.6), (1.7, 1.0, 1.0), -18),
+    ((0.35, 3.3), (0.55, 0.5, 0.55), 20),
+]
+
+
+def two_blocks(
+    height: int = 240,
+    width: int = 320,
+    *,
+    seed: int = 0,
+    focal: float | None = None,
+    detail: int | None = None,
+    camera_motion: ArrayLike = (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
+    block_motions: ArrayLike | None = None,
+    samples: int = 3,
+    dtype: str = "uint8",
+) -> SyntheticPair:
+    """Render two blocks that move on their own, each in translation, before a moving camera.
+
+    After the Marbled-block sequence of the paper's section 6: the larger block moves in depth and
+    to the left, the other forward and to the left, along the floor they stand on. At the default
+    size displacements are about 1 to 4 px; they scale with the size, as do the shapes.
+
+    Parameters
+    ----------
+    height, width : int
+        Size of the frames, px.
+    seed : int, default 0
+        Pattern of the textures.
+    focal : float, optional
+        Focal length, px; by default the width, so that every size shows the same view.
+    detail : int, optional
+        Number of fine octaves added to the textures: at a focal length of 320 px their finest wave
+        is 4 px long, and each octave halves it. By default round(log2(width / 320)) or 0: the
+        finest wave on the objects is then of 3 to 6 px in pictures of 320 px or more.
+    camera_motion : array_like, shape (6,)
+        (V, Ω) of the camera in its own axes, length/frame and rad/frame. The blocks are at depths
+        of about 4.6 and 4, the background at about 9.
+    block_motions : array_like, shape (2, 6), optional
+        Twists (T, ω) of the larger and of the smaller block as seen by a camera at rest.
+    samples, dtype
+        As in `Scene.render`.
+
+    Returns
+    -------
+    SyntheticPair
+        Labels are 0 for the background, 1 for the floor, 2 for the larger block, 3 for the other.
+
+    Raises
+    ------
+    ValueError
+        If a size, the focal length, the detail or a motion is impossible.
+    """
+    if block_motions is None:
+        along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
+        block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
+    own = finite(block_motions, (2, 6), "block_motions", "two twists")
+    scene = _room(_TWO_BLOCKS, own, camera_motion, height, width, seed, focal, detail)
+    return scene.render(samples=samples, dtype=dtype)
+
+
+def static_scene(
+    kind: str,
+    height: int = 240,
+    width: int = 320,
+    *,
+    seed: int = 0,
+    focal: float | None = None,
+    detail: int | None = None,
+    samples: int = 3,
+    dtype: str = "uint8",
+) -> SyntheticPair:
+    """Render three blocks at rest on a floor, seen by a moving camera.
+
+    Parameters
+    ----------
+    kind : {"sideways", "forward", "sideways+rotation", "forward+rotation"}
+        Motion of the camera: V along its X or Z axis, without or with rotation about all three
+        axes. At the default size displacements are a couple of px; they scale with the size.
+    height, width, seed, focal, detail
+        As in `two_blocks`.
+    samples, dtype
+        As in `Scene.render`.
+
+    Returns
+    -------
+    SyntheticPair
+        All objects have the same motion. Labels are 0 for the background, 1 for the floor, 2, 3
+        and 4 for the blocks.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown, or a size, the focal length or the detail is impossible.
+    """
+    if kind not in _STATIC_MOTIONS:
+        raise ValueError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
+    own, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
+    scene = _room(_THREE_BLOCKS, own, motion, height, width, seed, focal, detail)
+    return scene.render(samples=samples, dtype=dtype)
+
+
+def _room(
+    blocks: Sequence[_Block],
+    own: Floats,
+    camera_motion: ArrayLike,
+    height: int,
+    width: int,
+    seed: int,
+    focal: float | None,
+    detail: int | None,
+) -> Scene:
+    """Stand blocks on the floor; `own` holds the twists they have besides the camera's effect."""
+    whole(1, height=height, width=width)
+    static = -finite(camera_motion, (6,), "camera_motion", "(V1, V2, V3, Ω1, Ω2, Ω3)")
+    if detail is None:
+        detail = max(0, round(math.log2(width / _WIDTH)))
+
+    def paint(depth: float, number: int, mean: float, contrast: float) -> Texture:
+        return Texture(
+            wavelength=_FINEST * depth / _WIDTH,
+            detail=detail,
+            mean=mean,
+            contrast=contrast,
+            seed=seed + number,
+        )
+
+    def plane(texture: Texture, point: tuple, normal: tuple) -> Plane:
+        return Plane(texture=texture, point=_ROOM @ point, normal=_ROOM @ normal, motion=static)
+
+    objects: list[Plane | Box] = [
+        plane(paint(_WALL_DISTANCE, 0, 114, 42), (0, 0, _WALL_DISTANCE), (0, 0, -1)),
+        plane(paint(4.5, 1, 88, 42), (0, _EYE_HEIGHT, 0), (0, -1, 0)),
+    ]
+    for number, ((x, z), size, degrees) in enumerate(blocks):
+        center = _ROOM @ (x, _EYE_HEIGHT - size[1] / 2, z)
+        turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
+        texture = paint(float(center[2]), number + 2, 140, 52)
+        motion = static + own[number]
+        objects.append(
+            Box(texture=texture, center=center, size=size, axes=_ROOM @ turn, motion=motion)
+        )
+    camera = Camera(focal=float(width) if focal is None else focal)
+    return Scene(objects=objects, camera=camera, height=height, width=width)

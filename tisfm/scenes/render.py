@@ -1,0 +1,232 @@
+"""Rendering: the frames of a scene, its depth, motion and flow, and what stays visible."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+
+from .checks import Floats, whole
+from .geometry import Box, Plane, View
+from .rigid import rigid_motion
+
+# Samples cast at once: their temporary arrays stay in the cache.
+CHUNK = 1 << 15
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SyntheticPair:
+    """Two frames of a scene and the truth at the pixel centres of frame 0.
+
+    Attributes
+    ----------
+    frame0, frame1 : ndarray, shape (H, W), uint8 or float32
+        Grey levels on the 8-bit scale; float32 ones are not rounded.
+    camera : Camera
+        The camera of both frames.
+    depth : ndarray, shape (H, W), float64
+        Z in frame 0.
+    flow : ndarray, shape (H, W, 2), float64
+        Finite displacement (u, v), px: projection of P1 = R P0 + t less the pixel; NaN where P1 is
+        not in front of the camera.
+    tau, omega : ndarray, shape (3, H, W), float64
+        T/Z, 1/frame, and ω, rad/frame: the twist of the object seen at each pixel.
+    labels : ndarray, shape (H, W), int32
+        Index of the object seen.
+    motions : ndarray, shape (K, 6), float64
+        Twist (T, ω) of each object, by label.
+    visible : ndarray, shape (H, W), bool
+        Whether the same point is seen in frame 1: it projects between the centres of the border
+        pixels and nothing hides it.
+    """
+
+    frame0: NDArray
+    frame1: NDArray
+    camera: Camera
+    depth: Floats
+    flow: Floats
+    tau: Floats
+    omega: Floats
+    labels: NDArray[np.int32]
+    motions: Floats
+    visible: NDArray[np.bool_]
+
+    @property
+    def inverse_depth(self) -> Floats:
+        """1/Z of frame 0, shape (H, W), float64."""
+        return 1 / self.depth
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """Objects in front of a camera, at two instants one frame apart.
+
+    Parameters
+    ----------
+    objects : sequence of Plane or Box
+        What there is to see; an object's place in the sequence is its label. Together they must
+        cover the image: put a background plane among them.
+    camera : Camera
+        Focal length and principal point, px.
+    height, width : int
+        Size of the frames, px, at least 1 each.
+
+    Raises
+    ------
+    TypeError
+        If an object is neither a Plane nor a Box.
+    ValueError
+        If there is no object or the size is not positive.
+    """
+
+    objects: Sequence[Plane | Box]
+    camera: Camera
+    height: int
+    width: int
+
+    def __post_init__(self) -> None:
+        whole(1, height=self.height, width=self.width)
+        object.__setattr__(self, "objects", tuple(self.objects))
+        if not self.objects:
+            raise ValueError("objects is empty: expected at least a background Plane")
+        for index, item in enumerate(self.objects):
+            if not isinstance(item, Plane | Box):
+                raise TypeError(
+                    f"objects[{index}] is a {type(item).__name__}: expected a Plane or a Box"
+                )
+
+    def render(self, *, samples: int = 3, dtype: str = "uint8") -> SyntheticPair:
+        """Cast the rays of both frames and work out the truth.
+
+        Parameters
+        ----------
+        samples : int, default 3
+            Rays per pixel side: each pixel averages samples² of them. Time grows alike.
+        dtype : {"uint8", "float32"}
+            Type of the frames; float32 keeps the fractions of a grey level.
+
+        Returns
+        -------
+        SyntheticPair
+            The frames and the truth. The same scene gives the same pair every time.
+
+        Raises
+        ------
+        ValueError
+            If an option is not as above, or some ray meets no object.
+        """
+        whole(1, samples=samples)
+        if dtype not in ("uint8", "float32"):
+            raise ValueError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
+        before, after = ([View(item, when) for item in self.objects] for when in (0, 1))
+        frames = [self._frame(views, samples) for views in (before, after)]
+        if dtype == "uint8":
+            frames = [np.rint(frame).astype(np.uint8) for frame in frames]
+        return SyntheticPair(
+            frame0=frames[0], frame1=frames[1], camera=self.camera, **self._truth(before, after)
+        )
+
+    def _bands(
+        self, views: list[View], offsets: Floats
+    ) -> Iterator[tuple[slice, Floats, Floats, NDArray[np.int32]]]:
+        """Cast the rays of one chunk of rows after the other; yield rows, rays, depth, labels.
+
+        There is a ray through every pixel of the rows for each of the `offsets`, (k, 2), px.
+        """
+        cx, cy = self.camera.center_for(self.height, self.width)
+        x = np.arange(self.width) - cx
+        rows = max(1, CHUNK // (self.width * len(offsets)))
+        for top in range(0, self.height, rows):
+            y = np.arange(top, min(top + rows, self.height)) - cy
+            rays = np.ones((3, len(offsets), y.size, x.size))
+            rays[0] = (x + offsets[:, 0, None, None]) / self.camera.focal
+            rays[1] = (y[:, None] + offsets[:, 1, None, None]) / self.camera.focal
+            rays = rays.reshape(3, -1)
+            depth, labels = _nearest(views, rays)
+            if not np.isfinite(depth).all():
+                raise ValueError(
+                    f"objects leave {np.mean(~np.isfinite(depth)):.0%} of a band of rays without "
+                    "a surface: expected them to cover the image, for instance with a background "
+                    "Plane"
+                )
+            yield slice(top, top + y.size), rays, depth, labels
+
+    def _frame(self, views: list[View], samples: int) -> NDArray:
+        """Render one frame, (H, W) float32."""
+        frame = np.empty((self.height, self.width), np.float32)
+        for band, rays, depth, labels in self._bands(views, _sample_offsets(samples)):
+            grey = np.empty(depth.size, np.float32)
+            for label in np.unique(labels):
+                on = np.flatnonzero(labels == label)
+                grey[on] = views[label].grey(rays[:, on], depth[on], depth[on] / self.camera.focal)
+            frame[band] = grey.reshape(samples**2, -1, self.width).mean(axis=0)
+        return frame
+
+    def _truth(self, before: list[View], after: list[View]) -> dict:
+        """Work out the truth at the pixel centres of frame 0."""
+        shape = (self.height, self.width)
+        depth, labels = np.empty(shape), np.empty(shape, np.int32)
+        flow, visible = np.empty((*shape, 2)), np.empty(shape, bool)
+        for band, rays, z, label in self._bands(before, np.zeros((1, 2))):
+            displacement, seen = self._follow(after, rays, z, label)
+            depth[band] = z.reshape(-1, self.width)
+            labels[band] = label.reshape(-1, self.width)
+            flow[band] = displacement.T.reshape(-1, self.width, 2)
+            visible[band] = seen.reshape(-1, self.width)
+        motions = np.array([item.motion for item in self.objects])
+        twist = np.moveaxis(motions[labels], -1, 0)
+        return {
+            "depth": depth,
+            "flow": flow,
+            "tau": twist[:3] / depth,
+            "omega": twist[3:].copy(),
+            "labels": labels,
+            "motions": motions,
+            "visible": visible,
+        }
+
+    def _follow(
+        self, after: list[View], rays: Floats, depth: Floats, labels: NDArray
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Move the points seen in frame 0; return their flow, (2, n), and whether they are seen."""
+        moved = np.empty_like(rays)
+        for label, item in enumerate(self.objects):
+            on = labels == label
+            rotation, translation = rigid_motion(item.motion)
+            moved[:, on] = rotation @ (rays[:, on] * depth[on]) + translation[:, None]
+        in_front = moved[2] > 0
+        new_rays = moved / np.where(in_front, moved[2], np.nan)
+        flow = self.camera.focal * (new_rays - rays)[:2]
+        cx, cy = self.camera.center_for(self.height, self.width)
+        x = self.camera.focal * new_rays[0] + cx
+        y = self.camera.focal * new_rays[1] + cy
+        seen = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
+        nearest, _ = _nearest(after, np.where(seen, new_rays, rays))
+        # The point itself is met at its own depth, up to rounding.
+        return flow, seen & (nearest > moved[2] * (1 - 1e-6))
+
+
+def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
+    """Return depth and label of the nearest object along rays (x̂, ŷ, 1), (3, n)."""
+    nearest = np.full(rays.shape[1], np.inf)
+    labels = np.zeros(rays.shape[1], np.int32)
+    for label, view in enumerate(views):
+        depth = view.hit(rays)
+        closer = depth < nearest
+        nearest[closer] = depth[closer]
+        labels[closer] = label
+    return nearest, labels
+
+
+def _sample_offsets(samples: int) -> Floats:
+    """Return where a pixel is sampled, px from its centre, (samples², 2).
+
+    One sample in each cell of a square grid, which is slightly turned so that every sample has a
+    column and a row of its own: edges along the pixel axes get samples² + 1 levels.
+    """
+    column, row = (index.ravel() for index in np.mgrid[:samples, :samples])
+    x = (column + (row + 0.5) / samples) / samples
+    y = (row + (samples - column - 0.5) / samples) / samples
+    return np.stack([x, y], axis=-1) - 0.5

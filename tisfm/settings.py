@@ -1,0 +1,194 @@
+"""Settings: what is minimised, and how. Presets are named points in this space."""
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
+
+Model = Literal["rigid", "translation"]
+Motion = Literal["field"]
+Derivatives = Literal["cube", "five_tap"]
+Solver = Literal["cholesky", "closed_form"]
+Preset = Literal["paper", "fast", "balanced", "accurate"]
+
+PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of an interpretation; without arguments, the preset ``"balanced"``.
+
+    Parameters
+    ----------
+    model : {"rigid", "translation"}
+        Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
+    motion : {"field"}
+        Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does.
+    smoothness : float
+        λ̂ = λ/f², weight of the regularisation, on the 8-bit grey scale. The paper's λ = 1e8 at
+        f = 600 is 278.
+    beta : float
+        β of eq. 12; smoothness and β enter as α = λ̂β.
+    contrast : float or None
+        δ, px/frame: neighbours that differ by more are an edge. None for δ = 1 in the units of
+        τ and ω, that is f pixels: the paper's setting, under which smoothing is all but
+        quadratic.
+    derivatives : {"cube", "five_tap"}
+        Horn and Schunck's 2×2×2 cube, or five taps on the mean of both frames.
+    presmoothing : float
+        Standard deviation, px, of a Gaussian applied to both frames first (the paper's
+        Fig. 8b); 0 for none.
+    pyramid_factor : float
+        Ratio of neighbouring levels' sizes, in [0.5, 0.95].
+    pyramid_levels : int or None
+        Number of levels; 1 for a single scale, None for as many as keep the shorter side at
+        16 px or more.
+    warps : int
+        Linearisations per level.
+    outer_iterations : int
+        Most half-quadratic iterations per warp.
+    sweeps : int
+        Red–black sweeps per half-quadratic iteration.
+    relaxation : float
+        Over-relaxation, in (0, 2); 1 is Gauss–Seidel.
+    tolerance : float
+        Half-quadratic iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖.
+    solver : {"cholesky", "closed_form"}
+        How each pixel's system is solved; both give the same answer up to rounding.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is of the wrong type or out of range; the text names those possible.
+    """
+
+    model: Model = "rigid"
+    motion: Motion = "field"
+    smoothness: float = 278.0
+    beta: float = 1.0
+    contrast: float | None = 0.03
+    derivatives: Derivatives = "five_tap"
+    presmoothing: float = 0.0
+    pyramid_factor: float = 0.7
+    pyramid_levels: int | None = None
+    warps: int = 3
+    outer_iterations: int = 3
+    sweeps: int = 10
+    relaxation: float = 1.9
+    tolerance: float = 1e-2
+    solver: Solver = "cholesky"
+
+    def __post_init__(self) -> None:
+        for name, kind in (
+            ("model", Model),
+            ("motion", Motion),
+            ("derivatives", Derivatives),
+            ("solver", Solver),
+        ):
+            _check_choice(name, getattr(self, name), get_args(kind))
+        _check_real("smoothness", self.smoothness, above=0)
+        _check_real("beta", self.beta, above=0)
+        if self.contrast is not None:
+            _check_real("contrast", self.contrast, above=0)
+        _check_real("presmoothing", self.presmoothing, least=0)
+        _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
+        if self.pyramid_levels is not None:
+            _check_count("pyramid_levels", self.pyramid_levels)
+        for name in ("warps", "outer_iterations", "sweeps"):
+            _check_count(name, getattr(self, name))
+        _check_real("relaxation", self.relaxation, above=0, below=2)
+        _check_real("tolerance", self.tolerance, least=0)
+
+    @classmethod
+    def preset(cls, name: Preset = "balanced", **changes: Any) -> "Settings":
+        """Return a preset, with changes.
+
+        Parameters
+        ----------
+        name : {"paper", "fast", "balanced", "accurate"}
+            ``"paper"`` reproduces the paper: one scale, no warping, brightness only, β = ¼,
+            λ = 1e8 at f = 600, δ = 1. The others are points on a front of accuracy and time.
+        **changes
+            Settings that differ from the preset.
+
+        Raises
+        ------
+        ValueError
+            If the preset, or the name or value of a change, is not one of those possible.
+        """
+        _check_choice("preset", name, tuple(_PRESETS))
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(changes) - known)
+        if unknown:
+            raise ValueError(
+                f"no setting is named {', '.join(unknown)}: settings are {', '.join(sorted(known))}"
+            )
+        return replace(_PRESETS[name], **changes)
+
+    @property
+    def components(self) -> int:
+        """Unknowns per pixel: 6 (rigid) or 3 (translation)."""
+        return 6 if self.model == "rigid" else 3
+
+    @property
+    def alpha(self) -> float:
+        """α = λ̂β of eq. 16 and 23."""
+        return self.smoothness * self.beta
+
+    def contrast_for(self, focal: float) -> float:
+        """Return δ, px/frame, for a focal length in px."""
+        return focal if self.contrast is None else self.contrast
+
+
+def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name} is {value!r}: expected one of {', '.join(map(repr, choices))}")
+
+
+def _check_real(
+    name: str,
+    value: object,
+    *,
+    least: float = -math.inf,
+    most: float = math.inf,
+    above: float = -math.inf,
+    below: float = math.inf,
+) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{name} is {value!r}: expected a number")
+    if not math.isfinite(value) or not (least <= value <= most and above < value < below):
+        bounds = [
+            f"{word} {bound:g}"
+            for word, bound in (
+                ("at least", least),
+                ("at most", most),
+                ("above", above),
+                ("below", below),
+            )
+            if math.isfinite(bound)
+        ]
+        raise ValueError(f"{name} is {value}: expected a finite number {' and '.join(bounds)}")
+
+
+def _check_count(name: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{name} is {value!r}: expected an integer")
+    if value < 1:
+        raise ValueError(f"{name} is {value}: expected at least 1")
+
+
+_PRESETS: dict[str, Settings] = {
+    "paper": Settings(
+        smoothness=PAPER_SMOOTHNESS,
+        beta=0.25,
+        contrast=None,
+        derivatives="cube",
+        pyramid_levels=1,
+        warps=1,
+        outer_iterations=100,
+        sweeps=20,
+        tolerance=1e-3,
+    ),
+    "fast": Settings(pyramid_factor=0.5, warps=2, outer_iterations=2, sweeps=6),
+    "balanced": Settings(),
+    "accurate": Settings(pyramid_factor=0.8, warps=5, outer_iterations=4),
+}

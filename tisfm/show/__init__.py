@@ -1,0 +1,26 @@
+"""Pictures of depth and motion, as arrays and as figures.
+
+Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a range takes it as
+`limit`, so that all pictures of a sequence can share one.
+"""
+
+from .anaglyph import anaglyph, dubois, second_view
+from .figures import comparison_figure, panel_figure, save_figure
+from .flow import Arrows, color_wheel, flow_radius, flow_to_color, quiver_points
+from .grey import depth_grey, inverse_depth_limit
+
+__all__ = [
+    "Arrows",
+    "anaglyph",
+    "color_wheel",
+    "comparison_figure",
+    "depth_grey",
+    "dubois",
+    "flow_radius",
+    "flow_to_color",
+    "inverse_depth_limit",
+    "panel_figure",
+    "quiver_points",
+    "save_figure",
+    "second_view",
+]

@@ -1,0 +1,267 @@
+"""A second view from one picture and its depth, and both in one red-cyan picture."""
+
+import functools
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import as_image, as_map, as_rgb, as_uint8, check_limit, require_same_size
+from .grey import inverse_depth_limit
+
+_DEFAULT_DISPARITY = 0.03  # of the width
+
+# Least-squares matrices for red-cyan glasses: out = L left + R right, rows and columns R, G, B.
+_MATRICES = {
+    "2009": (
+        ((0.437, 0.449, 0.164), (-0.062, -0.062, -0.024), (-0.048, -0.050, -0.017)),
+        ((-0.011, -0.032, -0.007), (0.377, 0.761, 0.009), (-0.026, -0.093, 1.234)),
+    ),
+    "crt": (
+        (
+            (0.456100, 0.500484, 0.176381),
+            (-0.0400822, -0.0378246, -0.0157589),
+            (-0.0152161, -0.0205971, -0.00546856),
+        ),
+        (
+            (-0.0434706, -0.0879388, -0.00155529),
+            (0.378476, 0.733640, -0.0184503),
+            (-0.0721527, -0.112961, 1.22640),
+        ),
+    ),
+}
+
+
+def second_view(image: ArrayLike, inverse_depth: ArrayLike, *, displacement: float) -> NDArray[Any]:
+    """Make the view of a second camera, displaced along the X axis.
+
+    By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
+    It is drawn at the nearest column, and hides what is farther; a picture stays a picture of
+    whole pixels. Columns that nothing reaches take the nearest pixel of their row.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        The given picture, of any real type.
+    inverse_depth : (H, W) array_like
+        Inverse depth 1/Z of each pixel, in any unit. Values that are negative or not finite count
+        as 0, infinitely far.
+    displacement : float
+        f d, px times the unit of depth: displacement times inverse depth is the shift, px. Positive
+        for a second camera to the right of the first.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) ndarray
+        The second view, of the type of `image`.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the sizes differ, or `displacement` is not finite.
+
+    Notes
+    -----
+    Of the pixels that reach one place, the nearest is the one farthest right in the given picture
+    if the camera moves to the right: what shifts more to the left came from further right. The
+    greatest (or least) column is therefore all that has to be found, and depths are never sorted.
+
+    References
+    ----------
+    H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, appendix,
+    doi:10.1016/j.robot.2006.11.006.
+    """
+    picture = as_image("image", image)
+    depth = as_map("inverse_depth", inverse_depth)
+    require_same_size("inverse_depth", depth, "image", picture)
+    if not math.isfinite(displacement):
+        raise ValueError(f"displacement is {displacement!r}, expected a finite number")
+    if displacement < 0:
+        # The mirror image of a camera that moves to the right.
+        mirrored = second_view(picture[:, ::-1], depth[:, ::-1], displacement=-displacement)
+        return np.ascontiguousarray(mirrored[:, ::-1])
+    source = _fill_rows(_nearest_source(_shifts(depth, displacement)))
+    if picture.ndim == 3:
+        return np.take_along_axis(picture, source[..., None], axis=1)
+    return np.take_along_axis(picture, source, axis=1)
+
+
+def dubois(
+    left: ArrayLike,
+    right: ArrayLike,
+    *,
+    matrices: Literal["2009", "crt"] = "2009",
+    linear: bool = True,
+) -> NDArray[np.uint8]:
+    """Combine the two views of a stereo pair in one picture for red-cyan glasses.
+
+    Parameters
+    ----------
+    left, right : (H, W) or (H, W, 3) array_like
+        Views of the left and right eye, sRGB: uint8, uint16 (divided by 257), or float (times 255
+        if both lie in [0, 1]).
+    matrices : {"2009", "crt"}
+        Least-squares matrices: the set of 2009, or the original set for CRT displays.
+    linear : bool
+        Whether to undo the sRGB transfer curve before the matrices and apply it after them. The
+        default is True because the matrices were fitted to amounts of light, and the share of each
+        eye's view that leaks through the other eye's filter, which their negative entries cancel,
+        adds up as light. False applies them to the coded values, as much software does.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Anaglyph, red, green, blue, clipped to 0 to 255. Grey stays grey.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the sizes differ, or `matrices` is unknown.
+
+    References
+    ----------
+    E. Dubois, "A projection method to generate anaglyph stereo images", ICASSP 2001, vol. 3,
+    1661-1664, doi:10.1109/ICASSP.2001.941256 (reference 31 of the paper).
+    """
+    views = as_image("left", left), as_image("right", right)
+    require_same_size("right", views[1], "left", views[0])
+    if matrices not in _MATRICES:
+        raise ValueError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
+    decode = _linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
+    mixed = np.float32(0)
+    for view, matrix in zip(as_uint8(*views), _MATRICES[matrices], strict=True):
+        mixed = mixed + decode[as_rgb(view)] @ np.array(matrix, dtype=np.float32).T
+    mixed = np.clip(mixed, 0, 1)
+    if linear:
+        return _srgb_from_linear()[np.rint(mixed * np.float32(65535)).astype(np.uint16)]
+    return np.rint(mixed * 255).astype(np.uint8)
+
+
+def anaglyph(
+    image: ArrayLike,
+    inverse_depth: ArrayLike,
+    *,
+    max_disparity: float | None = None,
+    limit: float | None = None,
+    matrices: Literal["2009", "crt"] = "2009",
+    linear: bool = True,
+) -> NDArray[np.uint8]:
+    """Make a picture for red-cyan glasses from one picture and its depth.
+
+    The picture is the left eye's view; the right eye's is made by `second_view`. What is
+    infinitely far lies in the plane of the picture, and what is near stands out in front of it.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        Picture, sRGB: uint8, uint16, or float.
+    inverse_depth : (H, W) array_like
+        Inverse depth in any unit.
+    max_disparity : float, optional
+        Shift between the two views where the inverse depth is `limit`, px. Nearer points shift no
+        further. The default is 3 % of the width.
+    limit : float, optional
+        Inverse depth of the greatest shift; by default `inverse_depth_limit`, the 95th percentile.
+        Give all pictures of a sequence the same limit, or depth will pump.
+    matrices, linear
+        As in `dubois`.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Anaglyph, red, green, blue.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the sizes differ, or a limit is negative or not finite.
+    """
+    picture = as_image("image", image)
+    depth = as_map("inverse_depth", inverse_depth)
+    require_same_size("inverse_depth", depth, "image", picture)
+    shift = (
+        _DEFAULT_DISPARITY * picture.shape[1]
+        if max_disparity is None
+        else check_limit("max_disparity", max_disparity)
+    )
+    top = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
+    share = np.zeros_like(depth)
+    if top > 0:
+        # A few wild depths must not be thrown across the picture.
+        np.clip(np.where(np.isfinite(depth), depth, 0), 0, top, out=share)
+        share /= top
+    right = second_view(picture, share, displacement=shift)
+    return dubois(picture, right, matrices=matrices, linear=linear)
+
+
+def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
+    """Return f d / Z in whole pixels, no further than out of the picture."""
+    width = inverse_depth.shape[1]
+    valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
+    with np.errstate(over="ignore"):  # infinity is out of the picture as well
+        shift = np.where(valid, inverse_depth, 0) * displacement
+    return np.rint(np.minimum(shift, width)).astype(np.int32)
+
+
+def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return, for each place of the second view, the column it shows, or -1 for none.
+
+    Parameters
+    ----------
+    shifts : (H, W) int32 ndarray
+        Shift to the left of each pixel, px, at least 0.
+
+    Returns
+    -------
+    (H, W) int32 ndarray
+        Column of the nearest of the pixels that land here.
+    """
+    height, width = shifts.shape
+    columns = np.broadcast_to(np.arange(width, dtype=np.int32), shifts.shape)
+    targets = columns - shifts
+    starts = np.arange(height)[:, None] * width
+    source = np.full(height * width, -1, dtype=np.int32)
+    seen = targets >= 0
+    np.maximum.at(source, (starts + targets)[seen], columns[seen])
+    # A surface that turns away is stretched: neighbours land two places apart. The place between
+    # them belongs to that surface, and nothing behind it may shine through.
+    cracked = np.zeros_like(seen)
+    cracked[:, :-1] = (np.diff(targets, axis=1) == 2) & (targets[:, :-1] >= -1)
+    np.maximum.at(source, (starts + targets + 1)[cracked], columns[cracked])
+    return source.reshape(height, width)
+
+
+def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Give each empty place (-1) what the nearest filled place of its row has.
+
+    A row that is empty altogether, because all of it shifted out to the left, takes its last pixel.
+    """
+    width = source.shape[1]
+    columns = np.arange(width, dtype=np.int32)
+    filled = source >= 0
+    before = np.maximum.accumulate(np.where(filled, columns, -width - 1), axis=1)
+    after = np.where(filled, columns, 2 * width + 1)[:, ::-1]
+    after = np.minimum.accumulate(after, axis=1)[:, ::-1]
+    nearest = np.where(columns - before <= after - columns, before, after)
+    # Where nothing is filled both lie outside, and the row has no column to copy from.
+    taken = np.take_along_axis(source, np.clip(nearest, 0, width - 1), axis=1)
+    return np.where(taken >= 0, taken, width - 1)
+
+
+@functools.cache
+def _linear_from_srgb() -> NDArray[np.float32]:
+    """Return the light of each of the 256 coded values, from 0 to 1."""
+    coded = np.arange(256) / 255
+    low = coded / 12.92
+    high = ((coded + 0.055) / 1.055) ** 2.4
+    return np.where(coded <= 0.04045, low, high).astype(np.float32)
+
+
+@functools.cache
+def _srgb_from_linear() -> NDArray[np.uint8]:
+    """Return the coded value of 65536 amounts of light: a step is 1/20 of a code at the darkest."""
+    light = np.arange(65536) / 65535
+    low = light * 12.92
+    high = 1.055 * light ** (1 / 2.4) - 0.055
+    return np.rint(np.where(light <= 0.0031308, low, high) * 255).astype(np.uint8)

@@ -1,0 +1,94 @@
+"""Checks and conversions of the arrays that pictures are made from."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def as_map(name: str, values: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return an (H, W) map of real numbers as floats, or raise an error that names it."""
+    array = _real(name, values)
+    if array.ndim != 2 or array.size == 0:
+        raise ValueError(f"{name} is {array.shape}, expected (H, W) with some pixels")
+    return _as_float(array)
+
+
+def as_flow(name: str, values: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return an (H, W, 2) flow as floats, or raise an error that names it."""
+    array = _real(name, values)
+    if array.ndim != 3 or array.shape[2] != 2 or array.size == 0:
+        raise ValueError(f"{name} is {array.shape}, expected (H, W, 2) with some pixels")
+    return _as_float(array)
+
+
+def as_image(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Return an (H, W) or (H, W, 3) picture as it is, or raise an error that names it."""
+    array = _real(name, values)
+    if array.size == 0 or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
+        raise ValueError(f"{name} is {array.shape}, expected (H, W) or (H, W, 3) with some pixels")
+    return array
+
+
+def require_same_size(name: str, array: NDArray[Any], other_name: str, other: NDArray[Any]) -> None:
+    """Raise an error that gives both sizes unless two arrays have the same rows and columns."""
+    if array.shape[:2] != other.shape[:2]:
+        raise ValueError(
+            f"{name} is {array.shape[:2]} but {other_name} is {other.shape[:2]}: "
+            "they must have the same size"
+        )
+
+
+def check_limit(name: str, limit: float) -> float:
+    """Return the top of a range as a float, or raise an error unless it is finite and >= 0."""
+    if not (np.isfinite(limit) and limit >= 0):
+        raise ValueError(f"{name} is {limit!r}, expected a finite number, zero or greater")
+    return float(limit)
+
+
+def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
+    """Bring pictures to 8 bits, all by one factor.
+
+    Parameters
+    ----------
+    *images : ndarray
+        uint8 as it is; uint16 divided by 257; floats times 255 if all of them lie in [0, 1], else
+        as they are, like other integers. NaN becomes black.
+
+    Returns
+    -------
+    tuple of uint8 ndarray
+        The pictures, rounded and clipped.
+    """
+    floats = [image for image in images if image.dtype.kind == "f"]
+    unit = all(
+        np.nanmin(image, initial=0) >= 0 and np.nanmax(image, initial=0) <= 1 for image in floats
+    )
+    factors = {"uint16": 1 / 257, "float": 255.0 if unit else 1.0}
+    converted = []
+    for image in images:
+        if image.dtype != np.uint8:
+            kind = "float" if image.dtype.kind == "f" else image.dtype.name
+            factor = factors.get(kind, 1.0)
+            levels = np.nan_to_num(image.astype(np.float32) * np.float32(factor), nan=0.0)
+            image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        converted.append(image)
+    return tuple(converted)
+
+
+def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture with three channels, grey ones repeated."""
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+
+
+def _real(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Return an array of real numbers, or raise an error that names it."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers")
+    return array
+
+
+def _as_float(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
+    """Keep float64 and convert everything else to float32, which is enough for a picture."""
+    return array if array.dtype == np.float64 else array.astype(np.float32, copy=False)

@@ -1,0 +1,203 @@
+"""Optical flow as colours and as arrows."""
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import as_flow, check_limit
+
+# Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
+# more steps where the eye tells hues apart well.
+_SEGMENTS = (
+    ((255, 0, 0), 15),  # red to yellow
+    ((255, 255, 0), 6),  # yellow to green
+    ((0, 255, 0), 4),  # green to cyan
+    ((0, 255, 255), 11),  # cyan to blue
+    ((0, 0, 255), 13),  # blue to magenta
+    ((255, 0, 255), 6),  # magenta to red
+)
+_UNKNOWN = 1e9
+_BEYOND = 0.75
+
+
+class Arrows(NamedTuple):
+    """Arrows of a flow field on a regular grid, four arrays of one length N."""
+
+    x: NDArray[np.intp]  # column of the tail
+    y: NDArray[np.intp]  # row of the tail
+    u: NDArray[np.floating[Any]]  # px, to the right
+    v: NDArray[np.floating[Any]]  # px, downwards
+
+
+def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return the length of the flow at each pixel, NaN where it is unknown.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) array_like
+        Flow (u, v), px. Unknown are NaN and components beyond 1e9.
+
+    Returns
+    -------
+    (H, W) floating ndarray
+        Length, px.
+    """
+    values = as_flow("flow", flow)
+    # A comparison with NaN is false, which is what unknown means here.
+    known = (np.abs(values) <= _UNKNOWN).all(axis=2)
+    values = np.where(known[..., None], values, 0)
+    radius = np.hypot(values[..., 0], values[..., 1])
+    radius[~known] = np.nan
+    return radius
+
+
+def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
+    """Show flow as colours: direction as hue, length as saturation.
+
+    No motion is white. Motion to the right is red, downwards yellow, to the left cyan to blue and
+    upwards violet, fully saturated at `limit`; longer motion is darkened by 0.75.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) array_like
+        Flow (u, v), px, v downwards. Unknown flow, NaN or beyond 1e9, is black.
+    limit : float, optional
+        Length of full saturation, px. The default is the greatest known length, so that nothing
+        is darkened. Give pictures to be compared, and all of a sequence, the same limit.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Colours red, green, blue.
+
+    Raises
+    ------
+    ValueError
+        If `flow` is not (H, W, 2) or `limit` is negative or not finite.
+
+    Notes
+    -----
+    The wheel of Baker et al. has 55 hues. Here it closes: the last hue runs into the first, so
+    that flow to the right does not change its colour suddenly with the sign of v. The published
+    pictures differ from these by at most one of the 55 steps of hue.
+
+    References
+    ----------
+    S. Baker et al., "A database and evaluation methodology for optical flow", International
+    Journal of Computer Vision 92 (2011) 1-31, doi:10.1007/s11263-010-0390-2.
+    """
+    values = as_flow("flow", flow)
+    radius = flow_radius(values)
+    known = np.isfinite(radius)
+    if limit is None:
+        top = float(np.max(radius, where=known, initial=0.0))
+    else:
+        top = check_limit("limit", limit)
+    u = np.where(known, values[..., 0], 0)
+    v = np.where(known, values[..., 1], 0)
+    hue = _hue(u, v)
+    # A limit of 0 leaves only two cases: no motion, and motion beyond the limit.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
+    color = np.where(share <= 1, 255 - share * (255 - hue), hue * np.float32(_BEYOND))
+    color[~known] = 0
+    return np.rint(color).astype(np.uint8)
+
+
+def color_wheel(size: int) -> NDArray[np.uint8]:
+    """Draw the legend of `flow_to_color`: a disc in which each pixel shows the flow towards it.
+
+    Parameters
+    ----------
+    size : int
+        Width and height, px. The rim of the disc is the flow of length `limit`.
+
+    Returns
+    -------
+    (size, size, 3) uint8 ndarray
+        Colours red, green, blue; white around the disc, with a smooth rim.
+
+    Raises
+    ------
+    ValueError
+        If `size` is less than 1.
+    """
+    if size < 1:
+        raise ValueError(f"size is {size}, expected 1 or more pixels")
+    axis = (np.arange(size, dtype=np.float32) - (size - 1) / 2) * (2 / size)
+    flow = np.stack(np.meshgrid(axis, axis), axis=2)
+    radius = np.hypot(flow[..., 0], flow[..., 1])
+    # Beyond the rim the hue of the rim goes on, for the blend with white to start from.
+    color = flow_to_color(flow / np.maximum(radius, 1)[..., None], limit=1 + 1e-6)
+    cover = np.clip((1 - radius) * (size / 2) + 0.5, 0, 1)[..., None]
+    return np.rint(255 + cover * (color.astype(np.float32) - 255)).astype(np.uint8)
+
+
+def quiver_points(flow: ArrayLike, step: int) -> Arrows:
+    """Choose arrows for a flow field: one at each node of a regular grid, centred in the field.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) array_like
+        Flow (u, v), px. Nodes where it is unknown, NaN or beyond 1e9, are left out.
+    step : int
+        Distance of the nodes, px.
+
+    Returns
+    -------
+    Arrows
+        Tails (x, y), column and row, and flow (u, v), px, as stored at the tails.
+
+    Raises
+    ------
+    ValueError
+        If `flow` is not (H, W, 2) or `step` is less than 1.
+    """
+    values = as_flow("flow", flow)
+    if step < 1:
+        raise ValueError(f"step is {step}, expected 1 or more pixels")
+    rows, columns = (_centred_nodes(length, step) for length in values.shape[:2])
+    y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
+    tails = values[y, x]
+    known = (np.abs(tails) <= _UNKNOWN).all(axis=1)
+    return Arrows(x[known], y[known], tails[known, 0], tails[known, 1])
+
+
+def _centred_nodes(length: int, step: int) -> NDArray[np.intp]:
+    """Return as many nodes a step apart as fit into a length, half a step or so from its ends."""
+    count = max(1, length // step)
+    return (length - 1 - (count - 1) * step) // 2 + step * np.arange(count)
+
+
+def _hue(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the fully saturated colour of each direction, between the two nearest hues."""
+    wheel = _wheel()
+    count = len(wheel)
+    position = np.arctan2(v, u).astype(np.float32) * np.float32(count / (2 * math.pi))
+    below = np.floor(position)
+    first = below.astype(np.intp) % count
+    return wheel[first] + (position - below)[..., None] * _wheel_steps()[first]
+
+
+@functools.cache
+def _wheel() -> NDArray[np.float32]:
+    """Return the 55 hues, (55, 3), red first."""
+    corners = [np.array(corner, dtype=np.float32) for corner, _ in _SEGMENTS]
+    hues = [
+        start + (end - start) * (step / count)
+        for start, end, (_, count) in zip(
+            corners, corners[1:] + corners[:1], _SEGMENTS, strict=True
+        )
+        for step in range(count)
+    ]
+    return np.array(hues, dtype=np.float32)
+
+
+@functools.cache
+def _wheel_steps() -> NDArray[np.float32]:
+    """Return the difference from each hue to the next, (55, 3); the last leads to the first."""
+    wheel = _wheel()
+    return np.roll(wheel, -1, axis=0) - wheel

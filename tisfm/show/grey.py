@@ -1,0 +1,78 @@
+"""Depth as grey levels."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import as_map, check_limit
+
+
+def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = 95) -> float:
+    """Choose the top of the range of an inverse depth map.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) array_like
+        Inverse depth in any unit. Only finite positive values count.
+    percentile : float
+        Share of the values that lie within the range, in percent, from 0 to 100.
+
+    Returns
+    -------
+    float
+        Top of the range, in the unit of `inverse_depth`; 0.0 if no value counts.
+
+    Raises
+    ------
+    ValueError
+        If `inverse_depth` is not (H, W) or `percentile` is outside 0 to 100.
+    """
+    values = as_map("inverse_depth", inverse_depth)
+    if not 0 <= percentile <= 100:
+        raise ValueError(f"percentile is {percentile!r}, expected a number from 0 to 100")
+    valid = values[_is_valid(values)]
+    return float(np.percentile(valid, percentile)) if valid.size else 0.0
+
+
+def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
+    """Show depth as grey levels, near bright and far dark, as in Fig. 3, 4, 6 and 8 of the paper.
+
+    Grey is linear in inverse depth, from black at 0 (infinitely far) to white at `limit`.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) array_like
+        Inverse depth in any unit. Values that are not finite and positive are black.
+    limit : float, optional
+        Inverse depth shown as white, nearer is white as well. The default is
+        `inverse_depth_limit` of this map. Give all maps of a sequence the same limit: a range of
+        its own for each makes the sequence flicker.
+
+    Returns
+    -------
+    (H, W) uint8 ndarray
+        Grey levels.
+
+    Raises
+    ------
+    ValueError
+        If `inverse_depth` is not (H, W) or `limit` is negative or not finite.
+
+    References
+    ----------
+    H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, section 6,
+    doi:10.1016/j.robot.2006.11.006.
+    """
+    values = as_map("inverse_depth", inverse_depth)
+    top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    if top == 0:
+        return np.zeros(values.shape, dtype=np.uint8)
+    # Clipped before scaling, so that neither overflows; NaN and infinity are set to 0 first.
+    shown = np.clip(np.where(_is_valid(values), values, 0).astype(np.float64), 0, top)
+    return np.rint(shown / top * 255).astype(np.uint8)
+
+
+def _is_valid(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Mark the inverse depths of points in front of the camera."""
+    return np.isfinite(values) & (values > 0)
