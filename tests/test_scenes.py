@@ -272,7 +272,7 @@ def test_whole_pixel_motion_shifts_the_frame():
 
 def test_twice_the_size_is_the_same_picture(pairs):
     coarse = pairs["two_blocks"]
-    fine = two_blocks(480, 640)
+    fine = two_blocks(480, 640, detail=0)
     halved = fine.frame0.reshape(240, 2, 320, 2).mean(axis=(1, 3))
     difference = np.abs(halved - coarse.frame0)
     assert difference.mean() < 0.6 and np.quantile(difference, 0.99) < 5
@@ -283,6 +283,44 @@ def test_twice_the_size_is_the_same_picture(pairs):
     # A pixel centre falls between four of the finer ones.
     flow = fine.flow.reshape(240, 2, 320, 2, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(flow[same], 2 * coarse.flow[same], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("width", "octaves"), [(1, 0), (64, 0), (320, 0), (400, 0), (640, 1), (960, 2), (1920, 3)]
+)
+def test_detail_follows_the_width(width, octaves):
+    usual = two_blocks(9, width, samples=1, dtype="float32")
+    same = two_blocks(9, width, samples=1, dtype="float32", detail=octaves)
+    assert (usual.frame0 == same.frame0).all() and (usual.frame1 == same.frame1).all()
+
+
+def test_larger_pictures_are_not_smoother(pairs):
+    def roughness(pair):  # what a blur of 5 px removes from the blocks, median, grey levels
+        frame = pair.frame0.astype(np.float32)
+        inside = cv2.erode((pair.labels >= 2).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+        return np.median(np.abs(frame - cv2.blur(frame, (5, 5)))[inside])
+
+    usual = roughness(pairs["two_blocks"])
+    assert 0.5 * usual < roughness(two_blocks(240, 1280, samples=1)) < usual
+    assert roughness(two_blocks(240, 1280, samples=1, detail=0)) < 0.15 * usual
+
+
+def test_detail_adds_short_waves_only():
+    def frame(detail):
+        plane = Plane(texture=Texture(wavelength=0.1, detail=detail))
+        camera = Camera(focal=1600.0)  # waves of 16 px, then of 8 and 4 px
+        return Scene(objects=[plane], camera=camera, height=160, width=160).render().frame0
+
+    plain, one, two = (frame(detail).astype(np.float32) for detail in (0, 1, 2))
+    assert np.abs(cv2.GaussianBlur(two - plain, (0, 0), 6)).max() < 5 < np.abs(two - plain).max()
+    spectrum = np.abs(np.fft.fft2(two - one)) ** 2
+    cycles = np.hypot(*np.meshgrid(np.fft.fftfreq(160), np.fft.fftfreq(160)))
+    assert spectrum[(cycles > 0.17) & (cycles < 0.34)].sum() > 0.6 * spectrum.sum()
+
+
+def test_detail_too_fine_for_the_pixels_changes_nothing():
+    coarse, detailed = (two_blocks(45, 60, detail=detail, dtype="float32") for detail in (0, 3))
+    assert (coarse.frame0 == detailed.frame0).all()
 
 
 def test_more_samples_converge():
@@ -351,7 +389,7 @@ def test_the_same_call_gives_the_same_pair():
 
 def test_bands_do_not_show(monkeypatch):
     whole = two_blocks(29, 37)
-    monkeypatch.setattr("tisfm.scenes.CHUNK", 1)
+    monkeypatch.setattr("tisfm.scenes.render.CHUNK", 1)
     rows = two_blocks(29, 37)
     # The matrix product may round otherwise at another length.
     assert np.abs(whole.frame0.astype(int) - rows.frame0).max() <= 1
@@ -371,6 +409,13 @@ def test_bands_do_not_show(monkeypatch):
 def test_every_option_changes_the_pair(change):
     usual, other = two_blocks(48, 64), two_blocks(48, 64, **change)
     assert (usual.frame1 != other.frame1).any()
+
+
+def test_detail_changes_both_ready_scenes():
+    for make in (two_blocks, lambda *size, **options: static_scene("forward", *size, **options)):
+        usual, other = (make(24, 32, focal=640.0, detail=detail) for detail in (0, 1))
+        assert (usual.frame0 != other.frame0).any() and (usual.frame1 != other.frame1).any()
+        np.testing.assert_array_equal(usual.flow, other.flow)
 
 
 def test_block_motions_add_to_the_camera_motion():
@@ -420,6 +465,8 @@ def test_any_plane_is_hit_where_it_is(normal, distance):
         (lambda: two_blocks(10, 12, block_motions=np.zeros((3, 6))), r"block_motions .*\(3, 6\)"),
         (lambda: two_blocks(10, 12, samples=0), "samples is 0"),
         (lambda: two_blocks(10, 12, dtype="int8"), "dtype is 'int8': expected 'uint8'"),
+        (lambda: two_blocks(10, 12, detail=-1), "detail is -1: expected a non-negative whole"),
+        (lambda: two_blocks(10, 12, detail=1.5), "detail is 1.5"),
         (lambda: static_scene("orbit"), "kind is 'orbit': expected one of 'sideways'"),
         (lambda: rigid_motion((0, 0, 0, 0, 0, math.nan)), "motion .*nan.*finite"),
         (lambda: Texture(wavelength=0.0), "wavelength is 0.0"),

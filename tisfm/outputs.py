@@ -98,7 +98,8 @@ class PairWriter:
         result: Interpretation,
         *,
         baseline_flow: np.ndarray | None = None,
-        **truth: np.ndarray,
+        truth_flow: np.ndarray | None = None,
+        truth_inverse_depth: np.ndarray | None = None,
     ) -> None:
         """Write all files of a pair.
 
@@ -109,8 +110,10 @@ class PairWriter:
         result : Interpretation
         baseline_flow : (H, W, 2), optional
             Horn and Schunck's flow, for the figure.
-        **truth
-            ``truth_flow`` and ``truth_inverse_depth``, for the figure.
+        truth_flow : (H, W, 2), optional
+            The true flow, for the figure.
+        truth_inverse_depth : (H, W), optional
+            The true inverse depth, for the figure.
 
         Raises
         ------
@@ -141,7 +144,8 @@ class PairWriter:
                 title=name,
                 depth_limit=limit,
                 flow_limit=record["flow_limit"] or None,
-                **truth,
+                truth_flow=truth_flow,
+                truth_inverse_depth=truth_inverse_depth,
             )
             save_figure(f"{path}_figure.png", figure)
         result.save(f"{path}.npz")

@@ -14,7 +14,7 @@ from tisfm.kernels.lanes import LaneGrid
 from tisfm.runtime import lanes
 from tisfm.settings import Settings
 
-COARSEST_SIDE = 16  # px
+COARSEST_SIDE = 12  # px
 
 
 @dataclass(frozen=True, kw_only=True)

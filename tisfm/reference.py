@@ -42,15 +42,13 @@ def derivatives(
 
     if scheme == "five_tap":
         mean = (a + b) / 2
-        taps = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
-        ix = sum(weight * at(mean, 0, d) for d, weight in taps)
-        iy = sum(weight * at(mean, d, 0) for d, weight in taps)
+        ix = (at(mean, 0, -2) - 8 * at(mean, 0, -1) + 8 * at(mean, 0, 1) - at(mean, 0, 2)) / 12
+        iy = (at(mean, -2, 0) - 8 * at(mean, -1, 0) + 8 * at(mean, 1, 0) - at(mean, 2, 0)) / 12
         return ix, iy, at(b, 0, 0) - at(a, 0, 0)
-    corners = [(dy, dx) for dy in (0, 1) for dx in (0, 1)]
-    both = a + b
-    ix = sum((1 if dx else -1) * at(both, dy, dx) for dy, dx in corners) / 4
-    iy = sum((1 if dy else -1) * at(both, dy, dx) for dy, dx in corners) / 4
-    it = sum(at(b, dy, dx) - at(a, dy, dx) for dy, dx in corners) / 4
+    both, step = a + b, b - a
+    ix = (at(both, 0, 1) + at(both, 1, 1) - at(both, 0, 0) - at(both, 1, 0)) / 4
+    iy = (at(both, 1, 0) + at(both, 1, 1) - at(both, 0, 0) - at(both, 0, 1)) / 4
+    it = (at(step, 0, 0) + at(step, 0, 1) + at(step, 1, 0) + at(step, 1, 1)) / 4
     return ix, iy, it
 
 
@@ -194,7 +192,7 @@ def local_matrices(
     """Return B, (H, W, n, n), of Bρ̂ = c (eq. 16, 22–23) at every pixel."""
     n = motion.shape[1]
     j11, j12, j22, *_ = tensor
-    total = sum(_neighbour_weights(weights))  # b̄, eq. 17
+    total = np.sum(_neighbour_weights(weights), axis=0)  # b̄, eq. 17
     j_motion = np.stack([j11 * motion[0] + j12 * motion[1], j12 * motion[0] + j22 * motion[1]])
     matrix = np.einsum("ckyx,clyx->yxkl", motion, j_motion)
     matrix[..., range(n), range(n)] += alpha * np.moveaxis(total, 0, -1)
@@ -366,7 +364,7 @@ def coarse_to_fine(
             rho = np.zeros((components, *frame0.shape))
         else:
             rho = prolong(rho, frame0.shape, factor)
-        motion = motion_matrix(camera, *frame0.shape, components)
+        motion = motion_matrix(camera, frame0.shape[0], frame0.shape[1], components)
         for _ in range(warps):
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields, replace
+from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 Model = Literal["rigid", "translation"]
@@ -41,7 +42,7 @@ class Settings:
         Ratio of neighbouring levels' sizes, in [0.5, 0.95].
     pyramid_levels : int or None
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
-        16 px or more.
+        12 px or more.
     warps : int
         Linearisations per level.
     outer_iterations : int
@@ -63,15 +64,15 @@ class Settings:
 
     model: Model = "rigid"
     motion: Motion = "field"
-    smoothness: float = 278.0
+    smoothness: float = 600.0
     beta: float = 1.0
     contrast: float | None = 0.03
     derivatives: Derivatives = "five_tap"
     presmoothing: float = 0.0
-    pyramid_factor: float = 0.7
+    pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
-    warps: int = 3
-    outer_iterations: int = 3
+    warps: int = 2
+    outer_iterations: int = 5
     sweeps: int = 10
     relaxation: float = 1.9
     tolerance: float = 1e-2
@@ -97,6 +98,12 @@ class Settings:
             _check_count(name, getattr(self, name))
         _check_real("relaxation", self.relaxation, above=0, below=2)
         _check_real("tolerance", self.tolerance, least=0)
+        # Plain numbers, whatever NumPy type came: they are compared, hashed and written to JSON.
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Real):
+                plain = int(value) if isinstance(value, Integral) else float(value)
+                object.__setattr__(self, field.name, plain)
 
     @classmethod
     def preset(cls, name: Preset = "balanced", **changes: Any) -> "Settings":
@@ -153,9 +160,10 @@ def _check_real(
     above: float = -math.inf,
     below: float = math.inf,
 ) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} is {value!r}: expected a number")
-    if not math.isfinite(value) or not (least <= value <= most and above < value < below):
+    number = float(value)
+    if not math.isfinite(number) or not (least <= number <= most and above < number < below):
         bounds = [
             f"{word} {bound:g}"
             for word, bound in (
@@ -170,7 +178,7 @@ def _check_real(
 
 
 def _check_count(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int):
+    if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} is {value!r}: expected an integer")
     if value < 1:
         raise ValueError(f"{name} is {value}: expected at least 1")
@@ -184,11 +192,11 @@ _PRESETS: dict[str, Settings] = {
         derivatives="cube",
         pyramid_levels=1,
         warps=1,
-        outer_iterations=100,
+        outer_iterations=200,
         sweeps=20,
-        tolerance=1e-3,
+        tolerance=2e-3,
     ),
-    "fast": Settings(pyramid_factor=0.5, warps=2, outer_iterations=2, sweeps=6),
+    "fast": Settings(warps=1, outer_iterations=4, sweeps=6, tolerance=2e-2),
     "balanced": Settings(),
-    "accurate": Settings(pyramid_factor=0.8, warps=5, outer_iterations=4),
+    "accurate": Settings(outer_iterations=20, tolerance=4e-3),
 }

@@ -4,11 +4,11 @@ Readers refuse a file that is not complete, with a `FormatError` that names it; 
 complete file or none.
 """
 
-from .atomic import atomic_write
-from .depth_png import choose_depth_scale, read_depth_png, write_depth_png
-from .errors import FormatError
-from .flo import read_flo, write_flo
-from .images import IMAGE_SUFFIXES, read_image, write_png
+from tisfm.formats.atomic import atomic_write
+from tisfm.formats.depth_png import choose_depth_scale, read_depth_png, write_depth_png
+from tisfm.formats.errors import FormatError
+from tisfm.formats.flo import read_flo, write_flo
+from tisfm.formats.images import IMAGE_SUFFIXES, read_image, write_png
 
 __all__ = [
     "IMAGE_SUFFIXES",

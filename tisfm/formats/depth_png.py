@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, PngImagePlugin
 
-from .atomic import atomic_write
-from .completeness import missing_part
-from .errors import FormatError
-from .reading import read_bytes
+from tisfm.formats.atomic import atomic_write
+from tisfm.formats.completeness import missing_part
+from tisfm.formats.errors import FormatError
+from tisfm.formats.reading import read_bytes
 
 _SCALE_KEYWORD = "tisfm:depth_scale"
 _MEDIAN_VALUE = 2000.0

@@ -6,9 +6,9 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .atomic import atomic_write
-from .errors import FormatError
-from .reading import read_bytes
+from tisfm.formats.atomic import atomic_write
+from tisfm.formats.errors import FormatError
+from tisfm.formats.reading import read_bytes
 
 # The float32 202021.25, whose little-endian bytes read "PIEH": a check of type and byte order.
 _TAG = struct.pack("<f", 202021.25)

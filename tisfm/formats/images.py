@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from .atomic import atomic_write
-from .completeness import missing_part
-from .errors import FormatError
-from .reading import read_bytes
+from tisfm.formats.atomic import atomic_write
+from tisfm.formats.completeness import missing_part
+from tisfm.formats.errors import FormatError
+from tisfm.formats.reading import read_bytes
 
 IMAGE_SUFFIXES = (
     ".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp",

@@ -2,7 +2,7 @@
 
 import os
 
-from .errors import FormatError
+from tisfm.formats.errors import FormatError
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:

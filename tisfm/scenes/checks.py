@@ -1,4 +1,4 @@
-"""Checks of values that describe a scene."""
+"""Checks of the values that describe a scene."""
 
 from typing import Any
 
@@ -10,26 +10,20 @@ Floats = NDArray[np.float64]
 Vector = Any
 
 
-def finite(value: ArrayLike, shape: tuple[int, ...], name: str, meaning: str) -> Floats:
-    """Return a float64 copy of `value`; raise ValueError unless it has this shape and is finite."""
+def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+    """Return a read-only float64 copy; raise ValueError unless of this shape and finite."""
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}: expected {meaning}, {shape}")
+        raise ValueError(f"{name} has shape {array.shape}: expected {shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}: expected finite numbers")
+    array.flags.writeable = False
     return array
 
 
 def whole(least: int, **values: object) -> None:
-    """Raise ValueError unless all values are whole numbers of at least `least`, which is 0 or 1."""
+    """Raise ValueError unless the values are whole numbers of at least `least`, which is 0 or 1."""
     for name, value in values.items():
         if not isinstance(value, int | np.integer) or value < least:
             kind = "positive" if least else "non-negative"
             raise ValueError(f"{name} is {value!r}: expected a {kind} whole number")
-
-
-def freeze(owner: object, **arrays: Floats) -> None:
-    """Set fields of a frozen dataclass to arrays, which become read-only."""
-    for name, array in arrays.items():
-        array.flags.writeable = False
-        object.__setattr__(owner, name, array)

@@ -1,15 +1,14 @@
-"""The objects of a scene: planes and boxes, where a ray meets them and what grey it finds."""
+"""The objects of a scene: planes and boxes, where rays meet them and what grey they find."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import Floats, Vector, finite, freeze
+from .checks import Floats, Vector, finite
 from .rigid import rigid_motion
 from .texture import Texture
 
-STILL = (0.0,) * 6
 # Surfaces farther than this count as missed, which keeps grazing rays finite.
 FARTHEST = 1e9
 # Shade by direction of a box's face, -X +X -Y +Y -Z +Z: the top light, one side in the shade.
@@ -34,24 +33,20 @@ class Plane:
     Raises
     ------
     ValueError
-        If a vector has the wrong length, is not finite, or the normal is zero.
+        If an array has the wrong shape or is not finite, or the normal is zero.
     """
 
     texture: Texture
     point: Vector = (0.0, 0.0, 10.0)
     normal: Vector = (0.0, 0.0, -1.0)
-    motion: Vector = STILL
+    motion: Vector = (0.0,) * 6
 
     def __post_init__(self) -> None:
-        normal = finite(self.normal, (3,), "normal", "(X, Y, Z)")
+        normal = finite(self.normal, (3,), "normal")
         if not normal.any():
             raise ValueError("normal is (0, 0, 0): expected a direction")
-        freeze(
-            self,
-            point=finite(self.point, (3,), "point", "(X, Y, Z)"),
-            normal=normal / np.linalg.norm(normal),
-            motion=finite(self.motion, (6,), "motion", "a twist (T, ω)"),
-        )
+        object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
+        _freeze(self, point=(3,), normal=(3,), motion=(6,))
 
     def _pose(self) -> tuple[Floats, Floats]:
         # The in-plane axes start from the camera axis most nearly in the plane.
@@ -65,7 +60,7 @@ class Plane:
         return np.where((depth > 0) & (depth < FARTHEST), depth, np.inf)
 
     def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
-        return self.texture.grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))
+        return self.texture._grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,26 +91,22 @@ class Box:
     center: Vector
     size: Vector
     axes: Vector = field(default_factory=lambda: np.eye(3))
-    motion: Vector = STILL
+    motion: Vector = (0.0,) * 6
 
     def __post_init__(self) -> None:
-        size = finite(self.size, (3,), "size", "three edge lengths")
-        if (size <= 0).any():
-            raise ValueError(f"size is {size.tolist()}: expected positive edge lengths")
-        axes = finite(self.axes, (3, 3), "axes", "a rotation")
-        if not (np.allclose(axes.T @ axes, np.eye(3), atol=1e-9) and np.linalg.det(axes) > 0):
-            raise ValueError(f"axes is {axes.tolist()}: expected a rotation matrix")
-        center = finite(self.center, (3,), "center", "(X, Y, Z)")
-        motion = finite(self.motion, (6,), "motion", "a twist (T, ω)")
-        freeze(self, center=center, size=size, axes=axes, motion=motion)
+        _freeze(self, center=(3,), size=(3,), axes=(3, 3), motion=(6,))
+        if (self.size <= 0).any():
+            raise ValueError(f"size is {self.size.tolist()}: expected positive edge lengths")
+        gram = self.axes.T @ self.axes
+        if not np.allclose(gram, np.eye(3), atol=1e-9) or np.linalg.det(self.axes) < 0:
+            raise ValueError(f"axes is {self.axes.tolist()}: expected a rotation matrix")
 
     def _pose(self) -> tuple[Floats, Floats]:
         return self.axes, self.center
 
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
         # By slabs: inside the box is inside all three pairs of planes.
-        enter = np.zeros(ray.shape[1])
-        leave = np.full(ray.shape[1], np.inf)
+        enter, leave = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
         for position, direction, half in zip(origin, ray, self.size / 2, strict=True):
             one, other = (-half - position) / direction, (half - position) / direction
             np.maximum(enter, np.minimum(one, other), out=enter)
@@ -132,32 +123,37 @@ class Box:
             if on.size:
                 s, t = (at[other, on] for other in range(3) if other != normal)
                 patch = footprint[on] / np.sqrt(np.abs(ray[normal, on]))
-                grey[on] = shade * self.texture.grey(s, t, patch, face=face)
+                grey[on] = shade * self.texture._grey(s, t, patch, face)
         return np.clip(grey, 0, 255)
 
 
 class View:
-    """An object seen by the camera in frame 0 or 1: its axes are at q = turn P + origin.
+    """An object as the camera sees it after a rigid motion, the identity where none is given.
 
-    Rays are (x̂, ŷ, 1), shape (3, n), and depths, shape (n,), are along the camera's Z axis.
+    Rays are (x̂, ŷ, 1), shape (3, n), and depths, shape (n,), along the camera's Z axis.
     """
 
-    def __init__(self, item: Plane | Box, when: int) -> None:
+    def __init__(self, item: Plane | Box, motion: Vector = (0.0,) * 6) -> None:
         axes, center = item._pose()
-        if when == 1:
-            rotation, translation = rigid_motion(item.motion)
-            axes, center = rotation @ axes, rotation @ center + translation
+        self.rotation, self.translation = rigid_motion(motion)
+        axes, center = self.rotation @ axes, self.rotation @ center + self.translation
+        # The object's own coordinates of a point P are turn P + origin.
         self.item, self.turn, self.origin = item, axes.T, -axes.T @ center
 
     def hit(self, rays: Floats) -> Floats:
         """Return the depth at which rays meet the object, infinite where they miss it."""
         return self.item._hit(self.origin, self._turned(rays))
 
-    def grey(self, rays: Floats, depth: Floats, footprint: Floats) -> NDArray:
-        """Return the grey level, float32, where rays meet the object; footprint as for paint."""
+    def grey(self, rays: Floats, depth: Floats, focal: float) -> NDArray:
+        """Return the grey level, float32, where rays meet the object; focal length in px."""
         ray = self._turned(rays)
-        return self.item._grey(ray * depth + self.origin[:, None], ray, footprint)
+        return self.item._grey(ray * depth + self.origin[:, None], ray, depth / focal)
 
     def _turned(self, rays: Floats) -> Floats:
         # A component of exactly zero would divide by zero where slabs are met.
         return self.turn @ rays + 1e-150
+
+
+def _freeze(item: Plane | Box, **shapes: tuple[int, ...]) -> None:
+    for name, shape in shapes.items():
+        object.__setattr__(item, name, finite(getattr(item, name), shape, name))

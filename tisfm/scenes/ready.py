@@ -1,7 +1,6 @@
 """Ready scenes: blocks in a room, seen by a camera that looks down on its floor."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,17 +22,15 @@ _STATIC_MOTIONS = {
 }
 STATIC_KINDS = tuple(_STATIC_MOTIONS)
 
-# The camera looks down on the floor by 25°, from a height of 2.6.
+# The camera looks down on the floor by 25°. Axes of the room in columns: right, down, ahead.
 _COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
 _ROOM = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
 _EYE_HEIGHT = 2.6
 _WALL_DISTANCE = 9.0
+# Without detail the finest wave has this length, px, in a picture of this width, px.
+_FINEST, _WIDTH = 4.0, 320
 
-# Without detail the finest wave has this length, px, in a picture of this width.
-_FINEST = 4.0
-_WIDTH = 320
-
-# A block: where it stands in the room, (X, Z), its edge lengths, its turn in degrees.
+# Of a block: its place on the floor (right, ahead), its edge lengths, its turn in degrees.
 _Block = tuple[tuple[float, float], tuple[float, float, float], float]
 _TWO_BLOCKS: list[_Block] = [
     ((-0.62, 4.7), (1.5, 1.3, 1.2), 28),
@@ -73,9 +70,9 @@ def two_blocks(
     focal : float, optional
         Focal length, px; by default the width, so that every size shows the same view.
     detail : int, optional
-        Number of fine octaves added to the textures: at a focal length of 320 px their finest wave
-        is 4 px long, and each octave halves it. By default round(log2(width / 320)) or 0: the
-        finest wave on the objects is then of 3 to 6 px in pictures of 320 px or more.
+        Number of fine octaves added to the textures. At the default focal length the finest wave
+        is width/80 px long without them, and each halves it. By default none up to 320 px of width
+        or so, then as many as keep the finest wave at about 3 to 5 px.
     camera_motion : array_like, shape (6,)
         (V, Ω) of the camera in its own axes, length/frame and rad/frame. The blocks are at depths
         of about 4.6 and 4, the background at about 9.
@@ -92,12 +89,12 @@ def two_blocks(
     Raises
     ------
     ValueError
-        If a size, the focal length, the detail or a motion is impossible.
+        If an option is impossible.
     """
     if block_motions is None:
         along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
         block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
-    own = finite(block_motions, (2, 6), "block_motions", "two twists")
+    own = finite(block_motions, (2, 6), "block_motions")
     scene = _room(_TWO_BLOCKS, own, camera_motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
@@ -128,13 +125,12 @@ def static_scene(
     Returns
     -------
     SyntheticPair
-        All objects have the same motion. Labels are 0 for the background, 1 for the floor, 2, 3
-        and 4 for the blocks.
+        Labels are 0 for the background, 1 for the floor, 2 to 4 for the blocks.
 
     Raises
     ------
     ValueError
-        If the kind is unknown, or a size, the focal length or the detail is impossible.
+        If the kind is unknown or an option is impossible.
     """
     if kind not in _STATIC_MOTIONS:
         raise ValueError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
@@ -144,7 +140,7 @@ def static_scene(
 
 
 def _room(
-    blocks: Sequence[_Block],
+    blocks: list[_Block],
     own: Floats,
     camera_motion: ArrayLike,
     height: int,
@@ -153,19 +149,15 @@ def _room(
     focal: float | None,
     detail: int | None,
 ) -> Scene:
-    """Stand blocks on the floor; `own` holds the twists they have besides the camera's effect."""
+    """Stand blocks before the wall; `own` holds their twists besides the camera's effect."""
     whole(1, height=height, width=width)
-    static = -finite(camera_motion, (6,), "camera_motion", "(V1, V2, V3, Ω1, Ω2, Ω3)")
-    if detail is None:
-        detail = max(0, round(math.log2(width / _WIDTH)))
+    static = -finite(camera_motion, (6,), "camera_motion")
+    octaves = max(0, round(math.log2(width / _WIDTH))) if detail is None else detail
 
-    def paint(depth: float, number: int, mean: float, contrast: float) -> Texture:
+    def paint(depth: float, label: int, mean: float, contrast: float) -> Texture:
+        wavelength, number = _FINEST * depth / _WIDTH, seed + label
         return Texture(
-            wavelength=_FINEST * depth / _WIDTH,
-            detail=detail,
-            mean=mean,
-            contrast=contrast,
-            seed=seed + number,
+            wavelength=wavelength, detail=octaves, mean=mean, contrast=contrast, seed=number
         )
 
     def plane(texture: Texture, point: tuple, normal: tuple) -> Plane:
@@ -175,13 +167,13 @@ def _room(
         plane(paint(_WALL_DISTANCE, 0, 114, 42), (0, 0, _WALL_DISTANCE), (0, 0, -1)),
         plane(paint(4.5, 1, 88, 42), (0, _EYE_HEIGHT, 0), (0, -1, 0)),
     ]
-    for number, ((x, z), size, degrees) in enumerate(blocks):
-        center = _ROOM @ (x, _EYE_HEIGHT - size[1] / 2, z)
+    for label, ((right, ahead), size, degrees) in enumerate(blocks, start=2):
+        center = _ROOM @ (right, _EYE_HEIGHT - size[1] / 2, ahead)
         turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
-        texture = paint(float(center[2]), number + 2, 140, 52)
-        motion = static + own[number]
+        look = paint(float(center[2]), label, 140, 52)
+        motion = static + own[label - 2]
         objects.append(
-            Box(texture=texture, center=center, size=size, axes=_ROOM @ turn, motion=motion)
+            Box(texture=look, center=center, size=size, axes=_ROOM @ turn, motion=motion)
         )
     camera = Camera(focal=float(width) if focal is None else focal)
     return Scene(objects=objects, camera=camera, height=height, width=width)

@@ -10,10 +10,12 @@ from tisfm.camera import Camera
 
 from .checks import Floats, whole
 from .geometry import Box, Plane, View
-from .rigid import rigid_motion
 
-# Samples cast at once: their temporary arrays stay in the cache.
+# Rays cast at once: their temporary arrays stay in the cache.
 CHUNK = 1 << 15
+
+# Rays (x̂, ŷ, 1), (3, n), and the depth and label of the nearest object along them, (n,).
+Band = tuple[Floats, Floats, NDArray[np.int32]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +73,7 @@ class Scene:
     camera : Camera
         Focal length and principal point, px.
     height, width : int
-        Size of the frames, px, at least 1 each.
+        Size of the frames, px.
 
     Raises
     ------
@@ -93,9 +95,8 @@ class Scene:
             raise ValueError("objects is empty: expected at least a background Plane")
         for index, item in enumerate(self.objects):
             if not isinstance(item, Plane | Box):
-                raise TypeError(
-                    f"objects[{index}] is a {type(item).__name__}: expected a Plane or a Box"
-                )
+                kind = type(item).__name__
+                raise TypeError(f"objects[{index}] is a {kind}: expected a Plane or a Box")
 
     def render(self, *, samples: int = 3, dtype: str = "uint8") -> SyntheticPair:
         """Cast the rays of both frames and work out the truth.
@@ -120,111 +121,91 @@ class Scene:
         whole(1, samples=samples)
         if dtype not in ("uint8", "float32"):
             raise ValueError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
-        before, after = ([View(item, when) for item in self.objects] for when in (0, 1))
+        before = [View(item) for item in self.objects]
+        after = [View(item, item.motion) for item in self.objects]
         frames = [self._frame(views, samples) for views in (before, after)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
+        bands = [self._truth(after, band) for band in self._bands(before, np.zeros((1, 2)))]
+        depth, labels, u, v, visible = (
+            np.concatenate(part).reshape(self.height, self.width)
+            for part in zip(*bands, strict=True)
+        )
+        motions = np.array([item.motion for item in self.objects])
+        twist = np.moveaxis(motions[labels], -1, 0)
         return SyntheticPair(
-            frame0=frames[0], frame1=frames[1], camera=self.camera, **self._truth(before, after)
+            frame0=frames[0],
+            frame1=frames[1],
+            camera=self.camera,
+            depth=depth,
+            flow=np.stack([u, v], axis=-1),
+            tau=twist[:3] / depth,
+            omega=twist[3:].copy(),
+            labels=labels,
+            motions=motions,
+            visible=visible,
         )
 
-    def _bands(
-        self, views: list[View], offsets: Floats
-    ) -> Iterator[tuple[slice, Floats, Floats, NDArray[np.int32]]]:
-        """Cast the rays of one chunk of rows after the other; yield rows, rays, depth, labels.
-
-        There is a ray through every pixel of the rows for each of the `offsets`, (k, 2), px.
-        """
+    def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
+        """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""
         cx, cy = self.camera.center_for(self.height, self.width)
         x = np.arange(self.width) - cx
         rows = max(1, CHUNK // (self.width * len(offsets)))
         for top in range(0, self.height, rows):
             y = np.arange(top, min(top + rows, self.height)) - cy
-            rays = np.ones((3, len(offsets), y.size, x.size))
-            rays[0] = (x + offsets[:, 0, None, None]) / self.camera.focal
-            rays[1] = (y[:, None] + offsets[:, 1, None, None]) / self.camera.focal
-            rays = rays.reshape(3, -1)
+            grid = np.ones((3, len(offsets), y.size, x.size))
+            grid[0] = (x + offsets[:, 0, None, None]) / self.camera.focal
+            grid[1] = (y[:, None] + offsets[:, 1, None, None]) / self.camera.focal
+            rays = grid.reshape(3, -1)
             depth, labels = _nearest(views, rays)
             if not np.isfinite(depth).all():
                 raise ValueError(
                     f"objects leave {np.mean(~np.isfinite(depth)):.0%} of a band of rays without "
-                    "a surface: expected them to cover the image, for instance with a background "
-                    "Plane"
+                    "a surface: expected a background Plane to cover the image"
                 )
-            yield slice(top, top + y.size), rays, depth, labels
+            yield rays, depth, labels
 
     def _frame(self, views: list[View], samples: int) -> NDArray:
         """Render one frame, (H, W) float32."""
-        frame = np.empty((self.height, self.width), np.float32)
-        for band, rays, depth, labels in self._bands(views, _sample_offsets(samples)):
+        bands = []
+        for rays, depth, labels in self._bands(views, _sample_offsets(samples)):
             grey = np.empty(depth.size, np.float32)
             for label in np.unique(labels):
                 on = np.flatnonzero(labels == label)
-                grey[on] = views[label].grey(rays[:, on], depth[on], depth[on] / self.camera.focal)
-            frame[band] = grey.reshape(samples**2, -1, self.width).mean(axis=0)
-        return frame
+                grey[on] = views[label].grey(rays[:, on], depth[on], self.camera.focal)
+            bands.append(grey.reshape(samples**2, -1, self.width).mean(axis=0))
+        return np.concatenate(bands)
 
-    def _truth(self, before: list[View], after: list[View]) -> dict:
-        """Work out the truth at the pixel centres of frame 0."""
-        shape = (self.height, self.width)
-        depth, labels = np.empty(shape), np.empty(shape, np.int32)
-        flow, visible = np.empty((*shape, 2)), np.empty(shape, bool)
-        for band, rays, z, label in self._bands(before, np.zeros((1, 2))):
-            displacement, seen = self._follow(after, rays, z, label)
-            depth[band] = z.reshape(-1, self.width)
-            labels[band] = label.reshape(-1, self.width)
-            flow[band] = displacement.T.reshape(-1, self.width, 2)
-            visible[band] = seen.reshape(-1, self.width)
-        motions = np.array([item.motion for item in self.objects])
-        twist = np.moveaxis(motions[labels], -1, 0)
-        return {
-            "depth": depth,
-            "flow": flow,
-            "tau": twist[:3] / depth,
-            "omega": twist[3:].copy(),
-            "labels": labels,
-            "motions": motions,
-            "visible": visible,
-        }
-
-    def _follow(
-        self, after: list[View], rays: Floats, depth: Floats, labels: NDArray
-    ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Move the points seen in frame 0; return their flow, (2, n), and whether they are seen."""
+    def _truth(self, after: list[View], band: Band) -> tuple[NDArray, ...]:
+        """Follow points seen in frame 0; return depth, labels, u, v and whether they are seen."""
+        rays, depth, labels = band
         moved = np.empty_like(rays)
-        for label, item in enumerate(self.objects):
+        for label, view in enumerate(after):
             on = labels == label
-            rotation, translation = rigid_motion(item.motion)
-            moved[:, on] = rotation @ (rays[:, on] * depth[on]) + translation[:, None]
+            moved[:, on] = view.rotation @ (rays[:, on] * depth[on]) + view.translation[:, None]
         in_front = moved[2] > 0
         new_rays = moved / np.where(in_front, moved[2], np.nan)
-        flow = self.camera.focal * (new_rays - rays)[:2]
+        u, v, _ = self.camera.focal * (new_rays - rays)
         cx, cy = self.camera.center_for(self.height, self.width)
-        x = self.camera.focal * new_rays[0] + cx
-        y = self.camera.focal * new_rays[1] + cy
-        seen = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
-        nearest, _ = _nearest(after, np.where(seen, new_rays, rays))
+        x, y = self.camera.focal * new_rays[0] + cx, self.camera.focal * new_rays[1] + cy
+        inside = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
+        nearest, _ = _nearest(after, np.where(inside, new_rays, rays))
         # The point itself is met at its own depth, up to rounding.
-        return flow, seen & (nearest > moved[2] * (1 - 1e-6))
+        return depth, labels, u, v, inside & (nearest > moved[2] * (1 - 1e-6))
 
 
 def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
-    """Return depth and label of the nearest object along rays (x̂, ŷ, 1), (3, n)."""
-    nearest = np.full(rays.shape[1], np.inf)
-    labels = np.zeros(rays.shape[1], np.int32)
-    for label, view in enumerate(views):
-        depth = view.hit(rays)
-        closer = depth < nearest
-        nearest[closer] = depth[closer]
-        labels[closer] = label
-    return nearest, labels
+    """Return the depth and the label of the nearest object along rays."""
+    depths = np.stack([view.hit(rays) for view in views])
+    labels = depths.argmin(axis=0)
+    return depths.min(axis=0), labels.astype(np.int32)
 
 
 def _sample_offsets(samples: int) -> Floats:
     """Return where a pixel is sampled, px from its centre, (samples², 2).
 
-    One sample in each cell of a square grid, which is slightly turned so that every sample has a
-    column and a row of its own: edges along the pixel axes get samples² + 1 levels.
+    The square grid is slightly turned: every sample has a column and a row of its own, and edges
+    along the pixel axes get samples² + 1 levels.
     """
     column, row = (index.ravel() for index in np.mgrid[:samples, :samples])
     x = (column + (row + 0.5) / samples) / samples

@@ -18,17 +18,16 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    rotation : ndarray, shape (3, 3)
-        R = exp([ω]×).
-    translation : ndarray, shape (3,)
-        t = V(ω) T, with V the integral of exp(s[ω]×) over s in [0, 1]. P1 = R P0 + t.
+    rotation, translation : ndarray, shapes (3, 3) and (3,)
+        R = exp([ω]×) and t = V(ω) T, with V the integral of exp(s[ω]×) over s in [0, 1]:
+        P1 = R P0 + t.
 
     Raises
     ------
     ValueError
         If `motion` is not six finite numbers.
     """
-    twist = finite(motion, (6,), "motion", "a twist (T1, T2, T3, ω1, ω2, ω3)")
+    twist = finite(motion, (6,), "motion")
     velocity, spin = twist[:3], twist[3:]
     angle = float(np.linalg.norm(spin))
     cross = np.array([[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]])

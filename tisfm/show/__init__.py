@@ -4,10 +4,10 @@ Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a 
 `limit`, so that all pictures of a sequence can share one.
 """
 
-from .anaglyph import anaglyph, dubois, second_view
-from .figures import comparison_figure, panel_figure, save_figure
-from .flow import Arrows, color_wheel, flow_radius, flow_to_color, quiver_points
-from .grey import depth_grey, inverse_depth_limit
+from tisfm.show.anaglyph import anaglyph, dubois, second_view
+from tisfm.show.figures import comparison_figure, panel_figure, save_figure
+from tisfm.show.flow import Arrows, color_wheel, flow_radius, flow_to_color, quiver_points
+from tisfm.show.grey import depth_grey, inverse_depth_limit
 
 __all__ = [
     "Arrows",

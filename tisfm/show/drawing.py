@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .flow import color_wheel, quiver_points
-from .layout import HEADING_SIZE, TITLE_SIZE, Layout, arrange, panel_size
+from tisfm.show.flow import color_wheel, quiver_points
+from tisfm.show.layout import HEADING_SIZE, TITLE_SIZE, Layout, arrange, panel_size
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

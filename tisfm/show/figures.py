@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..formats import atomic_write
-from .arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
-from .drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
-from .flow import flow_radius, flow_to_color
-from .grey import depth_grey
-from .layout import panel_size
+from tisfm.formats import atomic_write
+from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
+from tisfm.show.drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
+from tisfm.show.flow import flow_radius, flow_to_color
+from tisfm.show.grey import depth_grey
+from tisfm.show.layout import panel_size
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import as_flow, check_limit
+from tisfm.show.arrays import as_flow, check_limit
 
 # Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
 # more steps where the eye tells hues apart well.

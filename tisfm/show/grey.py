@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import as_map, check_limit
+from tisfm.show.arrays import as_map, check_limit
 
 
 def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = 95) -> float:

@@ -1,0 +1,450 @@
+"""Half-quadratic loop, pyramid and pair: against the reference, and on scenes with truth."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm import reference
+from tisfm.horn_schunck import horn_schunck
+from tisfm.metrics import depth_errors, endpoint_error
+from tisfm.pyramid import COARSEST_SIDE, coarse_to_fine, gaussian_pyramid, level_count, smooth
+from tisfm.scenes import static_scene, two_blocks
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    return two_blocks(90, 122, seed=1)
+
+
+def moving_noise(height, width, motion, *, seed=0):
+    """Two windows of one random image, the second displaced by whole pixels.
+
+    Its octaves fall off as those of natural images do: without coarse structure no coarse-to-fine
+    method can follow a motion of many pixels.
+    """
+    dx, dy = motion
+    rng = np.random.default_rng(seed)
+    margin = 40
+    image = np.zeros((height + 2 * margin, width + 2 * margin), np.float32)
+    for sigma in (1.5, 3.0, 6.0, 12.0, 24.0):
+        octave = cv2.GaussianBlur(rng.normal(size=image.shape).astype(np.float32), (0, 0), sigma)
+        image += np.sqrt(sigma) * octave / octave.std()
+    image = 128 + 40 * image / image.std()
+    window = image[margin : margin + height, margin : margin + width]
+    moved = image[margin - dy : margin - dy + height, margin - dx : margin - dx + width]
+    return window.copy(), moved.copy()
+
+
+def solve(frame0, frame1, settings, camera, components=None):
+    return coarse_to_fine(
+        frame0.astype(np.float32),
+        frame1.astype(np.float32),
+        camera,
+        settings,
+        components=components or settings.components,
+        contrast=settings.contrast_for(camera.focal),
+    )
+
+
+# --- Energy -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["rigid", "translation"])
+@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
+@pytest.mark.parametrize("preset", ["paper", "balanced", "accurate"])
+@pytest.mark.parametrize("relaxation", [1.0, 1.9, 1.98])
+@pytest.mark.parametrize("frames", ["random", "image"])
+def test_energy_never_rises_within_a_warp(model, solver, preset, relaxation, frames, blocks):
+    if frames == "random":
+        rng = np.random.default_rng(0)
+        pair = rng.uniform(0, 255, (2, 45, 61)).astype(np.float32)
+    else:
+        pair = blocks.frame0, blocks.frame1
+    settings = tisfm.Settings.preset(
+        preset,
+        model=model,
+        solver=solver,
+        relaxation=relaxation,
+        tolerance=0.0,
+        outer_iterations=12,
+        sweeps=3,
+    )
+    history = tisfm.interpret(*pair, camera=blocks.camera, settings=settings).history
+    for level in np.unique(history.level):
+        for warp in np.unique(history.warp):
+            within = (history.level == level) & (history.warp == warp)
+            energy, majorant = history.energy[within], history.half_quadratic[within]
+            assert len(energy) == settings.outer_iterations
+            assert np.all(np.diff(energy) <= 1e-6 * energy[:-1])
+            assert np.all(energy <= majorant * (1 + 1e-6))
+            assert np.all(majorant[1:] <= energy[:-1] * (1 + 1e-6))
+
+
+def test_recorded_energy_is_the_references(blocks):
+    settings = tisfm.Settings.preset("paper", outer_iterations=5, tolerance=0.0)
+    solution = solve(blocks.frame0, blocks.frame1, settings, blocks.camera)
+    frames = [f.astype(np.float64) for f in (blocks.frame0, blocks.frame1)]
+    shape = frames[0].shape
+    motion = reference.motion_matrix(blocks.camera, *shape, 6)
+    zero = np.zeros((2, *shape))
+    tensor = reference.brightness_tensor(
+        reference.derivatives(*frames, "cube"), zero, np.ones(shape)
+    )
+    rho = solution.field.images().astype(np.float64)
+    expected = reference.energy(tensor, motion, rho, settings.alpha, blocks.camera.focal)
+    assert solution.history[-1][2].energy == pytest.approx(expected, rel=2e-6)
+
+
+# --- The whole against the reference ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["rigid", "translation"])
+@pytest.mark.parametrize("preset", ["paper", "balanced"])
+@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
+def test_the_whole_pair_agrees_with_the_reference(model, preset, solver):
+    """Same iterations on both sides; the flow, because ρ̂ itself is ambiguous in the data."""
+    pair = two_blocks(50, 67, seed=2)
+    settings = tisfm.Settings.preset(
+        preset, model=model, solver=solver, tolerance=0.0, outer_iterations=3, sweeps=5
+    )
+    solution = solve(pair.frame0, pair.frame1, settings, pair.camera)
+    levels = level_count(50, 67, settings)
+    factor = settings.pyramid_factor
+    pyramids = [
+        gaussian_pyramid(f.astype(np.float32), factor, levels) for f in (pair.frame0, pair.frame1)
+    ]
+    rho = reference.coarse_to_fine(
+        *pyramids,
+        [pair.camera.scaled(factor**level, 50, 67) for level in range(levels)],
+        components=settings.components,
+        factor=factor,
+        scheme=settings.derivatives,
+        warps=settings.warps,
+        alpha=settings.alpha,
+        contrast=settings.contrast_for(pair.camera.focal),
+        outer_iterations=3,
+        sweeps=5,
+        relaxation=settings.relaxation,
+        tolerance=0.0,
+    )
+    motion = reference.motion_matrix(pair.camera, 50, 67, settings.components)
+    field = solution.field
+    flow = field.to_images(field.flow(field.grid.allocate(2)))
+    expected = reference.flow(motion, rho)
+    # Rounding may tip a pixel over the image's border or across an edge; not more than a few.
+    assert np.quantile(np.abs(flow - expected), 0.999) < 2e-3
+    assert np.abs(expected).max() > 0.5
+
+
+# --- End to end -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", [(1, 0), (0, -3), (-7, 4), (13, 9), (-18, 6)])
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_motions_of_up_to_twenty_pixels(motion, preset):
+    frame0, frame1 = moving_noise(120, 160, motion)
+    result = tisfm.interpret(frame0, frame1, settings=tisfm.Settings.preset(preset))
+    error = np.linalg.norm(result.flow - np.array(motion), axis=-1)
+    stays = np.zeros(error.shape, bool)
+    dx, dy = motion
+    stays[max(0, -dy) : 120 - max(0, dy), max(0, -dx) : 160 - max(0, dx)] = True
+    assert np.median(error[stays]) < 0.05
+    assert np.quantile(error[stays], 0.9) < 0.15
+
+
+def test_sub_pixel_motion_at_a_single_scale():
+    """The paper's own setting, within its range: less than a pixel."""
+    pair = static_scene("sideways", 120, 160, seed=1)
+    assert np.abs(pair.flow).max() < 2.5
+    result = tisfm.interpret(
+        pair.frame0, pair.frame1, camera=pair.camera, settings=tisfm.Settings.preset("paper")
+    )
+    assert endpoint_error(result.flow, pair.flow, mask=pair.visible) < 0.15
+
+
+@pytest.mark.parametrize("model", ["rigid", "translation"])
+def test_scene_with_truth(model):
+    pair = static_scene("sideways", 240, 320, seed=0)
+    settings = tisfm.Settings(model=model)
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
+    assert endpoint_error(result.flow, pair.flow, mask=pair.visible) < 0.05
+    # Eq. 24 holds for sideways translation; ω is free in the rigid model and takes its share.
+    assert depth_errors(result.depth, pair.depth).abs_rel < 0.15
+    assert result.status == "converged"
+
+
+def test_better_than_horn_and_schunck_on_two_moving_blocks():
+    pair = two_blocks(240, 320, seed=0)
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera)
+    baseline = horn_schunck(pair.frame0, pair.frame1)
+    ours = endpoint_error(result.flow, pair.flow, mask=pair.visible)
+    theirs = endpoint_error(baseline, pair.flow, mask=pair.visible)
+    assert theirs < 0.15  # a fair baseline
+    assert ours < 0.9 * theirs
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast", "balanced", "accurate"])
+@pytest.mark.parametrize("model", ["rigid", "translation"])
+def test_zero_motion_gives_exactly_zero(preset, model, blocks):
+    settings = tisfm.Settings.preset(preset, model=model)
+    result = tisfm.interpret(blocks.frame0, blocks.frame0, settings=settings)
+    assert not result.rho.any()
+    assert not result.flow.any()
+    assert np.isnan(result.depth).all()
+    assert result.status == "no_motion"
+    assert "further" in result.status.message
+
+
+def test_uniform_frames_have_no_texture():
+    result = tisfm.interpret(np.full((30, 40), 90, np.uint8), np.full((30, 40), 120, np.uint8))
+    assert not result.rho.any()
+    assert not result.confidence.any()
+    assert result.status == "no_texture"
+
+
+def test_iteration_limit_is_a_status_with_advice(blocks):
+    settings = tisfm.Settings(outer_iterations=1, sweeps=1)
+    result = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings)
+    assert result.status == "iteration_limit"
+    assert "outer_iterations" in result.status.message
+
+
+def test_stops_when_the_variables_cease_to_evolve(blocks):
+    settings = tisfm.Settings.preset("paper", tolerance=1e-2)
+    history = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings).history
+    assert len(history.change) < settings.outer_iterations
+    assert history.change[-1] <= 1e-2
+    assert np.all(history.change[:-1] > 1e-2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"model": "translation"},
+        {"smoothness": 50.0},
+        {"beta": 0.25},
+        {"contrast": 0.5},
+        {"derivatives": "cube"},
+        {"presmoothing": 1.0},
+        {"pyramid_factor": 0.7},
+        {"pyramid_levels": 1},
+        {"warps": 1},
+        {"outer_iterations": 1},
+        {"sweeps": 2},
+        {"relaxation": 1.2},
+        {"tolerance": 0.5},
+        {"solver": "closed_form"},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_every_setting_changes_the_result(change, blocks):
+    frames = (blocks.frame0, blocks.frame1)
+    default = tisfm.interpret(*frames, settings=tisfm.Settings())
+    changed = tisfm.interpret(*frames, settings=tisfm.Settings(**change))
+    assert not np.array_equal(default.rho, changed.rho)
+    if "solver" in change:  # and this one only by rounding
+        assert np.quantile(np.abs(default.flow - changed.flow), 0.99) < 0.01
+
+
+def test_settings_cover_every_field_in_the_test_above():
+    """A new setting needs a line there."""
+    tested = {
+        next(iter(change))
+        for mark in test_every_setting_changes_the_result.pytestmark
+        for change in mark.args[1]
+    }
+    fields = set(tisfm.Settings.__dataclass_fields__) - {"motion"}  # has one value so far
+    assert tested == fields
+
+
+def test_beta_and_smoothness_enter_as_their_product(blocks):
+    frames = (blocks.frame0, blocks.frame1)
+    one = tisfm.interpret(*frames, settings=tisfm.Settings(smoothness=400.0, beta=0.25))
+    other = tisfm.interpret(*frames, settings=tisfm.Settings(smoothness=100.0, beta=1.0))
+    np.testing.assert_array_equal(one.rho, other.rho)
+
+
+def test_focal_length_and_centre_change_the_result(blocks):
+    frames = (blocks.frame0, blocks.frame1)
+    results = [
+        tisfm.interpret(*frames, camera=camera).rho
+        for camera in (
+            tisfm.Camera(focal=100.0),
+            tisfm.Camera(focal=200.0),
+            tisfm.Camera(focal=100.0, center=(10.0, 70.0)),
+        )
+    ]
+    assert not np.allclose(results[0], results[1], atol=1e-3)
+    assert not np.allclose(results[0], results[2], atol=1e-3)
+
+
+def test_frames_are_not_modified_and_results_repeat(blocks):
+    frames = [blocks.frame0.astype(np.float32), blocks.frame1.astype(np.float32)]
+    copies = [frame.copy() for frame in frames]
+    for frame in frames:
+        frame.flags.writeable = False
+    first = tisfm.interpret(*frames)
+    second = tisfm.interpret(*frames)
+    for frame, copy in zip(frames, copies, strict=True):
+        np.testing.assert_array_equal(frame, copy)
+    for name in ("rho", "flow", "confidence"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    np.testing.assert_array_equal(first.history.energy, second.history.energy)
+
+
+def test_same_bits_with_one_and_two_threads():
+    script = (
+        "import hashlib, sys, tisfm\n"
+        "from tisfm.scenes import two_blocks\n"
+        "tisfm.runtime.start(threads=int(sys.argv[1]))\n"
+        "pair = two_blocks(150, 203, seed=1)\n"
+        "digest = hashlib.sha256()\n"
+        "for model in ('rigid', 'translation'):\n"
+        "    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera,\n"
+        "                             settings=tisfm.Settings(model=model))\n"
+        "    for array in (result.rho, result.flow, result.confidence, result.history.energy):\n"
+        "        digest.update(array.tobytes())\n"
+        "print(digest.hexdigest())\n"
+    )
+    script = "import tisfm.runtime\n" + script
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", script, str(threads)],
+            check=True,
+            capture_output=True,
+            text=True,
+            env=dict(os.environ),
+        ).stdout
+        for threads in (1, 2, 2)
+    }
+    assert len(digests) == 1
+    assert len(digests.pop()) == 65
+
+
+@pytest.mark.parametrize("size", [(4, 4), (4, 90), (91, 5), (17, 16), (33, 129)])
+@pytest.mark.parametrize("model", ["rigid", "translation"])
+def test_odd_and_tiny_sizes(size, model):
+    frame0, frame1 = moving_noise(*size, (1, 0))
+    result = tisfm.interpret(frame0, frame1, settings=tisfm.Settings(model=model))
+    assert result.rho.shape == (6, *size)
+    assert result.flow.shape == (*size, 2)
+    assert np.isfinite(result.rho).all()
+    assert np.isfinite(result.flow).all()
+    if min(size) > 15:
+        assert abs(np.median(result.flow[..., 0]) - 1) < 0.2
+
+
+def test_pose_is_refused_until_a_reading_of_motion_uses_it(blocks):
+    with pytest.raises(ValueError, match="pose"):
+        tisfm.interpret(blocks.frame0, blocks.frame1, pose=np.eye(4))
+
+
+# --- Confidence -------------------------------------------------------------------------------
+
+
+def test_confidence_ranks_errors():
+    """The more confident half of the pixels has less than half of the mean error."""
+    pair = two_blocks(240, 320, seed=0)
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera)
+    error = np.linalg.norm(result.flow - pair.flow, axis=-1)
+    assert result.confidence.min() >= 0
+    assert result.confidence.max() <= 1
+    trusted = result.confidence >= np.median(result.confidence)
+    assert error[trusted].mean() < 0.5 * error.mean()
+
+
+def test_confidence_follows_texture_and_ends_at_the_border():
+    frame0, frame1 = moving_noise(96, 128, (6, 0))
+    frame0[:, :50] = frame1[:, :50] = 128
+    confidence = tisfm.interpret(frame0, frame1).confidence
+    assert np.median(confidence[10:-10, 70:110]) > 0.5
+    assert confidence[10:-10, 10:30].max() < 0.01
+    assert not confidence[:, -5:].any()  # leaves the image
+
+
+def test_confidence_is_the_share_of_the_data(make_problem):
+    """½ tr[J M (I + J M)⁻¹], by dense inverses, on a constant patch."""
+    from tisfm.confidence import confidence
+
+    j = np.array([[50.0, 20.0], [20.0, 30.0]])
+    m = np.array([[0.02, 0.005], [0.005, 0.01]])
+    evidence = np.zeros((7, 40, 40), np.float32)
+    for k, value in enumerate((j[0, 0], j[0, 1], j[1, 1], 0.0, m[0, 0], m[0, 1], m[1, 1])):
+        evidence[k] = value
+    window = 15 * 15 * j @ m
+    expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
+    result = confidence(evidence, np.zeros((2, 40, 40), np.float32))
+    np.testing.assert_allclose(result, expected, rtol=1e-5)
+
+
+# --- Pyramid ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.73, 0.95])
+def test_pyramid_levels_lie_where_they_say(factor):
+    """A linear image stays the same linear function of full-resolution coordinates."""
+    rows, columns = np.mgrid[:61, :83].astype(np.float32)
+    image = 2 * columns + 3 * rows
+    for level, small in enumerate(gaussian_pyramid(image, factor, 4)):
+        scale = factor**level
+        y, x = ((np.indices(small.shape) + 0.5) / scale) - 0.5
+        inner = (slice(4, -4), slice(4, -4)) if min(small.shape) > 10 else (slice(3, -3),) * 2
+        np.testing.assert_allclose(small[inner], (2 * x + 3 * y)[inner], atol=0.05)
+
+
+def test_level_count():
+    settings = tisfm.Settings(pyramid_factor=0.5)
+    assert level_count(12, 12, settings) == 1
+    assert level_count(64, 2000, settings) == 3
+    assert level_count(64, 64, replace(settings, pyramid_levels=2)) == 2
+    assert level_count(64, 64, replace(settings, pyramid_levels=50)) == 3
+    for factor in (0.5, 0.6, 0.7, 0.8, 0.95):
+        settings = tisfm.Settings(pyramid_factor=factor)
+        image = np.zeros((480, 640), np.float32)
+        coarsest = gaussian_pyramid(image, factor, level_count(480, 640, settings))[-1]
+        assert min(coarsest.shape) >= COARSEST_SIDE - 1
+        assert min(coarsest.shape) * factor < COARSEST_SIDE + 1
+
+
+def test_smoothing_keeps_constants_and_reduces_noise():
+    noise = np.random.default_rng(0).normal(size=(50, 60)).astype(np.float32)
+    assert smooth(noise, 0.0) is noise
+    assert smooth(noise, 1.5).std() < 0.3 * noise.std()
+    np.testing.assert_allclose(smooth(np.full((20, 20), 7.0, np.float32), 2.0), 7.0, rtol=1e-6)
+
+
+# --- Horn and Schunck -------------------------------------------------------------------------
+
+
+def test_horn_schunck_solves_its_own_equations():
+    """α²Δu = I_x(I_x u + I_y v + I_t) with the 4-neighbour Laplacian, at convergence."""
+    pair = static_scene("sideways", 60, 80, seed=0)
+    settings = tisfm.Settings.preset(
+        "paper", outer_iterations=300, tolerance=1e-7, relaxation=1.8
+    )
+    flow = horn_schunck(pair.frame0, pair.frame1, smoothness=100.0, settings=settings)
+    u, v = np.moveaxis(flow.astype(np.float64), -1, 0)
+    frames = (pair.frame0.astype(float), pair.frame1.astype(float))
+    ix, iy, it = reference.derivatives(*frames, "cube")
+
+    def laplacian(field):
+        padded = np.pad(field, 1, mode="edge")
+        around = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+        return around - 4 * field
+
+    constraint = ix * u + iy * v + it
+    assert np.abs(100 * laplacian(u) - ix * constraint).max() < 0.05
+    assert np.abs(100 * laplacian(v) - iy * constraint).max() < 0.05
+    assert np.abs(ix * it).max() > 50
+
+
+@pytest.mark.parametrize("smoothness", [0.0, -1.0, np.nan, np.inf])
+def test_horn_schunck_refuses_bad_smoothness(smoothness, blocks):
+    with pytest.raises(ValueError, match="smoothness"):
+        horn_schunck(blocks.frame0, blocks.frame1, smoothness=smoothness)
