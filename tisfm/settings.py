@@ -12,6 +12,7 @@ Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
+_COUNTS = ("pyramid_levels", "warps", "outer_iterations", "sweeps")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +73,7 @@ class Settings:
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
     warps: int = 2
-    outer_iterations: int = 5
+    outer_iterations: int = 15
     sweeps: int = 10
     relaxation: float = 1.9
     tolerance: float = 1e-2
@@ -92,17 +93,16 @@ class Settings:
             _check_real("contrast", self.contrast, above=0)
         _check_real("presmoothing", self.presmoothing, least=0)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
-        if self.pyramid_levels is not None:
-            _check_count("pyramid_levels", self.pyramid_levels)
-        for name in ("warps", "outer_iterations", "sweeps"):
-            _check_count(name, getattr(self, name))
         _check_real("relaxation", self.relaxation, above=0, below=2)
         _check_real("tolerance", self.tolerance, least=0)
-        # Plain numbers, whatever NumPy type came: they are compared, hashed and written to JSON.
+        for name in _COUNTS:
+            if name != "pyramid_levels" or self.pyramid_levels is not None:
+                _check_count(name, getattr(self, name))
+        # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Real):
-                plain = int(value) if isinstance(value, Integral) else float(value)
+                plain = int(value) if field.name in _COUNTS else float(value)
                 object.__setattr__(self, field.name, plain)
 
     @classmethod
@@ -162,7 +162,10 @@ def _check_real(
 ) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} is {value!r}: expected a number")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # of an integer beyond the range of floats
+        number = math.inf
     if not math.isfinite(number) or not (least <= number <= most and above < number < below):
         bounds = [
             f"{word} {bound:g}"
@@ -196,7 +199,7 @@ _PRESETS: dict[str, Settings] = {
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=1, outer_iterations=4, sweeps=6, tolerance=2e-2),
+    "fast": Settings(warps=1, outer_iterations=6, sweeps=6, tolerance=2e-2),
     "balanced": Settings(),
-    "accurate": Settings(outer_iterations=20, tolerance=4e-3),
+    "accurate": Settings(outer_iterations=40, tolerance=4e-3),
 }
