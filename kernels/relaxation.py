@@ -12,6 +12,8 @@ from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.small_spd import bind, cholesky_solve, woodbury_solve
 
 SOLVERS = ("cholesky", "closed_form")
+CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
+BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
 
 
 def sweep(
@@ -61,8 +63,13 @@ def sweep(
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
     kernel = _sweep[grid.lanes]
     closed_form = solver == "closed_form"
+    # A function of the size alone: with the threads it would move the borders between bands, and
+    # the rows beside them are computed by a loop of their own, which may round otherwise.
+    bands = max(1, 2 * (grid.height // (2 * BAND)))
     for _ in range(sweeps):
-        kernel(tensor, weights, x_hat, y_hat, alpha, relaxation, components, closed_form, rho)
+        kernel(
+            tensor, weights, x_hat, y_hat, alpha, relaxation, components, closed_form, bands, rho
+        )
 
 
 @lane_kernel
@@ -75,50 +82,98 @@ def _sweep(
     relaxation: ti.f32,
     n: ti.template(),
     closed_form: ti.template(),
+    bands: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
+    """Sweep in one pass over memory: black follows one row behind red.
+
+    A thread takes a band of rows at a time. Black rows that touch another band wait until all red is done,
+    so the result is that of red everywhere and then black everywhere, but for rounding.
+    """
     height = rho.shape[1] - 2
-    strip = rho.shape[2] - 2
-    pairs = strip // 2
-    for color in ti.static(range(2)):
-        for site in range(height * pairs):
-            y = site // pairs + 1
-            s = 2 * (site % pairs) + (y + 1 + color) % 2 + 1
-            center = ti.static([bind(rho[k, y, s]) for k in range(n)])
-            east = ti.static([bind(weights[k, y, s]) for k in range(n)])
-            west = ti.static([bind(weights[k, y, s - 1]) for k in range(n)])
-            south = ti.static([bind(weights[n + k, y, s]) for k in range(n)])
-            north = ti.static([bind(weights[n + k, y - 1, s]) for k in range(n)])
-            j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
-            columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-            u, v = ti.static(flow_of(columns, center))
-            # Gradient of the data term in the flow, J(u, v)ᵀ + j.
-            g1 = j11 * u + j12 * v + tensor[3, y, s]
-            g2 = j12 * u + j22 * v + tensor[4, y, s]
-            diagonal = ti.static(
-                [bind(alpha * (east[k] + west[k] + south[k] + north[k])) for k in range(n)]
+    pairs = (rho.shape[2] - 2) // 2
+    for task in range(CHUNK * bands):
+        if task % CHUNK == 0:
+            band = task // CHUNK
+            first, last = band * height // bands, (band + 1) * height // bands
+            first_black = first + ti.select(band > 0, 1, 0)
+            last_black = last - ti.select(band < bands - 1, 1, 0)
+            for step in range(2 * (last - first) + 2):
+                color = step % 2
+                row = first + step // 2 - color
+                begin, end = ti.select(color == 0, first, first_black), last_black
+                if color == 0:
+                    end = last
+                if row >= begin and row < end:
+                    for pair in range(pairs):
+                        s = 2 * pair + (row + color) % 2 + 1
+                        _relax(
+                            tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form,
+                            rho, row + 1, s,
+                        )  # fmt: skip
+                    for k in range(n):
+                        refresh_halo(rho, k, row + 1)
+    # The black rows on both sides of every border between bands.
+    for site in range(2 * (bands - 1) * pairs):
+        border = site // pairs
+        row = (border // 2 + 1) * height // bands - 1 + border % 2
+        s = 2 * (site % pairs) + (row + 1) % 2 + 1
+        _relax(
+            tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form, rho, row + 1, s
+        )  # fmt: skip
+    for border, k in ti.ndrange(2 * (bands - 1), n):
+        row = (border // 2 + 1) * height // bands - 1 + border % 2
+        refresh_halo(rho, k, row + 1)
+
+
+@ti.func
+def _relax(
+    tensor: ti.template(),
+    weights: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    alpha,
+    relaxation,
+    n: ti.template(),
+    closed_form: ti.template(),
+    rho: ti.template(),
+    y,
+    s,
+):
+    """Solve one pixel (one vector of lanes) and over-relax."""
+    center = ti.static([bind(rho[k, y, s]) for k in range(n)])
+    east = ti.static([bind(weights[k, y, s]) for k in range(n)])
+    west = ti.static([bind(weights[k, y, s - 1]) for k in range(n)])
+    south = ti.static([bind(weights[n + k, y, s]) for k in range(n)])
+    north = ti.static([bind(weights[n + k, y - 1, s]) for k in range(n)])
+    j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
+    columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+    u, v = ti.static(flow_of(columns, center))
+    # Gradient of the data term in the flow, J(u, v)ᵀ + j.
+    g1 = j11 * u + j12 * v + tensor[3, y, s]
+    g2 = j12 * u + j22 * v + tensor[4, y, s]
+    diagonal = ti.static(
+        [bind(alpha * (east[k] + west[k] + south[k] + north[k])) for k in range(n)]
+    )
+    residual = ti.static(
+        [
+            bind(
+                alpha
+                * (
+                    east[k] * (rho[k, y, s + 1] - center[k])
+                    + west[k] * (rho[k, y, s - 1] - center[k])
+                    + south[k] * (rho[k, y + 1, s] - center[k])
+                    + north[k] * (rho[k, y - 1, s] - center[k])
+                )
+                - columns[k][0] * g1
+                - columns[k][1] * g2
             )
-            residual = ti.static(
-                [
-                    bind(
-                        alpha
-                        * (
-                            east[k] * (rho[k, y, s + 1] - center[k])
-                            + west[k] * (rho[k, y, s - 1] - center[k])
-                            + south[k] * (rho[k, y + 1, s] - center[k])
-                            + north[k] * (rho[k, y - 1, s] - center[k])
-                        )
-                        - columns[k][0] * g1
-                        - columns[k][1] * g2
-                    )
-                    for k in range(n)
-                ]
-            )
-            step = ti.static(_solve(closed_form, diagonal, columns, (j11, j12, j22), residual))
-            for k in ti.static(range(n)):
-                rho[k, y, s] = center[k] + relaxation * step[k]
-        for k, row in ti.ndrange(n, height):
-            refresh_halo(rho, k, row + 1)
+            for k in range(n)
+        ]
+    )
+    step = ti.static(_solve(closed_form, diagonal, columns, (j11, j12, j22), residual))
+    for k in ti.static(range(n)):
+        rho[k, y, s] = center[k] + relaxation * step[k]
 
 
 def _solve(closed_form, diagonal, columns, tensor, residual):

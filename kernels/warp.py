@@ -54,9 +54,10 @@ def _warp(
             if x < width:
                 target_x = x + lane_of(u, lane, lanes)
                 target_y = y + lane_of(v, lane, lanes)
-                if target_x >= 0 and target_x <= width - 1:
-                    if target_y >= 0 and target_y <= height - 1:
-                        inside = 1.0
+                across = target_x >= 0 and target_x <= width - 1
+                down = target_y >= 0 and target_y <= height - 1
+                if across and down:
+                    inside = 1.0
                 out[y, x] = _bicubic(image, target_x, target_y)
             store_lane(mask, 0, y + 1, s + 1, lane, inside)
 

@@ -425,9 +425,7 @@ def test_smoothing_keeps_constants_and_reduces_noise():
 def test_horn_schunck_solves_its_own_equations():
     """α²Δu = I_x(I_x u + I_y v + I_t) with the 4-neighbour Laplacian, at convergence."""
     pair = static_scene("sideways", 60, 80, seed=0)
-    settings = tisfm.Settings.preset(
-        "paper", outer_iterations=300, tolerance=1e-7, relaxation=1.8
-    )
+    settings = tisfm.Settings.preset("paper", outer_iterations=300, tolerance=1e-7, relaxation=1.8)
     flow = horn_schunck(pair.frame0, pair.frame1, smoothness=100.0, settings=settings)
     u, v = np.moveaxis(flow.astype(np.float64), -1, 0)
     frames = (pair.frame0.astype(float), pair.frame1.astype(float))

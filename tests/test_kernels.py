@@ -128,7 +128,7 @@ def test_edge_weights(size, components, lanes, contrast, make_problem):
     close(out[:components], problem.to_lanes(expected)[:components])
 
 
-@each_size
+@pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
 @each_model
 @each_lanes
 @pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
@@ -136,6 +136,7 @@ def test_edge_weights(size, components, lanes, contrast, make_problem):
 def test_one_sweep_is_the_reference_sweep(
     size, components, lanes, solver, relaxation, make_problem
 ):
+    """On one band of rows, and on several (from 64 rows on)."""
     from tisfm.kernels.relaxation import sweep
 
     problem = make_problem(*size, components, lanes, channels=2)

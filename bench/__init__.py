@@ -1,0 +1,1 @@
+"""Benchmarks of tisfm against its NumPy reference; ``python -m bench --help``."""

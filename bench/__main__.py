@@ -1,0 +1,129 @@
+"""``python -m bench``: time the kernels beside the NumPy reference and print one table.
+
+Each number of threads has a process of its own, because Taichi takes its threads once. The timings
+(pytest-benchmark's JSON), the memory and the table as Markdown are left in bench/results.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+from rich.console import Console
+
+from bench.bars import LANES, SELECTION, SIZE, THREADS, bars
+from bench.report import collect, show, write_markdown
+from tisfm.settings import Preset
+
+ROOT = Path(__file__).parents[1]
+RESULTS = Path(__file__).parent / "results"
+TABLE_WIDTH = 136  # columns, where the output is no terminal
+
+FULL = {
+    "sizes": ["240x320", "480x640", "1080x1920"],
+    "threads": [1, 2],
+    "lanes": "8,1",
+    "only": None,
+    "seconds": 0.5,
+    "memory": True,
+    "output": "full",
+}
+SMOKE = FULL | {
+    "sizes": ["96x128"],
+    "lanes": "8",
+    "seconds": 0.05,
+    "memory": False,
+    "output": "smoke",
+}
+BARS = FULL | {
+    "sizes": [f"{SIZE[0]}x{SIZE[1]}"],
+    "threads": [THREADS],
+    "lanes": str(LANES),
+    "only": SELECTION,
+    "seconds": 2.0,
+    "output": "bars",
+}
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line; what it leaves open is that of a full, smoke or bars run."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--smoke", action="store_true", help="a small size, in less than a minute")
+    kind.add_argument("--bars", action="store_true", help="only what the bars need; must meet them")
+    parser.add_argument("--sizes", nargs="+", metavar="HxW")
+    parser.add_argument("--threads", nargs="+", type=int, metavar="N")
+    parser.add_argument("--only", metavar="KEYWORD", help="as pytest -k; memory for memory")
+    parser.add_argument("--full-reference", action="store_true", help="NumPy pairs at every size")
+    parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
+    options = parser.parse_args(arguments)
+    options.memory = False if options.only else None
+    for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
+        if getattr(options, name, None) is None:
+            setattr(options, name, value)
+    return options
+
+
+def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> bool:
+    """Run the benchmarks on a number of threads; return whether every answer agreed."""
+    command = [sys.executable, "-m", "pytest", str(Path(__file__).parent), "-q", "--tb=short"]
+    command += ["-o", "python_files=bench_*.py", "-o", "python_functions=bench_*"]
+    command += ["-W", "ignore::DeprecationWarning:taichi._lib.utils"]
+    command += ["-p", "no:cacheprovider", "--benchmark-quiet", f"--benchmark-json={report}"]
+    command += [f"--threads={threads}", f"--lanes={options.lanes}", f"--seconds={options.seconds}"]
+    command += [f"--sizes={','.join(options.sizes)}"]
+    if options.full_reference:
+        command.append("--full-reference")
+    if options.only:
+        command += ["-k", f"stream or ({options.only})"]
+    # The reference's vectors and 6×6 systems lose by more threads of BLAS, which wait by spinning.
+    blas = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(blas, "1")
+    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode == 0
+
+
+def measure_memory() -> dict[str, float]:
+    """Return the float32 per pixel of every preset, each from a process of its own."""
+    memory = {}
+    for preset in get_args(Preset):
+        command = [sys.executable, "-m", "bench.memory", preset]
+        output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+        memory[preset] = json.loads(output.stdout)["floats_per_pixel"]
+    return memory
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Return 0, or 1 where an answer disagreed or, with ``--bars``, a bar was missed."""
+    options = parse(arguments)
+    RESULTS.mkdir(exist_ok=True)
+    agreed, reports = True, []
+    for threads in options.threads:
+        path = RESULTS / f"{options.output}-threads{threads}.json"
+        path.unlink(missing_ok=True)
+        agreed &= run_benchmarks(options, threads, path)
+        if path.exists() and (text := path.read_text(encoding="utf-8")):
+            reports.append(json.loads(text))
+    memory: dict[str, float] = {}
+    if options.memory or "memory" in (options.only or ""):
+        memory = measure_memory()
+        path = RESULTS / f"{options.output}-memory.json"
+        path.write_text(json.dumps(memory, indent=1), encoding="utf-8")
+
+    results = collect(reports, memory)
+    checked = list(bars(results)) if options.bars else []
+    console = Console()
+    console = Console(width=max(console.width, TABLE_WIDTH))
+    show(results, console)
+    for bar in checked:
+        console.print(str(bar), highlight=False)
+    write_markdown(results, RESULTS / f"{options.output}.md", notes=[str(bar) for bar in checked])
+    if not agreed:
+        console.print("an answer disagreed with the reference, or a benchmark failed: see above")
+    return 0 if agreed and all(bar.met for bar in checked) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""The figures the project holds itself to, read from one run."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import get_args
+
+from bench.report import Results
+from tisfm.settings import Preset
+
+SIZE, THREADS, LANES = (480, 640), 2, 8
+MOST_NS_PER_PIXEL = 12.0
+LEAST_RATIO = 70.0
+MOST_FLOATS_PER_PIXEL = 60.0
+
+# What a run has to measure for these.
+SELECTION = "sweep and (rigid or lexicographic) and not closed_form"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure and its bar; `value` is None where the run did not measure it."""
+
+    name: str
+    value: float | None
+    bound: float
+    at_most: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure was measured and keeps to its bar."""
+        if self.value is None:
+            return False
+        return self.value <= self.bound if self.at_most else self.value >= self.bound
+
+    def __str__(self) -> str:
+        value = "not measured" if self.value is None else f"{self.value:.1f}"
+        words = "at most" if self.at_most else "at least"
+        return f"{'pass' if self.met else 'FAIL'}  {self.name}: {value} ({words} {self.bound:g})"
+
+
+def bars(results: Results) -> Iterator[Bar]:
+    """Yield every bar with the run's figure."""
+    row = next(
+        (
+            row
+            for row in results.rows
+            if (row.kernel, row.model, row.solver) == ("sweep", "rigid", "cholesky")
+            and (row.size, row.threads, row.lanes) == (SIZE, THREADS, LANES)
+        ),
+        None,
+    )
+    sweep = f"rigid sweep, {SIZE[0]}x{SIZE[1]}, {THREADS} threads, {LANES} lanes"
+    yield Bar(f"{sweep}, ns/px", row and row.time, MOST_NS_PER_PIXEL)
+    yield Bar(f"{sweep}, ratio to sweep_red_black", row and row.ratio, LEAST_RATIO, at_most=False)
+    for preset in get_args(Preset):
+        name = f"memory at 1080x1920, {preset}, float32 per pixel"
+        yield Bar(name, results.memory.get(preset), MOST_FLOATS_PER_PIXEL)

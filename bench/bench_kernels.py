@@ -1,0 +1,122 @@
+"""Every kernel, and the step of the NumPy reference that it replaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from bench.agreement import check
+from bench.operations import Operations
+from bench.problems import ALPHA, RELAXATION, Problem
+from bench.references import References
+from bench.traffic import TRAFFIC
+from tisfm import reference
+
+MODELS = {6: "rigid", 3: "translation"}
+SOLVERS = ("cholesky", "closed_form")
+LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image takes its time
+
+# Of the largest value of a component. A few roundings; more where B has condition numbers of some
+# hundreds, and where a residual is the difference of much larger numbers.
+TOLERANCE = 1e-6
+TOLERANCES = {"sweep": 1e-4, "evidence": 1e-4}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kernel in one of its variants."""
+
+    kernel: str
+    components: int = 0  # unknowns per pixel; 0 where they do not matter
+    scheme: str = ""
+    solver: str = ""
+
+    @property
+    def name(self) -> str:
+        return f"{self.kernel} {self.scheme}".strip()
+
+    @property
+    def model(self) -> str:
+        return MODELS.get(self.components, "")
+
+    def __str__(self) -> str:
+        return "-".join(filter(None, (self.kernel, self.scheme, self.model, self.solver)))
+
+    def without_solver(self) -> "Case":
+        """Return the case of the reference, which has one solver."""
+        return Case(self.kernel, self.components, self.scheme)
+
+    def tolerance(self, problem: Problem) -> float:
+        if self.kernel in ("warp", "prolong"):
+            # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
+            return problem.width * 2.0**-22
+        return TOLERANCES.get(self.kernel, TOLERANCE)
+
+    def label(self, problem: Problem) -> dict:
+        size = [problem.height, problem.width]
+        return {"kernel": self.name, "size": size, "model": self.model}
+
+
+PLAIN = ("image_to_lanes", "warp", "brightness_tensor")
+PER_MODEL = ("lanes_to_images", "flow", "edge_weights", "energy", "change", "prolong", "evidence")
+CASES = [
+    *(Case(kernel) for kernel in PLAIN),
+    *(Case("derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),
+    *(Case(kernel, components) for kernel in PER_MODEL for components in MODELS),
+    *(Case("sweep", components, solver=solver) for components in MODELS for solver in SOLVERS),
+]
+REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
+
+
+def reference_run(problem, case):
+    """Return the reference's call; its first answer is kept for the checks of the kernels."""
+    run = getattr(References(problem, case.components or 6, case.scheme), case.kernel)()
+    if case not in problem.expected:
+        problem.expected[case] = np.array(run())
+    return run
+
+
+@pytest.mark.parametrize("case", REFERENCE_CASES, ids=str)
+def bench_numpy(problem, case, measure):
+    run = reference_run(problem, case)
+    measure(run, implementation="numpy", **case.label(problem))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def bench_taichi(problem, case, lanes, measure):
+    components = case.components or 6
+    operations = Operations(problem, lanes, components, case.scheme or case.solver)
+    run, read = getattr(operations, case.kernel)()
+    reference_case = case.without_solver()
+    if reference_case not in problem.expected:
+        reference_run(problem, reference_case)
+    expected = problem.expected[reference_case]
+    error = check(read(run()), expected, case.tolerance(problem))
+
+    def call():
+        run()
+        ti.sync()
+
+    measure(
+        call,
+        implementation="taichi",
+        lanes=lanes,
+        solver=case.solver,
+        bytes_per_pixel=TRAFFIC[case.name].bytes_per_pixel(components),
+        disagreement=error,
+        **case.label(problem),
+    )
+
+
+def bench_sweep_lexicographic(measure):
+    """Time the reference's plain loop, rigid model: quoted, compared with nothing."""
+    problem = Problem(*LEXICOGRAPHIC_SIZE)
+    arguments = (problem.tensor, problem.motion, problem.weights(6), problem.rho.copy())
+    measure(
+        lambda: reference.sweep_lexicographic(*arguments, alpha=ALPHA, relaxation=RELAXATION),
+        implementation="numpy",
+        kernel="sweep_lexicographic",
+        size=LEXICOGRAPHIC_SIZE,
+        model="rigid",
+    )

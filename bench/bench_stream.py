@@ -1,0 +1,51 @@
+"""The memory bandwidth of the machine: what kernels that only move data are measured by."""
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from tisfm.kernels.lanes import LaneArray, aligned_zeros, lane_kernel
+
+LENGTH = 2**26  # float32, 256 MiB an array: beyond the caches
+LANES = 8
+
+
+@lane_kernel
+def _copy(a: LaneArray(1), out: LaneArray(1)):
+    for i in range(out.shape[0]):
+        out[i] = a[i]
+
+
+@lane_kernel
+def _triad(a: LaneArray(1), b: LaneArray(1), out: LaneArray(1)):
+    for i in range(out.shape[0]):
+        out[i] = a[i] + 3.0 * b[i]
+
+
+@pytest.fixture(scope="module")
+def arrays():
+    a, b, out = (aligned_zeros((LENGTH // LANES, LANES)) for _ in range(3))
+    a[...] = np.arange(LANES)
+    b[...] = 1
+    return a, b, out
+
+
+STREAMS = {
+    "copy": (2, lambda a, b, out: _copy[LANES](a, out)),
+    "triad": (3, lambda a, b, out: _triad[LANES](a, b, out)),
+    "NumPy copy": (2, lambda a, b, out: np.copyto(out, a)),
+}
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def bench_stream(name, arrays, measure):
+    words, move = STREAMS[name]
+
+    def call():
+        move(*arrays)
+        ti.sync()
+
+    call()
+    a, b, out = arrays
+    assert np.array_equal(out, a + 3 * b if name == "triad" else a)
+    measure(call, implementation="stream", kernel=name, bytes=4 * words * LENGTH)

@@ -1,0 +1,79 @@
+"""Options and fixtures of the benchmarks; `python -m bench` sets the options."""
+
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.problems import Problem, problem_at
+from tisfm import runtime
+
+SLOW = 2.0  # s, of a call that is timed once
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("tisfm")
+    group.addoption("--threads", type=int, default=2, help="threads of Taichi in this process")
+    group.addoption("--sizes", default="240x320", help="sizes, HxW, separated by commas")
+    group.addoption("--lanes", default="8", help="lane counts, separated by commas")
+    group.addoption("--seconds", type=float, default=0.5, help="time to spend on a measurement")
+    group.addoption("--full-reference", action="store_true", help="NumPy pairs at every size")
+
+
+def pytest_sessionstart(session):
+    """Taichi and OpenCV take their threads once per process."""
+    threads = session.config.getoption("threads")
+    runtime.start(threads=threads)
+    cv2.setNumThreads(threads)
+
+
+def pytest_generate_tests(metafunc):
+    sizes = metafunc.config.getoption("sizes").split(",")
+    lanes = [int(count) for count in metafunc.config.getoption("lanes").split(",")]
+    if "problem" in metafunc.fixturenames:
+        # By session, so that all there is to time on one size comes before the next.
+        metafunc.parametrize("problem", sizes, indirect=True, scope="session")
+    if "lanes" in metafunc.fixturenames:
+        metafunc.parametrize("lanes", lanes, ids=[f"lanes{count}" for count in lanes])
+
+
+def pytest_benchmark_update_machine_info(config, machine_info):
+    import taichi
+
+    machine_info["numpy"] = np.__version__
+    machine_info["taichi"] = ".".join(map(str, taichi.__version__))
+    machine_info["threads"] = config.getoption("threads")
+
+
+@pytest.fixture(scope="session")
+def problem(request) -> Problem:
+    height, width = map(int, request.param.split("x"))
+    return problem_at(height, width)
+
+
+@pytest.fixture
+def measure(benchmark, request):
+    """Return a function that times a call and stores the timings under a label.
+
+    The call must have run before, so that it is compiled; a call that has not been checked and
+    takes long may go without the warm-up.
+    """
+
+    def timed(call, *, warm=True, **label):
+        option = request.config.getoption
+        benchmark.extra_info.update(label, threads=option("threads"))
+        if not warm:
+            return benchmark.pedantic(call)
+        started = time.perf_counter()
+        call()
+        once = time.perf_counter() - started
+        rounds = min(max(round(option("seconds") / once), 3 if once < SLOW else 1), 200)
+        return benchmark.pedantic(call, rounds=rounds)
+
+    return timed
+
+
+@pytest.fixture
+def full_reference(request) -> bool:
+    return request.config.getoption("full_reference")

@@ -1,0 +1,153 @@
+"""The Taichi side: every kernel, by its wrapper, on the arrays it would meet in the driver."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bench.problems import ALPHA, CONTRAST, RATIO, RELAXATION, Problem
+from tisfm.field import Field
+from tisfm.kernels import (
+    derivatives,
+    diffusivity,
+    evidence,
+    flow,
+    images,
+    motion_tensor,
+    reductions,
+    relaxation,
+    transfer,
+    warp,
+)
+from tisfm.kernels.lanes import LaneGrid
+
+Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
+
+
+class Operations:
+    """One method per kernel, which returns the call to be timed and a reader of its answer.
+
+    The reader takes what the call returned and gives images, (k, H, W), or sums, (k, 1). Calls
+    that work in place go on from where the last one ended, as they do in the solver.
+    """
+
+    def __init__(self, problem: Problem, lanes: int, components: int, option: str) -> None:
+        self.problem, self.n, self.option = problem, components, option
+        self.grid = LaneGrid(problem.height, problem.width, lanes)
+        self.field = Field(self.grid, problem.camera, components)
+        self.field.rho[...] = self.lay(problem.rho[:components])
+
+    def image_to_lanes(self) -> Timed:
+        image = self.problem.frames[0].astype(np.float32)
+        out = self.grid.allocate(1, halo=images.IMAGE_HALO)
+        return (
+            lambda: images.image_to_lanes(self.grid, image, out),
+            lambda _: self.read(out, halo=images.IMAGE_HALO),
+        )
+
+    def lanes_to_images(self) -> Timed:
+        out = np.empty((self.n, self.problem.height, self.problem.width), np.float32)
+        return lambda: images.lanes_to_images(self.grid, self.field.rho, out), lambda _: out
+
+    def derivatives(self) -> Timed:
+        frames = [self.grid.allocate(1, halo=images.IMAGE_HALO) for _ in range(2)]
+        for frame, array in zip(self.problem.frames, frames, strict=True):
+            images.image_to_lanes(self.grid, frame.astype(np.float32), array)
+        out = self.grid.allocate(3)
+        return (
+            lambda: derivatives.derivatives(self.grid, *frames, out, scheme=self.option),
+            lambda _: self.read(out),
+        )
+
+    def flow(self) -> Timed:
+        field, out = self.field, self.grid.allocate(2)
+        return (
+            lambda: flow.flow(self.grid, field.rho, field.x_hat, field.y_hat, out),
+            lambda _: self.read(out),
+        )
+
+    def warp(self) -> Timed:
+        image = self.problem.frames[1].astype(np.float32)
+        motion, out, mask = self.lay(self.problem.flow), np.empty_like(image), self.grid.allocate(1)
+        return (
+            lambda: warp.warp(self.grid, image, motion, out, mask),
+            lambda _: np.stack([out, self.read(mask)[0]]),
+        )
+
+    def brightness_tensor(self) -> Timed:
+        p = self.problem
+        inputs = [self.lay(array) for array in (p.gradients, p.flow, p.mask[None])]
+        out = self.grid.allocate(6)
+        return (
+            lambda: motion_tensor.brightness_tensor(self.grid, *inputs, out),
+            lambda _: self.read(out),
+        )
+
+    def edge_weights(self) -> Timed:
+        field, out = self.field, self.grid.allocate(2 * self.n)
+        arguments = (self.grid, field.rho, field.open_edges, out)
+        return (
+            lambda: diffusivity.edge_weights(*arguments, contrast=CONTRAST),
+            lambda _: self.read(out),
+        )
+
+    def sweep(self) -> Timed:
+        field = self.field
+        arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho)
+        options = {"alpha": ALPHA, "relaxation": RELAXATION, "solver": self.option}
+        return lambda: relaxation.sweep(*arguments, **options), lambda _: self.read(field.rho)
+
+    def energy(self) -> Timed:
+        field = self.field
+        tables = (field.open_edges, field.x_hat, field.y_hat)
+        arguments = (self.grid, *self._system(), *tables, field.rho)
+        return (
+            lambda: reductions.energy(*arguments, alpha=ALPHA, contrast=CONTRAST),
+            lambda parts: np.array([[parts[0] + parts[1]], [parts[0] + parts[2]]]),
+        )
+
+    def change(self) -> Timed:
+        previous = self.lay(self.problem.previous[: self.n])
+        return (
+            lambda: reductions.change(self.grid, self.field.rho, previous),
+            lambda norms: np.array(norms)[:, None],
+        )
+
+    def prolong(self) -> Timed:
+        field = self.field
+        coarse = self.problem.coarse[: self.n].astype(np.float32)
+        return (
+            lambda: transfer.prolong(self.grid, coarse, field.rho, ratio=RATIO),
+            lambda _: self.read(field.rho),
+        )
+
+    def evidence(self) -> Timed:
+        field, out = self.field, self.grid.allocate(7)
+        arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho, out)
+        return lambda: evidence.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
+
+    def _system(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.lay(self.problem.tensor), self.lay(self.problem.weights(self.n))
+
+    def lay(self, stack: np.ndarray) -> np.ndarray:
+        """Lay (k, H, W) into a new lane array, halo columns included, without a kernel."""
+        grid = self.grid
+        out = grid.allocate(len(stack))
+        array = out if grid.lanes > 1 else out[..., None]
+        padded = np.pad(stack, ((0, 0), (0, 0), (0, grid.lanes * grid.strip - grid.width)))
+        strips = padded.reshape(len(stack), grid.height, grid.lanes, grid.strip)
+        array[:, 1:-1, 1:-1] = np.swapaxes(strips, 2, 3)
+        array[:, 1:-1, 0, 1:] = array[:, 1:-1, -2, :-1]
+        array[:, 1:-1, -1, :-1] = array[:, 1:-1, 1, 1:]
+        return out
+
+    def read(self, array: np.ndarray, halo: int = 0) -> np.ndarray:
+        """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border."""
+        grid = self.grid
+        around = halo or 1
+        x = np.arange(-halo, grid.width + halo)
+        lane = np.clip(x // grid.strip, 0, grid.lanes - 1)
+        rows = array if halo else array[:, 1:-1]
+        return (rows if grid.lanes > 1 else rows[..., None])[
+            :, :, x - lane * grid.strip + around, lane
+        ]

@@ -1,0 +1,70 @@
+"""What is timed: a rendered pair, linearised."""
+
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from tisfm import reference, scenes
+
+ALPHA = 278.0  # the paper's λ = 1e8 at f = 600
+CONTRAST = 0.03  # px/frame
+RELAXATION = 1.9
+RATIO = 0.7  # coarse over fine sampling density
+NOISE = 0.1  # px/frame, on ρ̂: no weight of an edge is all but 0 or 1
+
+
+class Problem:
+    """A pair of frames linearised about a flow near the true one.
+
+    Every array is float64 but holds float32 numbers, so that the reference and the kernels start
+    from the same. `expected` keeps what the reference made of them.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        pair = scenes.two_blocks(height, width, samples=1)
+        self.height, self.width, self.camera = height, width, pair.camera
+        self.frames = [single(pair.frame0), single(pair.frame1)]
+        self.expected: dict[tuple, np.ndarray] = {}
+        rng = np.random.default_rng(0)
+        truth = pair.camera.focal * np.concatenate([pair.tau, pair.omega])
+        self.rho = single(truth + NOISE * rng.normal(size=truth.shape))
+        self.previous = single(self.rho + NOISE * rng.normal(size=truth.shape))
+        shape = (6, round(RATIO * height), round(RATIO * width))
+        self.coarse = single(rng.normal(size=shape))
+        self.motion = reference.motion_matrix(self.camera, height, width, 6)
+        self.flow = single(reference.flow(self.motion, self.rho))
+        self._weights: dict[int, np.ndarray] = {}
+
+    def weights(self, components: int) -> np.ndarray:
+        """Return the edge weights of the first components of ρ̂."""
+        if components not in self._weights:
+            rho = self.rho[:components]
+            self._weights[components] = single(reference.edge_weights(rho, CONTRAST))
+        return self._weights[components]
+
+    @cached_property
+    def gradients(self) -> np.ndarray:
+        """(I_x, I_y, I_t) of frame 0 and frame 1 warped, (3, H, W)."""
+        warped, _ = reference.warp(self.frames[1], self.flow)
+        return single(np.array(reference.derivatives(self.frames[0], warped, "five_tap")))
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """1 where the flow stays inside the image, (H, W)."""
+        return reference.warp(self.frames[1], self.flow)[1]
+
+    @cached_property
+    def tensor(self) -> np.ndarray:
+        """Motion tensor, (6, H, W)."""
+        return single(reference.brightness_tensor(tuple(self.gradients), self.flow, self.mask))
+
+
+def single(values: np.ndarray) -> np.ndarray:
+    """Return the values rounded to float32, as float64."""
+    return np.asarray(values, np.float32).astype(np.float64)
+
+
+@lru_cache(maxsize=2)
+def problem_at(height: int, width: int) -> Problem:
+    """Return the problem of a size; the last two sizes are kept."""
+    return Problem(height, width)

@@ -1,0 +1,209 @@
+"""From the stored timings to one table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+HEAD = (
+    "kernel",
+    "size",
+    "model",
+    "solver",
+    "lanes",
+    "threads",
+    "ns/px",
+    "IQR",
+    "GB/s",
+    "stream",
+    "NumPy ns/px",
+    "ratio",
+)
+TEXT_COLUMNS = 4
+NOTES = (
+    "ns/px: median time of a call over the pixels of the image, with the interquartile range; the "
+    "call includes the launch of the kernel. A dash: timed once.",
+    "GB/s: the bytes a kernel must move (bench/traffic.py), each array counted once; stream: as a "
+    "share of the stream bandwidth on the same number of threads, out of the caches: above 100% "
+    "where a size stays in them.",
+    "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer agreed "
+    "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
+    "lanes_to_images beside a copy.",
+    "pair: coarse to fine to the end of its iterations (paper: 5 of the 100 outer iterations), "
+    "beside the reference on the same pyramids. Where the reference was not run, agreement was "
+    "checked on the same scene at 240x320.",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure."""
+
+    kernel: str
+    size: tuple[int, int]
+    model: str
+    solver: str
+    lanes: int
+    threads: int
+    time: float
+    iqr: float | None
+    bandwidth: float | None  # GB/s
+    share: float | None
+    numpy: float | None
+
+    @property
+    def ratio(self) -> float | None:
+        return None if self.numpy is None else self.numpy / self.time
+
+    def cells(self) -> list[str]:
+        """Return the row as text, in the order of `HEAD`."""
+        height, width = self.size
+        return [
+            self.kernel,
+            f"{height}x{width}",
+            self.model,
+            self.solver,
+            str(self.lanes),
+            str(self.threads),
+            f"{self.time:.2f}",
+            _text(self.iqr, ".2f"),
+            _text(self.bandwidth, ".1f"),
+            _text(self.share, ".0%"),
+            _text(self.numpy, ".1f"),
+            _text(self.ratio, ".1f"),
+        ]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What one run measured.
+
+    Attributes
+    ----------
+    machine : dict
+        As pytest-benchmark describes it, with the versions of NumPy and Taichi.
+    rows : list of Row
+    streams : dict
+        (threads, name) → GB/s.
+    lexicographic : dict
+        Size → ns per pixel of the reference's plain loop.
+    memory : dict
+        Preset → float32 per pixel at the peak.
+    """
+
+    machine: dict[str, Any]
+    rows: list[Row]
+    streams: dict[tuple[int, str], float]
+    lexicographic: dict[str, float]
+    memory: dict[str, float]
+
+
+def collect(reports: list[dict], memory: dict[str, float]) -> Results:
+    """Merge the reports of pytest-benchmark, one per number of threads."""
+    by_side: dict[str, list[dict]] = {"stream": [], "numpy": [], "taichi": []}
+    for report in reports:
+        for entry in report["benchmarks"]:
+            by_side[entry["extra_info"]["implementation"]].append(entry)
+    streams = {}
+    for entry in by_side["stream"]:
+        info = entry["extra_info"]
+        bandwidth = info["bytes"] / entry["stats"]["median"] / 1e9
+        streams[info["threads"], info["kernel"]] = bandwidth
+    numpy = {_key(entry): _per_pixel(entry, "median") for entry in by_side["numpy"]}
+    rows = [_row(entry, numpy, streams) for entry in by_side["taichi"]]
+    order = ("size", "kernel", "model", "solver", "threads", "lanes")
+    return Results(
+        machine=reports[0]["machine_info"] if reports else {},
+        rows=sorted(rows, key=lambda row: [getattr(row, name) for name in order]),
+        streams=streams,
+        lexicographic={
+            f"{size[0]}x{size[1]}": time
+            for (kernel, size, _, _), time in numpy.items()
+            if kernel == "sweep_lexicographic"
+        },
+        memory=memory,
+    )
+
+
+def best_stream(streams: dict[tuple[int, str], float], threads: int) -> float | None:
+    """Return the best bandwidth on a number of threads, GB/s."""
+    return max((v for (count, _), v in streams.items() if count == threads), default=None)
+
+
+def _row(entry: dict, numpy: dict[tuple, float], streams: dict[tuple[int, str], float]) -> Row:
+    info = entry["extra_info"]
+    time = _per_pixel(entry, "median")
+    bandwidth = info["bytes_per_pixel"] / time if "bytes_per_pixel" in info else None
+    stream = best_stream(streams, info["threads"])
+    return Row(
+        **{name: info[name] for name in ("kernel", "model", "solver", "lanes", "threads")},
+        size=tuple(info["size"]),
+        time=time,
+        iqr=_per_pixel(entry, "iqr") if entry["stats"]["rounds"] > 1 else None,
+        bandwidth=bandwidth,
+        share=bandwidth / stream if bandwidth and stream else None,
+        numpy=numpy.get(_key(entry)),
+    )
+
+
+def _key(entry: dict) -> tuple:
+    info = entry["extra_info"]
+    return info["kernel"], tuple(info["size"]), info["model"], info["threads"]
+
+
+def _per_pixel(entry: dict, statistic: str) -> float:
+    height, width = entry["extra_info"]["size"]
+    return entry["stats"][statistic] / (height * width) * 1e9
+
+
+def _text(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
+
+
+def describe(results: Results) -> list[str]:
+    """Return the lines that say where and beside what the table was measured."""
+    lines = []
+    if machine := results.machine:
+        cpu = machine.get("cpu", {})
+        lines.append(
+            f"{cpu.get('brand_raw', machine['machine'])}, {cpu.get('count', '?')} cores, "
+            f"{machine['system']}; Python {machine['python_version']}, "
+            f"NumPy {machine['numpy']}, Taichi {machine['taichi']}"
+        )
+    for threads in sorted({count for count, _ in results.streams}):
+        names = {n: v for (count, n), v in results.streams.items() if count == threads}
+        lines.append(
+            f"Stream bandwidth, threads = {threads}: {max(names.values()):.1f} GB/s, the best of "
+            + ", ".join(f"{name} {value:.1f}" for name, value in names.items())
+        )
+    for size, time in results.lexicographic.items():
+        lines.append(f"Reference, lexicographic sweep, rigid, {size}: {time:.0f} ns/px")
+    for preset, floats in results.memory.items():
+        lines.append(f"Peak memory at 1080x1920, preset {preset}: {floats:.1f} float32 per pixel")
+    return lines
+
+
+def show(results: Results, console: Console) -> None:
+    """Print the table."""
+    for line in describe(results):
+        console.print(line, highlight=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for index, name in enumerate(HEAD):
+        table.add_column(name, justify="left" if index < TEXT_COLUMNS else "right", no_wrap=True)
+    for row in results.rows:
+        table.add_row(*row.cells())
+    console.print(table)
+
+
+def write_markdown(results: Results, path: Path, notes: Sequence[str] = ()) -> None:
+    """Write the same table as Markdown, with further notes."""
+    rules = ["---"] * TEXT_COLUMNS + ["---:"] * (len(HEAD) - TEXT_COLUMNS)
+    cells = [HEAD, rules, *(row.cells() for row in results.rows)]
+    lines = [f"- {line}" for line in describe(results)]
+    lines += ["", *("| " + " | ".join(row) + " |" for row in cells)]
+    lines += ["", *(f"- {note}" for note in (*notes, *NOTES)), ""]
+    path.write_text("\n".join([f"# Benchmark {path.stem}", "", *lines]), encoding="utf-8")

@@ -1,0 +1,42 @@
+"""How much memory a kernel has to move: the bytes behind every share of bandwidth.
+
+The rule, for kernels and for the stream alike: every array that a kernel must read or write
+counts once, 4 bytes per pixel and component, however often the kernel comes back to it. Not
+counted are halo, padding and column tables, and the reads of cache lines about to be overwritten.
+So a kernel that passes twice over its arrays, as a red–black sweep does, stays at half the
+bandwidth at best.
+"""
+
+from dataclasses import dataclass
+
+BYTES = 4  # of a float32
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Words per pixel: `read[0]` + `read[1]`·n are read, and so on, for n unknowns per pixel."""
+
+    read: tuple[float, float]
+    written: tuple[float, float]
+
+    def bytes_per_pixel(self, components: int) -> float:
+        """Return the bytes a pixel of a problem of n = `components` unknowns has to move."""
+        fixed, each = (a + b for a, b in zip(self.read, self.written, strict=True))
+        return BYTES * (fixed + each * components)
+
+
+TRAFFIC = {
+    "image_to_lanes": Traffic(read=(1, 0), written=(1, 0)),  # image | lanes
+    "lanes_to_images": Traffic(read=(0, 1), written=(0, 1)),  # ρ̂ | images
+    "derivatives cube": Traffic(read=(2, 0), written=(3, 0)),  # frames | I_x, I_y, I_t
+    "derivatives five_tap": Traffic(read=(2, 0), written=(3, 0)),
+    "flow": Traffic(read=(0, 1), written=(2, 0)),  # ρ̂ | u, v
+    "warp": Traffic(read=(3, 0), written=(2, 0)),  # frame, u, v | warped, mask
+    "brightness_tensor": Traffic(read=(6, 0), written=(6, 0)),  # ∇I, I_t, u, v, mask | tensor
+    "edge_weights": Traffic(read=(0, 1), written=(0, 2)),  # ρ̂ | b
+    "sweep": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂
+    "energy": Traffic(read=(6, 3), written=(0, 0)),  # tensor, b, ρ̂
+    "change": Traffic(read=(0, 2), written=(0, 1)),  # ρ̂, previous | previous
+    "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
+    "evidence": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
+}

@@ -1,0 +1,324 @@
+"""Frames in: what counts as a pair of images, and its grey levels on the 8-bit scale."""
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import tisfm
+from tisfm.frames import eight_bit, grey_pair
+
+SIZE = (24, 40)
+ROUNDING = 4 * np.finfo(np.float32).eps  # three products and two sums
+
+
+def textured_pair(size=SIZE, seed=0):
+    """Two 8-bit frames of a texture that moves by one pixel."""
+    height, width = size
+    noise = np.random.default_rng(seed).uniform(0, 255, (height, width + 1)).astype(np.float32)
+    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+    texture = texture.astype(np.uint8)
+    return texture[:, 1:].copy(), texture[:, :-1].copy()
+
+
+# Grey levels
+
+
+@given(frame=arrays(np.uint8, (5, 7)))
+def test_uint8_stays_as_it_is(frame):
+    grey0, grey1 = grey_pair(frame, 255 - frame)
+    assert grey0.dtype == grey1.dtype == np.float32
+    np.testing.assert_array_equal(grey0, frame)
+    np.testing.assert_array_equal(grey1, 255 - frame.astype(np.float32))
+
+
+@given(frame=arrays(np.uint8, (5, 7)))
+def test_uint16_and_uint8_of_one_picture_agree(frame):
+    grey0, _ = grey_pair(frame.astype(np.uint16) * 257, frame.astype(np.uint16) * 257)
+    np.testing.assert_allclose(grey0, frame, rtol=ROUNDING)
+
+
+def test_uint16_is_divided_by_257():
+    frame = np.full((4, 4), 65535, np.uint16)
+    frame[0, 0] = 257
+    grey0, grey1 = grey_pair(frame, frame // 2)
+    assert grey0[0, 0] == 1 and grey0[1, 1] == 255
+    assert grey1[1, 1] == pytest.approx(32767 / 257)
+
+
+@given(frame=arrays(np.float32, (5, 7), elements=st.floats(0, 1, width=32)))
+def test_floats_up_to_one_are_stretched_to_255(frame):
+    grey0, grey1 = grey_pair(frame, np.ones_like(frame))
+    np.testing.assert_array_equal(grey0, frame * np.float32(255))
+    assert (grey1 == 255).all()
+
+
+@pytest.mark.parametrize("outlier", [1.001, 200.0, -0.001])
+@pytest.mark.parametrize("second", [False, True])
+def test_one_factor_serves_both_frames(outlier, second):
+    pair = [np.full(SIZE, 0.5), np.full(SIZE, 0.25)]
+    pair[second][3, 5] = outlier
+    grey0, grey1 = grey_pair(*pair)
+    assert grey0[0, 0] == 0.5 and grey1[0, 0] == 0.25
+    assert pair[second][3, 5] == outlier
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.longdouble])
+def test_floats_beyond_one_stay_as_they_are(dtype):
+    frame = np.linspace(-20, 300, 960).reshape(SIZE).astype(dtype)
+    np.testing.assert_array_equal(grey_pair(frame, frame)[0], frame.astype(np.float32))
+
+
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535), (float, 1.0)])
+@pytest.mark.parametrize(("channel", "share"), [(0, 0.299), (1, 0.587), (2, 0.114)])
+def test_channels_are_red_green_blue(dtype, white, channel, share):
+    frame = np.zeros((*SIZE, 3), dtype)
+    frame[..., channel] = white
+    grey0, _ = grey_pair(frame, frame)
+    assert grey0.shape == SIZE
+    np.testing.assert_allclose(grey0, 255 * share, rtol=1e-6)
+
+
+@given(frame=arrays(np.uint8, (5, 7)))
+def test_grey_as_three_channels_is_grey(frame):
+    colour = np.dstack([frame] * 3)
+    np.testing.assert_allclose(grey_pair(colour, colour)[0], frame, rtol=ROUNDING)
+
+
+def test_a_single_channel_is_dropped():
+    frame0, frame1 = textured_pair()
+    np.testing.assert_array_equal(grey_pair(frame0[..., None], frame1[..., None])[0], frame0)
+    assert tisfm.interpret(frame0[..., None], frame1).frame.shape == SIZE
+
+
+def test_floats_of_two_widths_make_a_pair():
+    frame0, frame1 = (frame / 255 for frame in textured_pair())
+    grey0, grey1 = grey_pair(frame0.astype(np.float32), frame1)
+    assert grey0.max() > 1 and grey1.max() > 1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_grey_levels_are_never_views(dtype, channels):
+    frame = np.full((*SIZE, *channels), 7, dtype)
+    for grey in (*grey_pair(frame, frame), eight_bit(frame, frame)):
+        assert not np.shares_memory(grey, frame)
+        assert grey.flags.c_contiguous
+
+
+def test_lists_are_arrays():
+    rows = [[0.0, 0.5, 1.0, 0.25]] * 4
+    assert grey_pair(rows, rows)[0][0, 1] == 127.5
+
+
+# The picture kept with the result
+
+
+@pytest.mark.parametrize(
+    ("frame0", "frame1", "shown"),
+    [
+        (np.uint8(17), np.uint8(3), 17),
+        (np.uint16(257 * 17), np.uint16(3), 17),
+        (0.5, 1.0, 128),
+        (0.5, 2.0, 0),  # not ×255: the pair is not within [0, 1]
+        (300.0, 2.0, 255),
+        (-3.0, 2.0, 0),
+    ],
+)
+def test_the_picture_has_the_pairs_factor(frame0, frame1, shown):
+    picture = eight_bit(np.full(SIZE, frame0), np.full(SIZE, frame1))
+    assert picture.dtype == np.uint8
+    assert (picture == shown).all()
+
+
+def test_the_picture_keeps_its_colours():
+    frame0 = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(tisfm.interpret(frame0, frame0).frame, frame0)
+
+
+# Refusals
+
+
+def refused(error, frame0, frame1, *words):
+    """Check that interpret refuses a pair in one line that holds these words."""
+    with pytest.raises(error) as caught:
+        tisfm.interpret(frame0, frame1)
+    text = str(caught.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text, text
+
+
+def test_sizes_that_differ_are_both_named():
+    refused(ValueError, np.zeros((24, 40)), np.zeros((24, 41)), "(24, 40)", "(24, 41)", "same size")
+    refused(ValueError, np.zeros((24, 40)), np.zeros((24, 40, 3)), "(24, 40)", "(24, 40, 3)")
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 40), (40, 3), (0, 0), (0, 40), (40, 0), (3, 40, 3)])
+def test_small_frames_are_refused(size):
+    height, width = size[:2]
+    refused(
+        ValueError, np.zeros(size), np.zeros(size), "frame0", f"{height} × {width} px", "4 × 4"
+    )
+
+
+def test_four_by_four_is_enough():
+    frame0, frame1 = textured_pair((4, 4))
+    assert np.isfinite(tisfm.interpret(frame0, frame1).rho).all()
+
+
+@pytest.mark.parametrize(
+    "shape", [(), (40,), (24, 40, 2), (24, 40, 4), (2, 24, 40), (1, 24, 40, 3)], ids=str
+)
+def test_other_shapes_are_refused(shape):
+    refused(ValueError, np.zeros(shape), np.zeros(shape), str(shape), "(H, W)", "(H, W, 3)")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("second", [False, True])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_pixels_that_are_no_numbers_are_counted(value, second, channels):
+    pair = [np.zeros((*SIZE, *channels)) for _ in range(2)]
+    pair[second][5, 7] = value
+    count = 3 if channels else 1
+    refused(ValueError, *pair, f"frame{int(second)}", f"at {count} of", "NaN or infinite", "replace")
+
+
+def test_floats_too_large_for_single_precision_are_refused():
+    refused(ValueError, np.full(SIZE, 1e300), np.zeros(SIZE), "too large for float32", "scale")
+
+
+@pytest.mark.parametrize("dtype", [bool, np.int8, np.int32, np.int64, np.uint32, complex, object])
+def test_other_types_are_refused(dtype):
+    name = str(np.dtype(dtype))
+    frame = np.zeros(SIZE, dtype)
+    refused(TypeError, frame, frame, "frame0", name, "expected uint8, uint16 or float", "convert")
+
+
+def test_text_is_no_frame():
+    refused(TypeError, "a.png", "b.png", "frame0 is the path 'a.png'", "read_image")
+    refused(TypeError, np.zeros(SIZE), Path("b.png"), "frame1 is the path 'b.png'")
+
+
+def test_none_is_no_frame():
+    refused(TypeError, None, None, "frame0", "object")
+
+
+def test_ragged_rows_are_no_frame():
+    refused(ValueError, [[1.0, 2.0], [3.0]], [[1.0]], "frame0 is not an array")
+
+
+@pytest.mark.parametrize(
+    ("type0", "type1"), [(np.uint8, np.uint16), (np.uint8, float), (np.float32, np.uint16)]
+)
+def test_types_that_differ_are_both_named(type0, type1):
+    names = (str(np.dtype(type0)), str(np.dtype(type1)))
+    refused(TypeError, np.zeros(SIZE, type0), np.zeros(SIZE, type1), *names, "same type")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera": 600.0}, "expected a tisfm.Camera"),
+        ({"settings": "accurate"}, "expected a tisfm.Settings"),
+        ({"pose": np.eye(4)}, "pose is given"),
+    ],
+)
+def test_other_arguments_of_the_wrong_kind_are_refused(changes, words):
+    with pytest.raises((TypeError, ValueError), match=re.escape(words)):
+        tisfm.interpret(*textured_pair(), **changes)
+
+
+# Memory layouts
+
+
+def strided(frame):
+    wide = np.zeros((2 * frame.shape[0], 3 * frame.shape[1], *frame.shape[2:]), frame.dtype)
+    wide[::2, ::3] = frame
+    return wide[::2, ::3]
+
+
+def read_only(frame):
+    frame = frame.copy()
+    frame.flags.writeable = False
+    return frame
+
+
+LAYOUTS = {
+    "Fortran": np.asfortranarray,
+    "strided": strided,
+    "reversed": lambda frame: frame[::-1, ::-1].copy()[::-1, ::-1],
+    "channels first": lambda frame: np.moveaxis(np.moveaxis(frame, -1, 0).copy(), 0, -1),
+    "read-only": read_only,
+    "big-endian": lambda frame: frame.astype(frame.dtype.newbyteorder(">")),
+    "subclass": lambda frame: frame.view(np.recarray),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_layout_in_memory_does_not_matter(layout, dtype, channels):
+    pair = [frame.astype(dtype) for frame in textured_pair()]
+    if channels == 3:
+        pair = [np.dstack([frame, frame // 2, 255 - frame]) for frame in pair]
+    arranged = [LAYOUTS[layout](frame) for frame in pair]
+    np.testing.assert_array_equal(arranged[0], pair[0])
+    settings = tisfm.Settings(warps=1, outer_iterations=1, sweeps=4)
+    plain = tisfm.interpret(*pair, settings=settings)
+    result = tisfm.interpret(*arranged, settings=settings)
+    assert plain.rho.any()
+    np.testing.assert_array_equal(result.rho, plain.rho)
+    np.testing.assert_array_equal(result.flow, plain.flow)
+    np.testing.assert_array_equal(result.frame, plain.frame)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_frames_are_not_modified(dtype, channels):
+    pair = [frame.astype(dtype) for frame in textured_pair()]
+    if channels == 3:
+        pair = [np.dstack([frame] * 3) for frame in pair]
+    before = [frame.copy() for frame in pair]
+    tisfm.interpret(*pair, settings=tisfm.Settings.preset("fast", presmoothing=1.0))
+    for frame, copy in zip(pair, before, strict=True):
+        np.testing.assert_array_equal(frame, copy)
+
+
+def test_uint8_float_and_uint16_of_one_pair_agree():
+    pair = textured_pair()
+    results = [
+        tisfm.interpret(*pair),
+        tisfm.interpret(*(frame / 255 for frame in pair)),
+        tisfm.interpret(*(frame.astype(np.uint16) * 257 for frame in pair)),
+        tisfm.interpret(*(frame.astype(np.float64) for frame in pair)),
+    ]
+    for result in results[1:]:
+        # Grey levels agree to a few units in the last place, which the iteration amplifies.
+        np.testing.assert_allclose(result.flow, results[0].flow, atol=1e-3)
+    np.testing.assert_array_equal(results[3].rho, results[0].rho)
+
+
+# Frames on no usual scale
+
+
+@pytest.mark.parametrize("scale", [1e7, 1e12, 1e30])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_frames_far_off_the_scale_are_said_to_diverge(scale):
+    frame0, frame1 = (frame * scale for frame in textured_pair())
+    status = tisfm.interpret(frame0, frame1).status
+    assert status == "diverged"
+    assert "8-bit scale" in status.message
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 100.0])
+def test_frames_near_the_scale_do_not_diverge(scale):
+    frame0, frame1 = (frame * scale for frame in textured_pair())
+    result = tisfm.interpret(frame0, frame1)
+    assert np.isfinite(result.rho).all()
+    assert result.status in ("iteration_limit", "converged")
