@@ -87,8 +87,8 @@ def _sweep(
 ):
     """Sweep in one pass over memory: black follows one row behind red.
 
-    A thread takes a band of rows at a time. Black rows that touch another band wait until all red is done,
-    so the result is that of red everywhere and then black everywhere, but for rounding.
+    A thread takes a band of rows at a time. Black rows that touch another band wait until all red
+    is done, so the result is that of red everywhere and then black everywhere, but for rounding.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
@@ -96,15 +96,14 @@ def _sweep(
         if task % CHUNK == 0:
             band = task // CHUNK
             first, last = band * height // bands, (band + 1) * height // bands
-            first_black = first + ti.select(band > 0, 1, 0)
-            last_black = last - ti.select(band < bands - 1, 1, 0)
+            first_black = ti.select(band > 0, first + 1, first)
+            last_black = ti.select(band < bands - 1, last - 1, last)
             for step in range(2 * (last - first) + 2):
                 color = step % 2
                 row = first + step // 2 - color
-                begin, end = ti.select(color == 0, first, first_black), last_black
-                if color == 0:
-                    end = last
-                if row >= begin and row < end:
+                red = color == 0 and row < last
+                black = color == 1 and row >= first_black and row < last_black
+                if red or black:
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax(

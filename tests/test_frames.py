@@ -162,9 +162,7 @@ def test_sizes_that_differ_are_both_named():
 @pytest.mark.parametrize("size", [(1, 1), (3, 40), (40, 3), (0, 0), (0, 40), (40, 0), (3, 40, 3)])
 def test_small_frames_are_refused(size):
     height, width = size[:2]
-    refused(
-        ValueError, np.zeros(size), np.zeros(size), "frame0", f"{height} × {width} px", "4 × 4"
-    )
+    refused(ValueError, np.zeros(size), np.zeros(size), "frame0", f"{height} × {width} px", "4 × 4")
 
 
 def test_four_by_four_is_enough():
@@ -186,7 +184,9 @@ def test_pixels_that_are_no_numbers_are_counted(value, second, channels):
     pair = [np.zeros((*SIZE, *channels)) for _ in range(2)]
     pair[second][5, 7] = value
     count = 3 if channels else 1
-    refused(ValueError, *pair, f"frame{int(second)}", f"at {count} of", "NaN or infinite", "replace")
+    refused(
+        ValueError, *pair, f"frame{int(second)}", f"at {count} of", "NaN or infinite", "replace"
+    )
 
 
 def test_floats_too_large_for_single_precision_are_refused():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,12 @@ class Camera:
 
 
 def _number(value: object, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} is {value!r}: expected a number, in px")
     try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} is {value!r}: expected a number, in px") from None
+        number = float(value)
+    except OverflowError:  # of an integer beyond the range of floats
+        number = math.inf
     if not math.isfinite(number):
         raise ValueError(f"{name} is {number}: expected a finite number, in px")
     return number

@@ -1,8 +1,10 @@
 """The command line: ``tisfm demo``, ``tisfm run``, ``tisfm figures``."""
 
+import io
+import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -12,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 from tisfm.camera import Camera
 from tisfm.settings import Preset, Settings
 
-INTERRUPTED = 130  # exit code of a program ended by Ctrl-C, as shells count
+INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
 
 
 @dataclass(kw_only=True)
@@ -29,6 +31,18 @@ class CameraOptions:
         return Camera(focal=self.focal, center=self.center)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SettingsOptions(Settings):
+    """What is minimised, and how. The defaults shown are those of --preset."""
+
+    def __post_init__(self) -> None:
+        """Check nothing: the parser would report it in words of its own."""
+
+    def settings(self) -> Settings:
+        """Return the settings, or raise as `Settings` does."""
+        return Settings(**asdict(self))
+
+
 @dataclass(kw_only=True)
 class Run:
     """Interpret every pair of consecutive frames of a sequence.
@@ -40,7 +54,10 @@ class Run:
     NAME.npz for tisfm.Interpretation.load.
     """
 
-    source: Positional[tuple[str, ...]]
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
     """Two or more images, a folder, a quoted glob, or a video."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder for the results; made if need be."""
@@ -55,17 +72,22 @@ class Run:
     threads: int | None = None
     """Most CPU threads; by default all cores. Results do not depend on it."""
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
-    settings: OmitArgPrefixes[Settings] = field(default_factory=Settings)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
         from tisfm.commands import run
 
+        if not self.source:
+            raise ValueError(
+                "SOURCE is missing: give two or more images, a folder, a quoted glob or a video, "
+                "as in: tisfm run FOLDER -o DIR"
+            )
         return run(
             self.source[0] if len(self.source) == 1 else self.source,
             self.output,
             camera=self.camera.camera(),
-            settings=self.settings,
+            settings=self.settings.settings(),
             step=self.step,
             resume=self.resume,
             figures=self.figures,
@@ -111,7 +133,7 @@ class Figures:
     contrast, which is inert, beside the default one.
     """
 
-    frames: Positional[tuple[str, str]]
+    frames: Annotated[Positional[tuple[str, str]], arg(metavar="FRAME FRAME")]
     """Two images."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder for the figures; made if need be."""
@@ -123,9 +145,7 @@ class Figures:
         """Run the command and return the exit code."""
         from tisfm.commands import figures
 
-        return figures(
-            self.frames, self.output, camera=self.camera.camera(), threads=self.threads
-        )
+        return figures(self.frames, self.output, camera=self.camera.camera(), threads=self.threads)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -135,39 +155,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     option); a traceback means a bug.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # Greek letters, where the encoding has none
+        sys.stdout.reconfigure(errors="replace")
     try:
         command = _parse(arguments)
         return command()
     except KeyboardInterrupt:
         print("tisfm: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # what read our output, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     except (OSError, TypeError, ValueError, RuntimeError) as error:
         print(f"tisfm: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
 
 
 def _parse(arguments: list[str]) -> Run | Demo | Figures:
+    preset = _preset(arguments)
     default = Run(
-        source=tyro.MISSING, output=tyro.MISSING, settings=Settings.preset(_preset(arguments))
+        source=tyro.MISSING,
+        output=tyro.MISSING,
+        preset=preset,
+        settings=SettingsOptions(**asdict(Settings.preset(preset))),
     )
     commands = (
         Annotated[Run, subcommand("run", default=default, prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
     )
-    return tyro.cli(  # type: ignore[call-overload,no-any-return]
-        commands, prog="tisfm", args=arguments, description=__doc_cli__
-    )
+    return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
 
 
 def _preset(arguments: list[str]) -> Preset:
     """Find the preset before the rest is parsed, so that help shows its values as defaults."""
-    for name, value in zip(arguments, [*arguments[1:], ""], strict=True):
-        if name.startswith("--preset="):
-            name, value = name.split("=", 1)
-        if name == "--preset" and value in get_args(Preset):
-            return value  # type: ignore[return-value]
-    return "balanced"
+    preset: Preset = "balanced"
+    for index, argument in enumerate(arguments):
+        name, equals, value = argument.partition("=")
+        if name == "--preset":
+            given = value if equals else "".join(arguments[index + 1 : index + 2])
+            if given in get_args(Preset):  # else the parser refuses it
+                preset = given  # type: ignore[assignment]
+    return preset
 
 
 __doc_cli__ = (

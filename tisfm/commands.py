@@ -1,10 +1,12 @@
 """What the commands do."""
 
+import os
 import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -40,11 +42,10 @@ def run(
     threads: int | None = None,
 ) -> int:
     """Interpret every pair of a source and write the results; return the exit code."""
+    _refuse_mixing(source, output)
     pairs = FrameSource(source, step=step)
     runtime.start(threads=threads)
-    writer = PairWriter(
-        output, camera=camera, settings=settings, figures=figures, resume=resume
-    )
+    writer = PairWriter(output, camera=camera, settings=settings, figures=figures, resume=resume)
     try:
         total: int | None = len(pairs)
     except TypeError:
@@ -54,22 +55,22 @@ def run(
         task = progress.add_task("interpreting", total=total)
         for pair in pairs:
             progress.update(task, description=pair.name0)
-            if not (resume and writer.is_complete(pair.name0)):
+            digest = pair.digest
+            if not writer.is_complete(pair.name0, digest):
                 begin = time.perf_counter()
                 result = pair.interpret(camera=camera, settings=settings)
                 seconds.append(time.perf_counter() - begin)
                 baseline = (
                     horn_schunck(pair.frame0, pair.frame1, settings=settings) if figures else None
                 )
-                writer.write(pair.name0, result, baseline_flow=baseline)
+                writer.write(pair.name0, result, digest=digest, baseline_flow=baseline)
             progress.advance(task)
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
-    Console(stderr=True).print(
-        f"{len(writer.statuses)} pairs: {statuses}{typical}. Results in {output}, "
-        f"settings and scales in {output / RECORD}.",
-        highlight=False,
-        soft_wrap=True,
+    number = len(writer.statuses)
+    _tell(
+        f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {output}, settings "
+        f"and scales in {output / RECORD}."
     )
     return 0
 
@@ -77,24 +78,27 @@ def run(
 def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:
     """Render the demo scene, interpret it, print errors and write everything."""
     runtime.start(threads=threads)
-    console = Console()
     scene = two_blocks(height, width, seed=seed)
     settings = Settings()
     writer = PairWriter(output, camera=scene.camera, settings=settings)
     table = Table(
         title=f"Two blocks on a floor, {height} × {width} px, against the truth",
-        caption="Flow where the point stays visible. Depth after scaling by the median, within "
-        "each object, whose scale no method can know.",
+        caption="End-point and angular error of the flow where the point stays visible. Depth "
+        "after scaling by the median, within each object, whose scale no method can know.",
     )
-    for heading in ("", "EPE, px", "angular error, °", "|ΔZ|/Z", "status", "seconds"):
-        table.add_column(heading, justify="left" if heading in ("", "status") else "right")
+    table.add_column("")
+    for heading in ("EPE, px", "angle, °", "|ΔZ|/Z"):
+        table.add_column(heading, justify="right")
+    table.add_column("status", no_wrap=True)
+    table.add_column("s", justify="right", no_wrap=True)
     with _progress() as progress:
         task = progress.add_task("interpreting", total=4)
-        interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)  # compiles
-        for label, changed in (
-            ("preset paper", Settings.preset("paper")),
-            ("preset balanced (default)", settings),
-        ):
+        paper = Settings.preset("paper")
+        small0, small1 = scene.frame0[:32, :32], scene.frame1[:32, :32]
+        for compiled in (paper, settings):  # beforehand, so that it is not timed
+            interpret(small0, small1, settings=compiled)
+        horn_schunck(small0, small1)
+        for label, changed in (("preset paper", paper), ("balanced (default)", settings)):
             begin = time.perf_counter()
             result = interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=changed)
             elapsed = time.perf_counter() - begin
@@ -107,12 +111,11 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
                 f"{elapsed:.2f}",
             )
             progress.advance(task)
-        horn_schunck(scene.frame0, scene.frame1)  # compiles
         begin = time.perf_counter()
         baseline = horn_schunck(scene.frame0, scene.frame1)
         elapsed = time.perf_counter() - begin
         table.add_row(
-            "Horn–Schunck, same pyramid",
+            "Horn–Schunck",
             f"{endpoint_error(baseline, scene.flow, mask=scene.visible):.3f}",
             f"{angular_error(baseline, scene.flow, mask=scene.visible):.2f}",
             "–",
@@ -129,25 +132,37 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         )
         write_paper_figures(output, scene.frame0, scene.frame1, camera=scene.camera)
         progress.advance(task)
-    console.print(table)
-    console.print(f"Pictures and data in {output}: look at demo_figure.png first.", soft_wrap=True)
+    Console().print(table)
+    _tell(f"Pictures and data in {output}: look at demo_figure.png first.")
     return 0
 
 
-def figures(
-    frames: Sequence[str], output: Path, *, camera: Camera, threads: int | None
-) -> int:
+def figures(frames: Sequence[str], output: Path, *, camera: Camera, threads: int | None) -> int:
     """Draw the paper's comparisons of settings for two image files."""
     runtime.start(threads=threads)
     for pair in FrameSource(tuple(frames)):
         written = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera)
-        Console(stderr=True).print(
-            "wrote " + ", ".join(map(str, written)), highlight=False, soft_wrap=True
-        )
+        _tell("wrote " + ", ".join(map(str, written)))
     return 0
 
 
-def _depth_error(depth, scene: SyntheticPair) -> float:  # type: ignore[no-untyped-def]
+def _refuse_mixing(source: Source, output: Path) -> None:
+    """Refuse to write among the frames, where results would count as frames the next time."""
+    if isinstance(source, (str, os.PathLike)) and not os.path.isfile(source):
+        folder = Path(source) if os.path.isdir(source) else Path(source).parent
+        if folder.resolve() == output.resolve():
+            raise ValueError(
+                f"the results would lie among the frames in {output}, and count as frames the "
+                "next time: give another folder with -o"
+            )
+
+
+def _tell(line: str) -> None:
+    """Print one line on standard error, as it is."""
+    Console(stderr=True).print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _depth_error(depth: np.ndarray, scene: SyntheticPair) -> float:
     """Mean |ΔZ|/Z after median scaling within every object, over all visible pixels."""
     errors, pixels = 0.0, 0
     for label in range(int(scene.labels.max()) + 1):
@@ -160,12 +175,14 @@ def _depth_error(depth, scene: SyntheticPair) -> float:  # type: ignore[no-untyp
 
 
 def _progress() -> Progress:
+    console = Console(stderr=True)
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
+        disable=not console.is_terminal,  # it would leave blank lines in a log
     )

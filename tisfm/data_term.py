@@ -22,9 +22,7 @@ class BrightnessTerm:
         Derivatives.
     """
 
-    def __init__(
-        self, grid: LaneGrid, frame0: np.ndarray, frame1: np.ndarray, scheme: str
-    ) -> None:
+    def __init__(self, grid: LaneGrid, frame0: np.ndarray, frame1: np.ndarray, scheme: str) -> None:
         self._grid, self._frame1, self._scheme = grid, frame1, scheme
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)

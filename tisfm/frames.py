@@ -1,5 +1,7 @@
 """Frames in: validation, and conversion to grey levels on the 8-bit scale."""
 
+import os
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,7 +32,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     ValueError
         If shapes differ, a side is shorter than 4 px, or a pixel is NaN or infinite.
     """
-    first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
+    first, second = _check_frame(frame0, "frame0"), _check_frame(frame1, "frame1")
     if first.shape != second.shape:
         raise ValueError(
             f"frame1 is {second.shape} but frame0 is {first.shape}: "
@@ -45,11 +47,23 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     return _grey(first, factor), _grey(second, factor)
 
 
-def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
-    """Return the frame as an array, or raise as `grey_pair` does."""
-    array = np.asarray(frame)
+def _check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
+    """Return the frame as an array of native byte order, or raise as `grey_pair` does."""
+    if isinstance(frame, (str, os.PathLike)):
+        raise TypeError(
+            f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
+            "instance by tisfm.formats.read_image"
+        )
+    try:
+        array = np.asarray(frame)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"{name} is not an array: {error}") from None
+    array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype not in (np.uint8, np.uint16) and not _is_float(array):
-        raise TypeError(f"{name} is of type {array.dtype}: expected uint8, uint16 or float")
+        raise TypeError(
+            f"{name} is of type {array.dtype}: expected uint8, uint16 or float; convert it, for "
+            "instance by .astype(np.uint8) if it has 8-bit grey levels"
+        )
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.ndim != 2 and not (array.ndim == 3 and array.shape[2] == 3):
@@ -62,18 +76,18 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     if _is_float(array) and not np.isfinite(array).all():
         bad = int(array.size - np.isfinite(array).sum())
         raise ValueError(
-            f"{name} has {bad} values that are NaN or infinite: replace them, for instance by "
-            "np.nan_to_num, before interpreting"
+            f"{name} is NaN or infinite at {bad} of {array.size} values: replace them, for "
+            "instance by np.nan_to_num, before interpreting"
         )
     return array
 
 
-def eight_bit(frame: npt.ArrayLike) -> np.ndarray:
-    """Return a frame as uint8 of the same shape, for display, scaled as `grey_pair` does."""
-    array = check_frame(frame, "frame")
-    if array.dtype == np.uint8:
-        return array.copy()
-    scaled = array.astype(np.float32) * np.float32(_factor(array, array))
+def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> np.ndarray:
+    """Return frame 0 of a pair as uint8, for display, by the factor that `grey_pair` takes."""
+    first, second = _check_frame(frame0, "frame0"), _check_frame(frame1, "frame1")
+    if first.dtype == np.uint8:
+        return first.copy()
+    scaled = first.astype(np.float32, order="C") * np.float32(_factor(first, second))
     return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
 
@@ -93,10 +107,13 @@ def _factor(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
-    grey = frame.astype(np.float32)
-    if grey.ndim == 3:
-        grey = grey @ _LUMA
-    grey *= np.float32(factor)
+    with np.errstate(over="ignore"):
+        grey = frame.astype(np.float32, order="C")
+        if grey.ndim == 3:
+            # One by one: a matrix product may round differently from one machine to the next.
+            red, green, blue = np.moveaxis(grey, -1, 0)
+            grey = _LUMA[0] * red + _LUMA[1] * green + _LUMA[2] * blue
+        grey *= np.float32(factor)
     if not np.isfinite(grey).all():
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
-    return np.ascontiguousarray(grey)
+    return grey

@@ -67,9 +67,7 @@ class HalfQuadratic:
     def update_weights(self) -> None:
         """Compute the auxiliary field b of the current ρ̂."""
         field = self.field
-        edge_weights(
-            field.grid, field.rho, field.open_edges, self.weights, contrast=self.contrast
-        )
+        edge_weights(field.grid, field.rho, field.open_edges, self.weights, contrast=self.contrast)
 
     def evidence(self, tensor: np.ndarray) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.

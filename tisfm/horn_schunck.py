@@ -52,7 +52,5 @@ def horn_schunck(
 
     from tisfm.pyramid import coarse_to_fine
 
-    solution = coarse_to_fine(
-        grey0, grey1, Camera(), settings, components=2, contrast=float("inf")
-    )
+    solution = coarse_to_fine(grey0, grey1, Camera(), settings, components=2, contrast=float("inf"))
     return np.ascontiguousarray(np.moveaxis(solution.field.images(), 0, -1))

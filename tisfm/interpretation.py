@@ -1,11 +1,11 @@
 """The result: 3D motion, depth, image motion and how far to trust them."""
 
+import io
 import json
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -20,7 +20,8 @@ class Status(str):
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by.
+    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use, because the
+    frames or the settings are far from any usual scale.
     """
 
     message: str
@@ -82,9 +83,9 @@ class Interpretation:
         Version of tisfm that computed it.
     """
 
-    rho: np.ndarray
-    flow: np.ndarray
-    confidence: np.ndarray
+    rho: np.ndarray = field(repr=False)
+    flow: np.ndarray = field(repr=False)
+    confidence: np.ndarray = field(repr=False)
     frame: np.ndarray = field(repr=False)
     camera: Camera
     settings: Settings
@@ -151,29 +152,45 @@ class Interpretation:
 
         Raises
         ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If it is not a complete interpretation, or of a format this version cannot read.
+        FileNotFoundError, IsADirectoryError, OSError
+            If there is no such file, or it cannot be read.
+        tisfm.formats.FormatError
+            A ValueError: if it is not a complete interpretation, or of a format this version
+            cannot read.
         """
+        from tisfm.formats import FormatError
+        from tisfm.formats.reading import read_bytes
+
+        data = read_bytes(path)
         try:
-            with np.load(path, allow_pickle=False) as file:
+            if not data.startswith(b"PK"):
+                raise ValueError("it is not an .npz file")
+            with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 return cls._from_arrays({name: file[name] for name in file.files})
-        except FileNotFoundError:
-            raise FileNotFoundError(f"there is no file {path}") from None
-        except IsADirectoryError:
-            raise IsADirectoryError(f"{path} is a folder: give one .npz file") from None
-        except (BadZipFile, EOFError, KeyError, TypeError, ValueError, OSError) as error:
-            raise ValueError(f"{path} is not an interpretation written by tisfm: {error}") from None
+        except Exception as error:  # the decoders raise whatever a damaged file leads them to
+            reason = " ".join(str(error).split())
+            raise FormatError(
+                f"{path} is not a complete interpretation written by tisfm: {reason}"
+            ) from error
 
     @classmethod
     def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
+        missing = {"about", *_ARRAYS}.difference(data)
+        if missing:
+            raise ValueError(f"it has no {', '.join(sorted(missing))}")
         about: dict[str, Any] = json.loads(str(data["about"]))
         if about["format"] != FORMAT:
             raise ValueError(
                 f"its format is {about['format']} and this version reads {FORMAT}: "
                 f"it was written by tisfm {about['version']}"
             )
+        height, width = data["frame"].shape[:2]
+        shapes = {"rho": (6, height, width), "flow": (height, width, 2)}
+        for name, shape in {**shapes, "confidence": (height, width)}.items():
+            if data[name].shape != shape or data[name].dtype != np.float32:
+                raise ValueError(
+                    f"{name} is {data[name].shape} {data[name].dtype}, expected {shape} float32"
+                )
         camera = about["camera"]
         if camera["center"] is not None:
             camera["center"] = tuple(camera["center"])

@@ -1,6 +1,7 @@
 """The files that `tisfm run` and `tisfm demo` write for every pair."""
 
 import json
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -30,14 +31,33 @@ from tisfm.version import __version__
 RECORD = "run.json"
 
 
+def make_folder(folder: str | Path) -> Path:
+    """Make a folder for results, unless there is one, and check that it can be written to.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made or written to.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise type(error)(
+            f"cannot write results to the folder {folder} ({error.strerror}): give another with -o"
+        ) from error
+    return folder
+
+
 class PairWriter:
     """Writes interpretations into a folder, with one range and one depth scale for all.
 
     For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
     and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
     ``name_anaglyph.png``, ``name_figure.png``, and last ``name.npz``, which therefore marks a
-    complete pair. The record, ``run.json``, holds settings, camera, scale and the status of every
-    pair, and is renewed after each.
+    complete pair. The record, ``run.json``, holds settings, camera, ranges, and of every finished
+    pair its status and a hash of its frames. It is renewed after each.
 
     Parameters
     ----------
@@ -55,7 +75,7 @@ class PairWriter:
     OSError
         If the folder cannot be made or written to.
     ValueError
-        If `resume` is set and the folder holds a run with another camera or other settings.
+        If `resume` is set and the folder holds a run with another camera or other options.
     """
 
     def __init__(
@@ -67,36 +87,55 @@ class PairWriter:
         figures: bool = True,
         resume: bool = False,
     ) -> None:
-        self.folder = Path(folder)
-        self.figures = figures
+        self.folder = make_folder(folder)
         self._record: dict[str, Any] = {
             "version": __version__,
             "camera": asdict(camera),
             "settings": asdict(settings),
+            "figures": figures,
             "depth16_values_per_unit": None,
             "inverse_depth_limit": None,
             "flow_limit": None,
             "pairs": {},
         }
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise type(error)(
-                f"cannot make the folder {self.folder} ({error.strerror}): give another with -o"
-            ) from error
         if resume:
             self._continue()
-        self._write_record()  # tells at once whether the folder can be written to
 
-    def is_complete(self, name: str) -> bool:
-        """Return whether an earlier run finished this pair."""
-        return name in self._record["pairs"] and (self.folder / f"{name}.npz").is_file()
+    @property
+    def figures(self) -> bool:
+        """Whether figures are drawn."""
+        return bool(self._record["figures"])
+
+    def is_complete(self, name: str, digest: str) -> bool:
+        """Return whether an earlier run finished this pair.
+
+        Parameters
+        ----------
+        name : str
+        digest : str
+            Hash of the pair's frames.
+
+        Raises
+        ------
+        ValueError
+            If it finished a pair of this name, but of other frames.
+        """
+        pair = self._record["pairs"].get(name)
+        if pair is None or not (self.folder / f"{name}.npz").is_file():
+            return False
+        if pair["frames"] != digest:
+            raise ValueError(
+                f"{self.folder} holds a run in which {name} was another pair of frames: give the "
+                "same frames and step again, or run without --resume to start again"
+            )
+        return True
 
     def write(
         self,
         name: str,
         result: Interpretation,
         *,
+        digest: str | None = None,
         baseline_flow: np.ndarray | None = None,
         truth_flow: np.ndarray | None = None,
         truth_inverse_depth: np.ndarray | None = None,
@@ -108,6 +147,8 @@ class PairWriter:
         name : str
             Beginning of the file names.
         result : Interpretation
+        digest : str, optional
+            Hash of the pair's frames, for `is_complete`.
         baseline_flow : (H, W, 2), optional
             Horn and Schunck's flow, for the figure.
         truth_flow : (H, W, 2), optional
@@ -121,20 +162,19 @@ class PairWriter:
             If a file cannot be written.
         """
         record = self._record
-        if not record["inverse_depth_limit"] and result.inverse_depth.any():
+        usable = result.status != "diverged" and result.inverse_depth.any()
+        if usable and record["inverse_depth_limit"] is None:
             # The first pair that moves sets the ranges: one for a whole sequence, no flicker.
             record["inverse_depth_limit"] = inverse_depth_limit(result.inverse_depth)
             record["depth16_values_per_unit"] = choose_depth_scale(result.depth)
             record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
-        limit = record["inverse_depth_limit"] or None
+        limit = record["inverse_depth_limit"]
         scale = record["depth16_values_per_unit"] or 1.0
         path = self.folder / name
         write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
         write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
         write_flo(f"{path}_flow.flo", result.flow)
-        write_png(
-            f"{path}_anaglyph.png", anaglyph(result.frame, result.inverse_depth, limit=limit)
-        )
+        write_png(f"{path}_anaglyph.png", anaglyph(result.frame, result.inverse_depth, limit=limit))
         if self.figures:
             figure = comparison_figure(
                 result.frame,
@@ -143,13 +183,17 @@ class PairWriter:
                 baseline_flow=baseline_flow,
                 title=name,
                 depth_limit=limit,
-                flow_limit=record["flow_limit"] or None,
+                flow_limit=record["flow_limit"],
                 truth_flow=truth_flow,
                 truth_inverse_depth=truth_inverse_depth,
             )
             save_figure(f"{path}_figure.png", figure)
         result.save(f"{path}.npz")
-        record["pairs"][name] = {"status": str(result.status), "message": result.status.message}
+        record["pairs"][name] = {
+            "status": str(result.status),
+            "message": result.status.message,
+            "frames": digest,
+        }
         self._write_record()
 
     @property
@@ -165,15 +209,15 @@ class PairWriter:
             before = json.loads(path.read_text(encoding="utf-8"))
             same = all(
                 before[key] == json.loads(json.dumps(self._record[key]))
-                for key in ("version", "camera", "settings")
+                for key in ("version", "camera", "settings", "figures")
             )
             missing = set(self._record) - set(before)
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} is damaged ({error}): run without --resume") from error
         if missing or not same:
             raise ValueError(
-                f"{self.folder} holds a run with another camera, other settings or of another "
-                "version: repeat its options, or run without --resume to start again"
+                f"{self.folder} holds a run with another camera, other settings or figures, or "
+                "of another version: repeat its options, or run without --resume to start again"
             )
         self._record = before
 

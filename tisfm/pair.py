@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.confidence import confidence
 from tisfm.frames import eight_bit, grey_pair
@@ -66,6 +67,7 @@ def interpret(
         raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
     grey0, grey1 = grey_pair(frame0, frame1)
 
+    runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.pyramid import coarse_to_fine
 
     solution = coarse_to_fine(
@@ -80,21 +82,30 @@ def interpret(
     rho = np.zeros((6, *grey0.shape), np.float32)
     rho[: field.components] = field.images()
     flow = field.to_images(field.flow(field.grid.allocate(2)))
+    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
+        trust = confidence(solution.minimiser.evidence(solution.tensor), flow)
     return Interpretation(
         rho=rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
-        confidence=confidence(solution.minimiser.evidence(solution.tensor), flow),
-        frame=eight_bit(frame0),
+        confidence=trust,
+        frame=eight_bit(frame0, frame1),
         camera=camera,
         settings=settings,
-        status=_status(solution, settings),
+        status=_status(solution, flow, settings),
         history=_history(solution),
         version=__version__,
     )
 
 
-def _status(solution: "Solution", settings: Settings) -> Status:
+def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Status:
     last = solution.history[-1][2]
+    # Motion of many times the image's size cannot have been seen; NaN fails the comparison as well.
+    if not np.abs(flow).max() <= 100 * max(flow.shape[1:]):
+        return Status(
+            "diverged",
+            "the numbers grew beyond what single precision can solve: bring the frames to the "
+            "8-bit scale, or raise smoothness or contrast",
+        )
     if not solution.tensor[:3].any():
         return Status(
             "no_texture",

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
+from tisfm.outputs import make_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
@@ -43,7 +44,7 @@ def write_paper_figures(
     TypeError, ValueError
         As `tisfm.interpret`.
     """
-    folder = Path(folder)
+    folder = make_folder(folder)
     paper, default = Settings.preset("paper"), Settings()
     comparisons = {
         "figure_lambda.png": (
@@ -70,7 +71,6 @@ def write_paper_figures(
     }
     known: dict[Settings, np.ndarray] = {}
     written = []
-    folder.mkdir(parents=True, exist_ok=True)
     for name, (title, panels) in comparisons.items():
         for settings in panels.values():
             if settings not in known:

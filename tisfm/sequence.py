@@ -1,6 +1,7 @@
 """Frames in, interpretations out, two frames in memory at a time."""
 
 import glob
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,6 +41,15 @@ class FramePair:
         except (TypeError, ValueError) as error:
             raise type(error)(f"frames {self.name0} and {self.name1}: {error}") from error
 
+    @property
+    def digest(self) -> str:
+        """A short hash of both frames, to know them again by."""
+        pixels = hashlib.blake2b(digest_size=8)
+        for frame in (self.frame0, self.frame1):
+            pixels.update(f"{frame.shape} {frame.dtype}".encode())
+            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+        return pixels.hexdigest()
+
 
 class FrameSource:
     """A source of frames, checked when it is made and read as it is iterated.
@@ -47,8 +57,8 @@ class FrameSource:
     Parameters
     ----------
     source : path, sequence of paths, or iterable of arrays
-        A folder of images (in natural order of their names), a glob pattern, a video file, a
-        list of image files, or any iterable of (H, W) or (H, W, 3) arrays.
+        A folder of images (in natural order of their names, hidden files apart), a glob pattern,
+        a video file, a list of image files, or any iterable of (H, W) or (H, W, 3) arrays.
     step : int
         Take every `step`-th frame.
 
@@ -56,25 +66,26 @@ class FrameSource:
     ------
     FileNotFoundError
         If a path does not exist or a pattern matches nothing.
+    TypeError
+        If the source is none of these.
     ValueError
         If there is only one frame, or none.
     """
 
     def __init__(self, source: Source, *, step: int = 1) -> None:
-        if isinstance(step, bool) or not isinstance(step, int) or step < 1:
+        if isinstance(step, bool) or not isinstance(step, (int, np.integer)) or step < 1:
             raise ValueError(f"step is {step!r}: expected a positive integer")
-        self.step = step
+        self.step = int(step)
         self.title = "frames"
         self._count: int | None = None
         self._frames: Iterable[tuple[str, np.ndarray]]
         if isinstance(source, (str, os.PathLike)):
             self.title = os.fspath(source)
             self._open_path(os.fspath(source))
+        elif isinstance(source, Sequence) and source and all(map(_is_path, source)):
+            self._use_files([Path(item) for item in source])
         else:
-            if isinstance(source, Sequence) and source and _all_paths(source):
-                self._use_files([Path(os.fspath(item)) for item in source])
-            else:
-                self._use_arrays(source)
+            self._use_arrays(source)
 
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not."""
@@ -86,11 +97,9 @@ class FrameSource:
         """Read the frames, and yield every pair of consecutive ones."""
         previous: tuple[str, np.ndarray] | None = None
         pairs = 0
-        for name, frame in islice(self._frames, 0, None, self.step):
+        for name, frame in self._frames:
             if previous is not None:
-                yield FramePair(
-                    name0=previous[0], frame0=previous[1], name1=name, frame1=frame
-                )
+                yield FramePair(name0=previous[0], frame0=previous[1], name1=name, frame1=frame)
                 pairs += 1
             previous = name, frame
         if pairs == 0:
@@ -100,7 +109,11 @@ class FrameSource:
         from tisfm.formats import IMAGE_SUFFIXES
 
         if os.path.isdir(source):
-            files = [f for f in Path(source).iterdir() if f.suffix.lower() in IMAGE_SUFFIXES]
+            files = [
+                file
+                for file in Path(source).iterdir()
+                if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+            ]
             if not files:
                 raise FileNotFoundError(
                     f"the folder {source} has no images: expected files ending in "
@@ -128,18 +141,26 @@ class FrameSource:
         stems = [file.stem for file in files]
         if len(set(stems)) < len(stems):  # of different folders or suffixes
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
-        self._frames = _ImageFiles(files, stems)
+        self._frames = _ImageFiles(files[:: self.step], stems[:: self.step])
 
     def _use_video(self, path: str) -> None:
-        video = _Video(path)
+        video = _Video(path, self.step)
         if video.announced is not None:
             self._check_count(video.announced)
         self._frames = video
 
     def _use_arrays(self, items: Iterable[Any]) -> None:
+        if isinstance(items, np.ndarray) and items.ndim not in (3, 4):
+            raise ValueError(
+                f"frames is {items.shape}: expected (N, H, W) or (N, H, W, 3), or a list of frames"
+            )
+        if not isinstance(items, Iterable):
+            raise TypeError(
+                f"source is {items!r}: expected a path, a list of paths, or an iterable of arrays"
+            )
         if isinstance(items, (Sequence, np.ndarray)):
             self._check_count(len(items))
-        self._frames = ((f"frame_{k:06d}", np.asarray(item)) for k, item in enumerate(items))
+        self._frames = _Arrays(items, self.step)
 
     def _check_count(self, count: int) -> None:
         if count < self.step + 1:
@@ -180,8 +201,31 @@ def interpret_sequence(
         At once if the source does not exist or has fewer than two frames; while iterating if a
         frame cannot be read, or as `tisfm.interpret`, with the names of the frames.
     """
-    pairs = FrameSource(source, step=step)
-    return (pair.interpret(camera=camera, settings=settings) for pair in pairs)
+    return _interpret_pairs(FrameSource(source, step=step), camera, settings)
+
+
+def _interpret_pairs(
+    pairs: Iterable[FramePair], camera: Camera | None, settings: Settings | None
+) -> Iterator[Interpretation]:
+    for pair in pairs:
+        yield pair.interpret(camera=camera, settings=settings)
+        del pair  # or it would keep its first frame while the next one is read
+
+
+class _Arrays:
+    """Frames that the caller holds or makes."""
+
+    def __init__(self, items: Iterable[Any], step: int) -> None:
+        self._items, self._step = items, step
+
+    def __iter__(self) -> Iterator[tuple[str, np.ndarray]]:
+        for index, item in enumerate(islice(self._items, 0, None, self._step)):
+            if _is_path(item):
+                raise TypeError(
+                    f"the source yields {item!r}: expected arrays; give paths as a list, in "
+                    "the order of the frames"
+                )
+            yield f"frame_{index * self._step:06d}", np.asarray(item)
 
 
 class _ImageFiles:
@@ -206,8 +250,8 @@ class _Video:
         The number of frames that the file states, if it does.
     """
 
-    def __init__(self, path: str) -> None:
-        self._path = path
+    def __init__(self, path: str, step: int) -> None:
+        self._path, self._step = path, step
         capture = cv2.VideoCapture(self._path)
         try:
             readable = capture.isOpened() and capture.grab()
@@ -227,11 +271,12 @@ class _Video:
         stem = Path(self._path).stem
         index = 0
         try:
-            while True:
-                read, frame = capture.read()
-                if not read:
-                    break
-                yield f"{stem}_{index:06d}", np.ascontiguousarray(frame[..., ::-1])
+            while capture.grab():
+                if index % self._step == 0:
+                    read, frame = capture.retrieve()
+                    if not read:
+                        break
+                    yield f"{stem}_{index:06d}", np.ascontiguousarray(frame[..., ::-1])
                 index += 1
         finally:
             capture.release()
@@ -243,11 +288,13 @@ class _Video:
             )
 
 
-def _all_paths(items: Sequence[Any]) -> bool:
-    return all(isinstance(item, (str, os.PathLike)) for item in items)
+def _is_path(item: Any) -> bool:
+    return isinstance(item, (str, os.PathLike))
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key by which frame2 comes before frame10."""
+def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Sort key by which frame2 comes before frame10, and frame02 always on the same side of it."""
     parts = re.split(r"(\d+)", str(path))
-    return [(1, int(p), "") if p.isdigit() else (0, 0, p) for p in parts]
+    # Decimal is what \d matches; a superscript two is a digit, but not a decimal one.
+    numbered = [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+    return numbered, str(path)

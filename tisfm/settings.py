@@ -101,9 +101,10 @@ class Settings:
         # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, Real):
-                plain = int(value) if field.name in _COUNTS else float(value)
-                object.__setattr__(self, field.name, plain)
+            if field.name in _COUNTS and value is not None:
+                object.__setattr__(self, field.name, int(value))
+            elif isinstance(value, Real):
+                object.__setattr__(self, field.name, float(value))
 
     @classmethod
     def preset(cls, name: Preset = "balanced", **changes: Any) -> "Settings":
@@ -199,7 +200,7 @@ _PRESETS: dict[str, Settings] = {
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=1, outer_iterations=6, sweeps=6, tolerance=2e-2),
+    "fast": Settings(outer_iterations=6, sweeps=4, tolerance=2e-2),
     "balanced": Settings(),
     "accurate": Settings(outer_iterations=40, tolerance=4e-3),
 }

@@ -1,0 +1,223 @@
+"""Starting Taichi: silence, threads, applications that started it first, and bare environments.
+
+Taichi keeps one runtime per process, so each of these needs a process of its own.
+"""
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm import runtime
+
+INTERPRET = """
+import hashlib
+import sys
+
+import cv2
+import numpy as np
+import tisfm
+
+noise = np.random.default_rng(0).uniform(0, 255, (67, 94)).astype(np.float32)
+texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+frame0, frame1 = texture[:, 1:].astype(np.uint8), texture[:, :-1].astype(np.uint8)
+result = tisfm.interpret(frame0, frame1, camera=tisfm.Camera(50.0))
+"""
+REPORT = """
+print(hashlib.sha256(result.rho.tobytes() + result.flow.tobytes()).hexdigest())
+"""
+
+
+def run(code, *arguments, **environment):
+    """Run a program; None for a variable of the environment removes it."""
+    variables = {**os.environ, "PYTHONWARNINGS": "ignore::DeprecationWarning", **environment}
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={name: value for name, value in variables.items() if value is not None},
+        timeout=120,
+        check=False,
+    )
+
+
+def answer(code, *arguments, **environment):
+    """Run a program that must succeed in silence but for what it prints; return that."""
+    done = run(code, *arguments, **environment)
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    assert done.stderr == ""
+    return done.stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def default_answer():
+    """The bits of ρ̂ and of the flow when nothing is asked for."""
+    return answer(INTERPRET + REPORT)
+
+
+# Silence
+
+
+def test_importing_is_quick_and_silent():
+    code = """
+    import sys
+    import tisfm
+    for name in ("taichi", "matplotlib", "rich", "tyro"):
+        assert name not in sys.modules, name
+    """
+    assert answer(code) == ""
+
+
+def test_interpreting_is_silent(default_answer):
+    """No banner, greeting or warning of Taichi's, in Python or past it: the report is all."""
+    assert re.fullmatch("[0-9a-f]{64}", default_answer)
+
+
+def test_the_session_of_these_tests_agrees(default_answer):
+    variables: dict = {}
+    exec(INTERPRET, variables)
+    result = variables["result"]
+    digest = hashlib.sha256(result.rho.tobytes() + result.flow.tobytes()).hexdigest()
+    assert digest == default_answer
+
+
+# The same bits
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_any_number_of_threads_gives_the_same_bits(default_answer, threads):
+    code = f"""
+    from tisfm import runtime
+    runtime.start(threads={threads})
+    """
+    assert answer(textwrap.dedent(code) + INTERPRET + REPORT) == default_answer
+
+
+@pytest.mark.parametrize(
+    ("options", "bits"),
+    [
+        ("real_matrix_scalarize=False, cpu_max_num_threads=1", True),
+        ("", False),  # the compiler takes vectors apart, and rounds otherwise
+    ],
+)
+def test_an_application_that_started_taichi_gets_the_same_answer(
+    default_answer, tmp_path, options, bits
+):
+    code = f"""
+    import os
+    os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
+    import taichi as ti
+    ti.init(ti.cpu, log_level=ti.WARN, {options})
+    field = ti.field(ti.f32, 3)
+    field.fill(7.0)
+    from tisfm import runtime
+    assert runtime.lanes() == 8
+    """
+    after = """
+    assert field[1] == 7.0  # its fields still live
+    np.save(sys.argv[1], result.rho)
+    """
+    program = textwrap.dedent(code) + INTERPRET + textwrap.dedent(after) + REPORT
+    digest = answer(program, tmp_path / "rho.npy").splitlines()[-1]
+    if bits:
+        assert digest == default_answer
+    variables: dict = {}
+    exec(INTERPRET, variables)
+    rho = variables["result"].rho
+    assert np.abs(rho).max() > 0.1
+    # A few units in the last place per iteration; seen: 2.5e-6 of values of about 1.
+    np.testing.assert_allclose(np.load(tmp_path / "rho.npy"), rho, atol=1e-4)
+
+
+# Asking again
+
+
+def test_asking_for_the_same_again_changes_nothing():
+    code = """
+    from tisfm import runtime
+    import numpy
+    runtime.start(threads=1)
+    runtime.start(threads=numpy.int64(1))
+    runtime.start()
+    runtime.start("cpu")
+    import taichi as ti
+    field = ti.field(ti.i32, 3)
+    runtime.start(threads=1)
+    field[0] = 3  # a runtime that was reset would crash here
+    print(field[0], runtime.lanes())
+    """
+    assert answer(code) == "3 8"
+
+
+@pytest.mark.parametrize(
+    "before", ["runtime.start(threads=1)", "ti.init(ti.cpu, cpu_max_num_threads=1)"]
+)
+def test_asking_for_other_threads_is_refused_with_advice(before):
+    code = f"""
+    import os
+    os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
+    import taichi as ti
+    ti.set_logging_level(ti.ERROR)
+    from tisfm import runtime
+    {before}
+    try:
+        runtime.start(threads=2)
+    except RuntimeError as error:
+        print(error)
+    runtime.start()
+    """
+    text = run(code).stdout.splitlines()[-1]
+    assert text == (
+        "Taichi already runs with 1 threads, asked for 2: call tisfm.runtime.start before the "
+        "first interpretation"
+    )
+
+
+@pytest.mark.parametrize("arch", ["cuda", "gpu", "x64", "", None, 1])
+def test_unknown_arch(arch):
+    with pytest.raises(ValueError, match=r"arch is .*expected 'cpu'"):
+        runtime.start(arch)
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, 2.0, "2", True, np.float64(1)], ids=repr)
+def test_threads_must_be_a_positive_integer(threads):
+    with pytest.raises(ValueError, match=r"threads is .*expected a positive integer, or None"):
+        runtime.start(threads=threads)
+
+
+# Bare environments
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Taichi keeps its cache elsewhere on Windows")
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"HOME": "/proc/nonexistent", "XDG_CACHE_HOME": None},
+        {"HOME": None, "XDG_CACHE_HOME": None},
+        pytest.param({"XDG_CACHE_HOME": "/dev/null"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_no_folder_for_a_cache(default_answer, environment):
+    """Taichi alone ends such a process by a signal, when it starts or when it ends."""
+    assert answer(INTERPRET + REPORT, **environment) == default_answer
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Taichi keeps its cache elsewhere on Windows")
+def test_a_cache_in_a_folder_of_its_own(default_answer, tmp_path):
+    for _ in range(2):  # compiled, then found
+        assert answer(INTERPRET + REPORT, XDG_CACHE_HOME=str(tmp_path)) == default_answer
+    assert list((tmp_path / "taichi" / "ticache").iterdir())
+
+
+def test_the_version_is_that_of_the_package():
+    from importlib.metadata import version
+
+    assert tisfm.__version__ == version("tisfm")
