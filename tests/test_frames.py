@@ -136,6 +136,12 @@ def test_the_picture_has_the_pairs_factor(frame0, frame1, shown):
     assert (picture == shown).all()
 
 
+def test_the_picture_of_a_dark_frame_stays_dark():
+    """Frame 0 alone would pass for one in [0, 1]; the pair does not."""
+    frame0, frame1 = (frame.astype(float) for frame in textured_pair())
+    assert tisfm.interpret(frame0 / 255, frame1).frame.max() == 1
+
+
 def test_the_picture_keeps_its_colours():
     frame0 = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
     np.testing.assert_array_equal(tisfm.interpret(frame0, frame0).frame, frame0)

@@ -158,6 +158,7 @@ def test_asking_for_the_same_again_changes_nothing():
 @pytest.mark.parametrize(
     "before", ["runtime.start(threads=1)", "ti.init(ti.cpu, cpu_max_num_threads=1)"]
 )
+@pytest.mark.skipif(os.cpu_count() == 1, reason="there is one core, so one thread for any number")
 def test_asking_for_other_threads_is_refused_with_advice(before):
     code = f"""
     import os
@@ -177,6 +178,18 @@ def test_asking_for_other_threads_is_refused_with_advice(before):
         "Taichi already runs with 1 threads, asked for 2: call tisfm.runtime.start before the "
         "first interpretation"
     )
+
+
+def test_no_more_threads_than_cores():
+    code = """
+    import os
+    from tisfm import runtime
+    runtime.start(threads=100_000)
+    runtime.start(threads=200_000)
+    import taichi as ti
+    print(ti.lang.impl.current_cfg().cpu_max_num_threads - os.cpu_count())
+    """
+    assert answer(code) == "0"
 
 
 @pytest.mark.parametrize("arch", ["cuda", "gpu", "x64", "", None, 1])

@@ -22,7 +22,8 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
     arch : {"cpu"}
         Where kernels run.
     threads : int, optional
-        Upper bound on CPU threads; by default all cores. Results do not depend on it.
+        Upper bound on CPU threads, by default and at most as many as there are cores. Results
+        do not depend on it.
 
     Raises
     ------
@@ -44,6 +45,8 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
         isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1
     ):
         raise ValueError(f"threads is {threads!r}: expected a positive integer, or None for all")
+    if threads is not None:  # Taichi starts every thread it is told of, needed or not
+        threads = min(int(threads), os.cpu_count() or 1)
     if _is_running():
         _check_running(arch, threads)
         return
@@ -54,7 +57,7 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
     import taichi as ti  # isort: skip
 
     if threads is not None:
-        options["cpu_max_num_threads"] = int(threads)
+        options["cpu_max_num_threads"] = threads
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
         ti.init(
             arch=ti.cpu,
