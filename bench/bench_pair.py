@@ -1,7 +1,7 @@
 """A whole pair, coarse to fine, with the same number of iterations on both sides.
 
 The reference starts from the pyramids, which the driver builds within its time. Both run to the
-end of their iterations: without a tolerance neither stops early. The paper's 100 outer iterations
+end of their iterations: without a tolerance neither stops early. The paper's 200 outer iterations
 are cut to 5, which is the same work per iteration.
 """
 

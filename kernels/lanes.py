@@ -8,7 +8,7 @@ in every lane at once (the strip is even).
 
 The halo columns repeat the border columns of the neighbouring strips; rows and columns outside
 the image are zero unless a function says otherwise. Columns between the image's width and
-``lanes * strip`` are padding: no data, no edges, always zero.
+``lanes * strip`` are padding: no data and no edge to the image, so the unknowns there stay zero.
 """
 
 import types

@@ -1,5 +1,6 @@
 """Fixtures shared by the tests."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import pytest
 import tisfm
 from tisfm import reference, runtime
 
-SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+# Real sequences are no part of the project: a folder of them may lie beside the checkout.
+BESIDE = Path(__file__).parents[2] / "shared" / "data"
+SHARED_DATA = Path(os.environ.get("TISFM_DATA", BESIDE))
 
 
 def pytest_collection_modifyitems(items):
@@ -22,7 +25,7 @@ def pytest_collection_modifyitems(items):
 def shared_data():
     """Folder of real sequences; tests that need it skip where it is absent."""
     if not SHARED_DATA.is_dir():
-        pytest.skip(f"no real sequences beside the checkout ({SHARED_DATA.name} is missing)")
+        pytest.skip("no real sequences: TISFM_DATA is not set, and none lie beside the checkout")
     return SHARED_DATA
 
 

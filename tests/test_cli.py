@@ -572,7 +572,7 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
         (["--focal", "inf"], ["focal is inf", "finite"]),
         (["--center", "nan", "3"], ["center[0] is nan", "finite"]),
         (["--warps", "0"], ["warps is 0", "at least 1"]),
-        (["--contrast", "-1"], ["contrast is -1.0", "above 0"]),
+        (["--contrast", "-1"], ["contrast is -1.0", "at least 0.001"]),
         (["--relaxation", "2"], ["relaxation is 2.0", "below 2"]),
         (["--step", "0"], ["step is 0", "positive integer"]),
         (["--step", "9"], ["has 4 frames", "at least 10"]),
@@ -771,3 +771,40 @@ def test_a_reader_that_leaves_early():
     assert process.stderr.read() == b""
     assert process.wait(timeout=60) == 141
     process.stderr.close()
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == tisfm.__version__
+
+
+def test_what_an_interrupted_run_overwrites_is_not_taken_for_complete(
+    tisfm_run, frames, monkeypatch
+):
+    """Other settings over a finished run, stopped inside the first pair; then the first again."""
+    options = ("run", "frames", "-o", "out", "--no-figures")
+    assert tisfm_run(*options, "--preset", "fast")[0] == 0
+    before = files("out")
+
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", interrupted)
+        assert tisfm_run(*options, "--preset", "paper")[0] == 130
+    assert files("out")["f0_flow.flo"] != before["f0_flow.flo"]
+    assert tisfm_run(*options, "--preset", "fast", "--resume")[0] == 0
+    assert files("out") == before
+
+
+def test_a_run_tells_what_to_try(tisfm_run, frames):
+    """The advice of every status but "converged", once."""
+    code, _, err = tisfm_run(
+        "run", "frames", "-o", "out", "--no-figures", "--outer-iterations", "1", "--sweeps", "1"
+    )
+    lines = err.strip().splitlines()
+    assert code == 0
+    assert "iteration_limit" in lines[0]
+    assert len(lines) == 2
+    assert lines[1].startswith("iteration_limit: ")
+    assert "raise outer_iterations" in lines[1]

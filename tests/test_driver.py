@@ -60,7 +60,10 @@ def solve(frame0, frame1, settings, camera, components=None):
 @pytest.mark.parametrize("preset", ["paper", "balanced", "accurate"])
 @pytest.mark.parametrize("relaxation", [1.0, 1.9, 1.98])
 @pytest.mark.parametrize("frames", ["random", "image"])
-def test_energy_never_rises_within_a_warp(model, solver, preset, relaxation, frames, blocks):
+@pytest.mark.parametrize("contrast", ["preset's", 1e-3])  # the least that settings accept
+def test_energy_never_rises_within_a_warp(
+    model, solver, preset, relaxation, frames, contrast, blocks
+):
     if frames == "random":
         rng = np.random.default_rng(0)
         pair = rng.uniform(0, 255, (2, 45, 61)).astype(np.float32)
@@ -74,6 +77,7 @@ def test_energy_never_rises_within_a_warp(model, solver, preset, relaxation, fra
         tolerance=0.0,
         outer_iterations=12,
         sweeps=3,
+        **({"contrast": contrast} if contrast == 1e-3 else {}),
     )
     history = tisfm.interpret(*pair, camera=blocks.camera, settings=settings).history
     for level in np.unique(history.level):
@@ -137,8 +141,11 @@ def test_the_whole_pair_agrees_with_the_reference(model, preset, solver):
     field = solution.field
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     expected = reference.flow(motion, rho)
-    # Rounding may tip a pixel over the image's border or across an edge; not more than a few.
-    assert np.quantile(np.abs(flow - expected), 0.999) < 2e-3
+    difference = np.abs(flow - expected)
+    if settings.warps == 1:
+        assert difference.max() < 1e-3
+    # Between warps rounding may tip a pixel over the image's border or an edge; no more than a few.
+    assert np.quantile(difference, 0.999) < 2e-3
     assert np.abs(expected).max() > 0.5
 
 

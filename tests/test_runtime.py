@@ -79,7 +79,7 @@ def test_interpreting_is_silent(default_answer):
     assert re.fullmatch("[0-9a-f]{64}", default_answer)
 
 
-def test_the_session_of_these_tests_agrees(default_answer):
+def test_the_process_of_these_tests_agrees(default_answer):
     variables: dict = {}
     exec(INTERPRET, variables)
     result = variables["result"]
@@ -234,3 +234,17 @@ def test_the_version_is_that_of_the_package():
     from importlib.metadata import version
 
     assert tisfm.__version__ == version("tisfm")
+
+
+def test_horn_schunck_needs_no_home_either():
+    """It starts the runtime before Taichi is loaded, as `interpret` does."""
+    script = (
+        "import numpy as np\n"
+        "from tisfm.horn_schunck import horn_schunck\n"
+        "print(horn_schunck(np.zeros((20, 20)), np.zeros((20, 20))).shape)\n"
+    )
+    bare = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME")}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=bare, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "(20, 20, 2)\n", "")

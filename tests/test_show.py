@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -294,15 +293,12 @@ def test_constant_picture_stays_constant(inverse_depth, displacement):
     assert (view == 77).all()
 
 
-def test_second_view_does_not_change_its_input_and_is_fast():
+def test_second_view_does_not_change_its_input():
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
     inverse_depth = rng.random((1080, 1920), dtype=np.float32)
     before = image.copy(), inverse_depth.copy()
-    start = time.perf_counter()
     second_view(image, inverse_depth, displacement=50.0)
-    # Around 0.15 s on two cores; the rest is for a busy machine.
-    assert time.perf_counter() - start < 2.0
     assert np.array_equal(image, before[0])
     assert np.array_equal(inverse_depth, before[1])
 

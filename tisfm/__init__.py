@@ -1,5 +1,8 @@
 """Dense structure and 3D motion from image sequences, on a CPU, without training."""
 
+from importlib import import_module
+from types import ModuleType
+
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
@@ -15,3 +18,16 @@ __all__ = [
     "interpret",
     "interpret_sequence",
 ]
+
+_SUBMODULES = ("formats", "horn_schunck", "metrics", "reference", "runtime", "scenes", "show")
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Load a submodule when it is first named, so that ``import tisfm`` stays fast."""
+    if name in _SUBMODULES:
+        return import_module(f"tisfm.{name}")
+    raise AttributeError(f"module 'tisfm' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *_SUBMODULES]

@@ -64,6 +64,15 @@ class Camera:
         )
 
 
+def check_camera(camera: Camera | None) -> Camera:
+    """Return the camera, by default the paper's; refuse anything else."""
+    if camera is None:
+        return Camera()
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera")
+    return camera
+
+
 def _number(value: object, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} is {value!r}: expected a number, in px")

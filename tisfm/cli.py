@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
 from tisfm.settings import Preset, Settings
+from tisfm.version import __version__
 
 INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
 
@@ -159,6 +160,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     if isinstance(sys.stdout, io.TextIOWrapper):  # Greek letters, where the encoding has none
         sys.stdout.reconfigure(errors="replace")
+    if arguments == ["--version"]:
+        print(__version__)
+        return 0
     try:
         command = _parse(arguments)
         return command()
@@ -168,6 +172,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # what read our output, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except MemoryError:
+        print("tisfm: not enough memory: give smaller frames", file=sys.stderr)
+        return 1
     except (OSError, TypeError, ValueError, RuntimeError) as error:
         print(f"tisfm: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

@@ -29,6 +29,8 @@ from tisfm.scenes import SyntheticPair, two_blocks
 from tisfm.sequence import FrameSource, Source
 from tisfm.settings import Settings
 
+MOST_PIXELS = 10_000_000  # of the demo scene: its ray casting takes about 5 s a million
+
 
 def run(
     source: Source,
@@ -72,11 +74,17 @@ def run(
         f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {output}, settings "
         f"and scales in {output / RECORD}."
     )
+    for code, advice in writer.advice.items():
+        _tell(f"{code}: {advice}")
     return 0
 
 
 def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:
     """Render the demo scene, interpret it, print errors and write everything."""
+    if height * width > MOST_PIXELS:
+        raise ValueError(
+            f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
+        )
     runtime.start(threads=threads)
     scene = two_blocks(height, width, seed=seed)
     settings = Settings()

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
-from tisfm.settings import Settings
+from tisfm.settings import Settings, check_settings
 
 
 def horn_schunck(
@@ -47,9 +48,11 @@ def horn_schunck(
     Horn, Schunck, "Determining optical flow", Artificial Intelligence 17 (1981) 185–203,
     doi 10.1016/0004-3702(81)90024-2.
     """
-    settings = replace(Settings() if settings is None else settings, smoothness=smoothness, beta=1)
+    settings = check_settings(settings)
+    settings = replace(settings, smoothness=smoothness, beta=1)
     grey0, grey1 = grey_pair(frame0, frame1)
 
+    runtime.start()
     from tisfm.pyramid import coarse_to_fine
 
     solution = coarse_to_fine(grey0, grey1, Camera(), settings, components=2, contrast=float("inf"))

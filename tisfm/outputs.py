@@ -171,6 +171,8 @@ class PairWriter:
         limit = record["inverse_depth_limit"]
         scale = record["depth16_values_per_unit"] or 1.0
         path = self.folder / name
+        # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
+        Path(f"{path}.npz").unlink(missing_ok=True)
         write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
         write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
         write_flo(f"{path}_flow.flo", result.flow)
@@ -200,6 +202,15 @@ class PairWriter:
     def statuses(self) -> list[str]:
         """Status codes of the pairs written so far, those of a resumed run included."""
         return [pair["status"] for pair in self._record["pairs"].values()]
+
+    @property
+    def advice(self) -> dict[str, str]:
+        """The message of the first pair of every status code other than ``"converged"``."""
+        messages: dict[str, str] = {}
+        for pair in self._record["pairs"].values():
+            if pair["status"] != "converged":
+                messages.setdefault(pair["status"], pair["message"])
+        return messages
 
     def _continue(self) -> None:
         path = self.folder / RECORD

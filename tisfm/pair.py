@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm import runtime
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_camera
 from tisfm.confidence import confidence
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import History, Interpretation, Status
-from tisfm.settings import Settings
+from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
 
 if TYPE_CHECKING:  # loading it loads Taichi
@@ -54,15 +54,7 @@ def interpret(
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
     Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
     """
-    camera = Camera() if camera is None else camera
-    settings = Settings() if settings is None else settings
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera")
-    if not isinstance(settings, Settings):
-        raise TypeError(
-            f"settings is {settings!r}: expected a tisfm.Settings, "
-            'for instance Settings.preset("accurate")'
-        )
+    camera, settings = check_camera(camera), check_settings(settings)
     if pose is not None:
         raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
     grey0, grey1 = grey_pair(frame0, frame1)
@@ -104,7 +96,8 @@ def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Statu
         return Status(
             "diverged",
             "the numbers grew beyond what single precision can solve: bring the frames to the "
-            "8-bit scale, or raise smoothness or contrast",
+            "8-bit scale, raise smoothness or contrast, and check the camera's focal length and "
+            "centre",
         )
     if not solution.tensor[:3].any():
         return Status(

@@ -106,7 +106,7 @@ def coarse_to_fine(
     components : {6, 3, 2}
         Unknowns per pixel.
     contrast : float
-        δ, px/frame of the finest level.
+        δ, px/frame of every level.
     """
     height, width = grey0.shape
     lane_number = lanes()

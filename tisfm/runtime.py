@@ -7,6 +7,7 @@ import sys
 import tempfile
 from typing import Any
 
+import cv2
 import numpy as np
 
 
@@ -58,6 +59,7 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
 
     if threads is not None:
         options["cpu_max_num_threads"] = threads
+        cv2.setNumThreads(threads)
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
         ti.init(
             arch=ti.cpu,

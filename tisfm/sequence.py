@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_camera
 from tisfm.interpretation import Interpretation
-from tisfm.settings import Settings
+from tisfm.settings import Settings, check_settings
 
 Source = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Iterable[npt.ArrayLike]
 
@@ -201,11 +201,12 @@ def interpret_sequence(
         At once if the source does not exist or has fewer than two frames; while iterating if a
         frame cannot be read, or as `tisfm.interpret`, with the names of the frames.
     """
+    camera, settings = check_camera(camera), check_settings(settings)
     return _interpret_pairs(FrameSource(source, step=step), camera, settings)
 
 
 def _interpret_pairs(
-    pairs: Iterable[FramePair], camera: Camera | None, settings: Settings | None
+    pairs: Iterable[FramePair], camera: Camera, settings: Settings
 ) -> Iterator[Interpretation]:
     for pair in pairs:
         yield pair.interpret(camera=camera, settings=settings)

@@ -31,19 +31,21 @@ class Settings:
     beta : float
         β of eq. 12; smoothness and β enter as α = λ̂β.
     contrast : float or None
-        δ, px/frame: neighbours that differ by more are an edge. None for δ = 1 in the units of
-        τ and ω, that is f pixels: the paper's setting, under which smoothing is all but
-        quadratic.
+        δ, px/frame: neighbours that differ by more are an edge. In [1e-3, 1e6]: below it, single
+        precision cannot keep the energy from rising. The same at every level. None for δ = 1 in
+        the units of τ and ω, that is f pixels: the paper's setting, under which smoothing is all
+        but quadratic.
     derivatives : {"cube", "five_tap"}
-        Horn and Schunck's 2×2×2 cube, or five taps on the mean of both frames.
+        Horn and Schunck's 2×2×2 cube, whose estimates belong half a pixel to the south-east of
+        the pixel they are given to, or five taps on the mean of both frames.
     presmoothing : float
         Standard deviation, px, of a Gaussian applied to both frames first (the paper's
-        Fig. 8b); 0 for none.
+        Fig. 8b); 0 for none, at most 100.
     pyramid_factor : float
         Ratio of neighbouring levels' sizes, in [0.5, 0.95].
     pyramid_levels : int or None
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
-        12 px or more.
+        about 12 px.
     warps : int
         Linearisations per level.
     outer_iterations : int
@@ -90,8 +92,8 @@ class Settings:
         _check_real("smoothness", self.smoothness, above=0)
         _check_real("beta", self.beta, above=0)
         if self.contrast is not None:
-            _check_real("contrast", self.contrast, above=0)
-        _check_real("presmoothing", self.presmoothing, least=0)
+            _check_real("contrast", self.contrast, least=1e-3, most=1e6)
+        _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
         _check_real("relaxation", self.relaxation, above=0, below=2)
         _check_real("tolerance", self.tolerance, least=0)
@@ -145,6 +147,18 @@ class Settings:
     def contrast_for(self, focal: float) -> float:
         """Return δ, px/frame, for a focal length in px."""
         return focal if self.contrast is None else self.contrast
+
+
+def check_settings(settings: Settings | None) -> Settings:
+    """Return the settings, by default those of the preset ``"balanced"``; refuse anything else."""
+    if settings is None:
+        return Settings()
+    if not isinstance(settings, Settings):
+        raise TypeError(
+            f"settings is {settings!r}: expected a tisfm.Settings, "
+            'for instance Settings.preset("accurate")'
+        )
+    return settings
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
