@@ -94,7 +94,7 @@ class PairWriter:
             "settings": asdict(settings),
             "figures": figures,
             "depth16_values_per_unit": None,
-            "inverse_depth_limit": None,
+            "depth_range": None,
             "flow_limit": None,
             "pairs": {},
         }
@@ -163,12 +163,15 @@ class PairWriter:
         """
         record = self._record
         usable = result.status != "diverged" and result.inverse_depth.any()
-        if usable and record["inverse_depth_limit"] is None:
+        # Each pair has a scale of its own, ‖T‖ = 1, which is taken out first: a camera that speeds
+        # up would make everything brighter.
+        level = float(result.inverse_depth.mean()) if usable else 0.0
+        if usable and record["depth_range"] is None:
             # The first pair that moves sets the ranges: one for a whole sequence, no flicker.
-            record["inverse_depth_limit"] = inverse_depth_limit(result.inverse_depth)
+            record["depth_range"] = inverse_depth_limit(result.inverse_depth) / level
             record["depth16_values_per_unit"] = choose_depth_scale(result.depth)
             record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
-        limit = record["inverse_depth_limit"]
+        limit = record["depth_range"] * level if usable else None
         scale = record["depth16_values_per_unit"] or 1.0
         path = self.folder / name
         # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
