@@ -42,11 +42,11 @@ def test_the_walking_man_moves_on_his_own(shared_data):
 
 
 def test_better_flow_than_dis_on_middlebury(shared_data):
-    """The default preset, mean end-point error of four pairs; OpenCV's DIS medium has 0.398."""
+    """The default preset, mean end-point error of four pairs; OpenCV's DIS medium has 0.393."""
     errors = []
     for name in ("RubberWhale", "Grove2", "Urban2", "Venus"):
         folder = shared_data / "middlebury" / name
         frames = [read_image(folder / f"frame{k}.png") for k in (10, 11)]
         truth = read_flo(folder / "flow10.flo")
         errors.append(endpoint_error(tisfm.interpret(*frames).flow, truth))
-    assert np.mean(errors) < 0.398
+    assert np.mean(errors) < 0.393

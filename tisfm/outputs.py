@@ -51,7 +51,7 @@ def make_folder(folder: str | Path) -> Path:
 
 
 class PairWriter:
-    """Writes interpretations into a folder, with one range and one depth scale for all.
+    """Writes interpretations into a folder, with one relative range and one depth scale for all.
 
     For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
     and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
