@@ -20,10 +20,14 @@ from tisfm.formats import (
     atomic_write,
     choose_depth_scale,
     read_depth_png,
+    read_dpt,
     read_flo,
     read_image,
+    read_kitti_flow,
     write_depth_png,
+    write_dpt,
     write_flo,
+    write_kitti_flow,
     write_png,
 )
 
@@ -316,7 +320,9 @@ def test_reading_restores_the_log_level(tmp_path):
     assert logging.getLogLevel() == before
 
 
-@pytest.mark.parametrize("reader", [read_image, read_flo, read_depth_png])
+@pytest.mark.parametrize(
+    "reader", [read_image, read_flo, read_dpt, read_kitti_flow, read_depth_png]
+)
 def test_readers_explain_what_is_not_a_file(tmp_path, reader):
     with pytest.raises(FileNotFoundError, match=r"nothing\.xyz does not exist: check the path"):
         reader(tmp_path / "nothing.xyz")
@@ -451,3 +457,131 @@ def test_chosen_scale_puts_the_median_at_2000(tmp_path):
     assert read_image(tmp_path / "d.png").tolist() == [[1000, 2000, 7000], [0, 0, 0]]
     with pytest.raises(ValueError, match="another pair of the sequence"):
         choose_depth_scale(np.array([[np.nan, 0.0, -1.0]]))
+
+
+# Optical flow in KITTI's PNG
+
+KITTI_STEPS = st.integers(0, 2**16 - 1)  # file values: a motion is (value - 2¹⁵) / 64
+
+
+@PROPERTY
+@given(stored=SHAPES.flatmap(lambda s: hnp.arrays(np.uint16, (*s, 3), elements=KITTI_STEPS)))
+def test_kitti_flow_round_trip(tmp_path, stored):
+    """Whatever the file can hold comes back as it was, NaN included."""
+    flow = (stored[..., :2].astype(np.float32) - 2**15) / 64
+    flow[stored[..., 2] % 2 == 0] = np.nan
+    write_kitti_flow(tmp_path / "a.png", flow)
+    back = read_kitti_flow(tmp_path / "a.png")
+    assert back.dtype == np.float32
+    assert np.array_equal(back, flow, equal_nan=True)
+
+
+@PROPERTY
+@given(
+    flow=SHAPES.flatmap(
+        lambda shape: hnp.arrays(np.float64, (*shape, 2), elements=st.floats(-512, 511.98))
+    )
+)
+def test_kitti_flow_rounds_to_the_nearest_step(tmp_path, flow):
+    write_kitti_flow(tmp_path / "a.png", flow)
+    assert np.abs(read_kitti_flow(tmp_path / "a.png") - flow).max() <= 1 / 128
+
+
+def test_kitti_flow_values_of_the_file(tmp_path):
+    """The order of the channels, and NaN in either component, as KITTI's own reader has it."""
+    flow = np.array([[[0, 0], [1, -2], [-512, 511.984375], [np.nan, 3], [4, np.nan]]])
+    write_kitti_flow(tmp_path / "a.png", flow)
+    raw = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    assert raw.dtype == np.uint16
+    half = 2**15
+    assert raw.tolist() == [
+        [[half, half, 1], [half + 64, half - 128, 1], [0, 65535, 1], [0, 0, 0], [0, 0, 0]]
+    ]
+    # Valid is whatever is not zero.
+    write_png(tmp_path / "b.png", np.array([[[half, half, 65535]]], np.uint16))
+    assert read_kitti_flow(tmp_path / "b.png").tolist() == [[[0, 0]]]
+
+
+@pytest.mark.parametrize("value", [512.0, -512.01, 1e10, np.inf, -np.inf])
+def test_kitti_flow_refuses_what_it_cannot_hold(tmp_path, value):
+    flow = np.zeros((3, 4, 2))
+    flow[1, 2, 1] = value
+    with pytest.raises(ValueError, match=r"outside -512 to 511\.984375 px.*at 1 pixels.*NaN"):
+        write_kitti_flow(tmp_path / "a.png", flow)
+    assert contents(tmp_path) == set()
+
+
+def test_kitti_flow_refuses_what_is_no_flow(tmp_path):
+    for shape in [(4, 5), (4, 5, 3), (0, 5, 2)]:
+        with pytest.raises(ValueError, match=r"expected \(H, W, 2\)"):
+            write_kitti_flow(tmp_path / "a.png", np.zeros(shape))
+    with pytest.raises(TypeError, match="complex128"):
+        write_kitti_flow(tmp_path / "a.png", np.zeros((4, 5, 2), complex))
+    for image, kind in [(GREY16, "1 x uint16"), (COLOUR8, "3 x uint8"), (GREY8, "1 x uint8")]:
+        write_png(tmp_path / "b.png", image)
+        with pytest.raises(FormatError, match=rf"b\.png is a picture of {kind}, expected 3 x"):
+            read_kitti_flow(tmp_path / "b.png")
+    assert contents(tmp_path) == {"b.png"}
+
+
+def test_kitti_flow_refuses_every_truncation(tmp_path):
+    write_kitti_flow(tmp_path / "a.png", GREY8[:8, :10].reshape(8, 5, 2))
+    data = (tmp_path / "a.png").read_bytes()
+    for length in range(1, len(data)):
+        (tmp_path / "a.png").write_bytes(data[:length])
+        with pytest.raises(FormatError, match=r"a\.png"):
+            read_kitti_flow(tmp_path / "a.png")
+
+
+# Depth in Sintel's .dpt
+
+DPT_BYTES = b"PIEH" + struct.pack("<ii3f", 1, 3, 1.0, -2.0, 1e10)
+
+
+def test_dpt_bytes(tmp_path):
+    depth = np.array([[1.0], [-2.0], [1e10]], np.float32)
+    write_dpt(tmp_path / "a.dpt", depth)
+    assert (tmp_path / "a.dpt").read_bytes() == DPT_BYTES
+    assert np.array_equal(read_dpt(tmp_path / "a.dpt"), depth)
+
+
+@PROPERTY
+@given(depth=SHAPES.flatmap(lambda s: hnp.arrays(np.float32, s, elements=FINITE_OR_NOT)))
+def test_dpt_round_trip(tmp_path, depth):
+    write_dpt(tmp_path / "a.dpt", depth)
+    back = read_dpt(tmp_path / "a.dpt")
+    assert back.dtype == np.float32
+    assert back.flags.writeable
+    assert np.array_equal(back, depth, equal_nan=True)
+
+
+@pytest.mark.parametrize("length", range(1, len(DPT_BYTES)))
+def test_dpt_refuses_every_truncation(tmp_path, length):
+    (tmp_path / "a.dpt").write_bytes(DPT_BYTES[:length])
+    with pytest.raises(FormatError, match=r"a\.dpt is cut off"):
+        read_dpt(tmp_path / "a.dpt")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (DPT_BYTES + b"\0", r"too long: 25 bytes, expected 24 for 1 x 3 px"),
+        (b"P" + DPT_BYTES[::-1], r"not a \.dpt file"),
+        (b"PIEH" + struct.pack("<ii", -1, 5), "impossible size.*width -1, height 5"),
+        # Of this size, but two values per pixel.
+        (b"PIEH" + struct.pack("<ii4f", 2, 1, 1, 2, 3, 4), r"too long: 28 bytes, expected 20"),
+    ],
+)
+def test_dpt_names_the_fault(tmp_path, data, message):
+    (tmp_path / "a.dpt").write_bytes(data)
+    with pytest.raises(FormatError, match=message):
+        read_dpt(tmp_path / "a.dpt")
+
+
+def test_dpt_refuses_what_is_no_depth(tmp_path):
+    for shape in [(4,), (4, 5, 1), (0, 5), (1, 100_000)]:
+        with pytest.raises(ValueError, match=r"expected \(H, W\)"):
+            write_dpt(tmp_path / "a.dpt", np.zeros(shape))
+    with pytest.raises(TypeError, match="complex128"):
+        write_dpt(tmp_path / "a.dpt", np.zeros((4, 5), complex))
+    assert contents(tmp_path) == set()

@@ -6,9 +6,11 @@ complete file or none.
 
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.depth_png import choose_depth_scale, read_depth_png, write_depth_png
+from tisfm.formats.dpt import read_dpt, write_dpt
 from tisfm.formats.errors import FormatError
 from tisfm.formats.flo import read_flo, write_flo
 from tisfm.formats.images import IMAGE_SUFFIXES, read_image, write_png
+from tisfm.formats.kitti_flow import read_kitti_flow, write_kitti_flow
 
 __all__ = [
     "IMAGE_SUFFIXES",
@@ -16,9 +18,13 @@ __all__ = [
     "atomic_write",
     "choose_depth_scale",
     "read_depth_png",
+    "read_dpt",
     "read_flo",
     "read_image",
+    "read_kitti_flow",
     "write_depth_png",
+    "write_dpt",
     "write_flo",
+    "write_kitti_flow",
     "write_png",
 ]

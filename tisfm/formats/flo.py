@@ -1,20 +1,11 @@
 """Optical flow in Middlebury .flo files."""
 
 import os
-import struct
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.formats.atomic import atomic_write
-from tisfm.formats.errors import FormatError
-from tisfm.formats.reading import read_bytes
-
-# The float32 202021.25, whose little-endian bytes read "PIEH": a check of type and byte order.
-_TAG = struct.pack("<f", 202021.25)
-_HEADER = struct.Struct("<4sii")
-# Beyond this a size is the sign of a damaged header, not of a picture.
-_LARGEST_SIDE = 99_999
+from tisfm.formats.tagged import LARGEST_SIDE, as_real, fits, read_tagged, write_tagged
 
 
 def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -42,31 +33,7 @@ def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     S. Baker et al., "A database and evaluation methodology for optical flow", International
     Journal of Computer Vision 92 (2011) 1-31, doi:10.1007/s11263-010-0390-2.
     """
-    name = os.fspath(path)
-    data = read_bytes(name)
-    if data[:4] != _TAG[: len(data)]:
-        order = ", it was written big-endian" if data[:4] == _TAG[::-1] else ""
-        raise FormatError(
-            f"{name} is not a .flo file: it starts with {data[:4]!r}, expected {_TAG!r}{order}"
-        )
-    if len(data) < _HEADER.size:
-        raise FormatError(
-            f"{name} is cut off in its header: {len(data)} of {_HEADER.size} bytes are there"
-        )
-    _, width, height = _HEADER.unpack_from(data)
-    if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
-        raise FormatError(
-            f"{name} has an impossible size in its header: width {width}, height {height}, "
-            f"expected 1 to {_LARGEST_SIDE}"
-        )
-    expected = _HEADER.size + 8 * width * height
-    if len(data) != expected:
-        fault = "cut off" if len(data) < expected else "too long"
-        raise FormatError(
-            f"{name} is {fault}: {len(data)} bytes, expected {expected} for {width} x {height} px"
-        )
-    values = np.frombuffer(data, dtype="<f4", offset=_HEADER.size)
-    return values.astype(np.float32).reshape(height, width, 2)
+    return read_tagged(path, suffix=".flo", channels=2)
 
 
 def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
@@ -89,15 +56,9 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     OSError
         If the file cannot be written.
     """
-    values = np.asarray(flow)
-    if values.dtype.kind not in "iuf":
-        raise TypeError(f"flow has dtype {values.dtype}, expected real numbers, such as float32")
-    sides = values.shape[:2]
-    if values.ndim != 3 or values.shape[2] != 2 or not all(1 <= n <= _LARGEST_SIDE for n in sides):
+    values = as_real("flow", flow)
+    if values.ndim != 3 or values.shape[2] != 2 or not fits(values):
         raise ValueError(
-            f"flow is {values.shape}, expected (H, W, 2) with H and W from 1 to {_LARGEST_SIDE}"
+            f"flow is {values.shape}, expected (H, W, 2) with H and W from 1 to {LARGEST_SIDE}"
         )
-    height, width = sides
-    with atomic_write(path) as file:
-        file.write(_HEADER.pack(_TAG, width, height))
-        file.write(values.astype("<f4").tobytes())
+    write_tagged(path, values)

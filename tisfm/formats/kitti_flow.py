@@ -1,0 +1,91 @@
+"""Optical flow in KITTI's 16-bit PNG files."""
+
+import os
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.formats.errors import FormatError
+from tisfm.formats.images import read_image, write_png
+from tisfm.formats.tagged import as_real
+
+_ZERO = 2**15  # file value of no motion
+_STEPS = 64  # file values per pixel of motion
+_LEAST, _MOST = -_ZERO / _STEPS, (2**16 - 1 - _ZERO) / _STEPS  # px
+
+
+def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a flow field from a KITTI flow PNG.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to read: 16-bit, three channels (u, v, valid), a motion of m px stored as
+        64 m + 2¹⁵.
+
+    Returns
+    -------
+    (H, W, 2) float32 ndarray
+        Flow (u, v), px; NaN where the file says that it is not valid.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged or incomplete, or not a picture of three 16-bit channels.
+    OSError
+        If the file does not exist or cannot be read.
+
+    References
+    ----------
+    M. Menze and A. Geiger, "Object scene flow for autonomous vehicles", CVPR 2015, 3061-3070,
+    doi:10.1109/CVPR.2015.7298925.
+    """
+    stored = read_image(path)
+    if stored.dtype != np.uint16 or stored.ndim != 3:
+        channels = 1 if stored.ndim == 2 else stored.shape[2]
+        raise FormatError(
+            f"{os.fspath(path)} is a picture of {channels} x {stored.dtype}, expected 3 x uint16: "
+            "not a KITTI flow file"
+        )
+    flow = (stored[..., :2].astype(np.float32) - np.float32(_ZERO)) / np.float32(_STEPS)
+    flow[stored[..., 2] == 0] = np.nan
+    return flow
+
+
+def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
+    """Write a flow field to a KITTI flow PNG, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    flow : (H, W, 2) array_like of real numbers
+        Flow (u, v), px, rounded to 1/64 px. NaN in either component is written as not valid.
+
+    Raises
+    ------
+    ValueError
+        If `flow` is not (H, W, 2), or a known flow is outside -512 to 511.984375 px, which the
+        format cannot hold.
+    TypeError
+        If `flow` does not hold real numbers.
+    OSError
+        If the file cannot be written.
+    """
+    values = as_real("flow", flow).astype(np.float64)
+    if values.ndim != 3 or values.shape[2] != 2 or values.size == 0:
+        raise ValueError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
+    valid = ~np.isnan(values).any(axis=2)
+    known = values[valid]
+    levels = np.rint(known * _STEPS) + _ZERO
+    outside = (levels < 0) | (levels >= 2**16)
+    if outside.any():
+        raise ValueError(
+            f"flow is outside {_LEAST:g} to {_MOST} px, the range of a KITTI flow PNG, at "
+            f"{np.count_nonzero(outside.any(axis=1))} pixels, for instance "
+            f"{known[outside][0]:g}: set unknown flow to NaN, or write a .flo file"
+        )
+    stored = np.zeros((*valid.shape, 3), np.uint16)
+    stored[valid, :2] = levels
+    stored[valid, 2] = 1
+    write_png(path, stored)

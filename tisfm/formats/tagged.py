@@ -1,0 +1,102 @@
+"""The common frame of .flo and .dpt files: a tag, a size, and float32 values."""
+
+import os
+import struct
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.formats.atomic import atomic_write
+from tisfm.formats.errors import FormatError
+from tisfm.formats.reading import read_bytes
+
+# The float32 202021.25, whose little-endian bytes read "PIEH": a check of type and byte order.
+_TAG = struct.pack("<f", 202021.25)
+_HEADER = struct.Struct("<4sii")
+LARGEST_SIDE = 99_999
+"""Beyond this a size is the sign of a damaged header, not of a picture."""
+
+
+def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> NDArray[np.float32]:
+    """Read a file of a tag, int32 width and height, and float32 values, rows from the top.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to read.
+    suffix : str
+        What such a file is called in errors, such as ".flo".
+    channels : int
+        Values per pixel.
+
+    Returns
+    -------
+    (H, W, channels) float32 ndarray
+        Values as stored.
+
+    Raises
+    ------
+    FormatError
+        If the tag is wrong, the size absurd, or the file shorter or longer than its header says.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    name = os.fspath(path)
+    data = read_bytes(name)
+    if data[:4] != _TAG[: len(data)]:
+        order = ", it was written big-endian" if data[:4] == _TAG[::-1] else ""
+        raise FormatError(
+            f"{name} is not a {suffix} file: it starts with {data[:4]!r}, expected {_TAG!r}{order}"
+        )
+    if len(data) < _HEADER.size:
+        raise FormatError(
+            f"{name} is cut off in its header: {len(data)} of {_HEADER.size} bytes are there"
+        )
+    _, width, height = _HEADER.unpack_from(data)
+    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+        raise FormatError(
+            f"{name} has an impossible size in its header: width {width}, height {height}, "
+            f"expected 1 to {LARGEST_SIDE}"
+        )
+    expected = _HEADER.size + 4 * channels * width * height
+    if len(data) != expected:
+        fault = "cut off" if len(data) < expected else "too long"
+        raise FormatError(
+            f"{name} is {fault}: {len(data)} bytes, expected {expected} for {width} x {height} px"
+        )
+    values = np.frombuffer(data, dtype="<f4", offset=_HEADER.size)
+    return values.astype(np.float32).reshape(height, width, channels)
+
+
+def write_tagged(path: str | os.PathLike[str], values: NDArray[np.generic]) -> None:
+    """Write what `read_tagged` reads, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    values : (H, W) or (H, W, channels) ndarray of real numbers
+        Values, stored as float32.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    height, width = values.shape[:2]
+    with atomic_write(path) as file:
+        file.write(_HEADER.pack(_TAG, width, height))
+        file.write(values.astype("<f4").tobytes())
+
+
+def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
+    """Return an array of real numbers, or raise a TypeError that names it."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers, such as float32")
+    return array
+
+
+def fits(array: NDArray[np.generic]) -> bool:
+    """Return whether both sides of an (H, W, ...) array are such that a file can state them."""
+    return array.ndim >= 2 and all(1 <= side <= LARGEST_SIDE for side in array.shape[:2])
