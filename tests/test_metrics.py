@@ -13,6 +13,7 @@ from tisfm.metrics import (
     depth_errors,
     endpoint_error,
     endpoint_error_map,
+    flow_errors,
     outlier_rate,
 )
 
@@ -67,6 +68,24 @@ def test_outliers_need_both_conditions():
     assert outlier_rate(flow, truth, fraction=0.04) == 4 / 5
 
 
+def test_all_errors_of_a_flow():
+    rng = np.random.default_rng(0)
+    truth = rng.normal(scale=20, size=(9, 11, 2))
+    flow = truth + rng.normal(scale=2, size=truth.shape)
+    truth[2, 3] = 1e10
+    truth[4, 5, 1] = np.nan
+    for mask in (None, rng.random((9, 11)) < 0.5):
+        errors = flow_errors(flow, truth, mask=mask)
+        assert errors.endpoint == pytest.approx(endpoint_error(flow, truth, mask=mask))
+        assert errors.angular == pytest.approx(angular_error(flow, truth, mask=mask))
+        assert errors.outliers == outlier_rate(flow, truth, mask=mask)
+        error = endpoint_error_map(flow, truth, mask=mask)
+        known = error[np.isfinite(error)]
+        assert errors.pixels == known.size
+        assert errors.over_one == (known >= 1).mean()
+        assert 0 < errors.outliers < errors.over_one < 1
+
+
 @given(truth=flows)
 def test_the_truth_has_no_error(truth):
     assert endpoint_error(truth, truth) == 0
@@ -117,7 +136,7 @@ def test_flow_that_is_not_finite():
     assert outlier_rate(flow_of((np.inf, 0)), truth[:, :1]) == 1
 
 
-@pytest.mark.parametrize("metric", [*FLOW_METRICS, endpoint_error_map])
+@pytest.mark.parametrize("metric", [*FLOW_METRICS, endpoint_error_map, flow_errors])
 def test_flow_errors_say_what_came(metric):
     with pytest.raises(ValueError, match=r"flow is \(2, 3, 2\) and truth is \(2, 4, 2\)"):
         metric(np.zeros((2, 3, 2)), np.zeros((2, 4, 2)))

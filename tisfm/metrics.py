@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "DepthErrors",
+    "FlowErrors",
     "angular_error",
     "depth_errors",
     "endpoint_error",
     "endpoint_error_map",
+    "flow_errors",
     "outlier_rate",
 ]
 
@@ -155,6 +157,62 @@ def outlier_rate(
     error = _length(np.where(finite[:, None], estimate - known, 0))
     wrong = (error >= pixels) & (error >= fraction * _length(known))
     return float((wrong | ~finite).mean())
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowErrors:
+    """Errors of a flow.
+
+    Attributes
+    ----------
+    endpoint : float
+        Mean length of the error (EPE), px.
+    angular : float
+        Mean angle between the directions (u, v, 1) (AAE), degrees.
+    outliers : float
+        Share of pixels off by at least 3 px and 5 % (KITTI's Fl), in [0, 1].
+    over_one : float
+        Share of pixels off by at least 1 px (R1.0), in [0, 1].
+    pixels : int
+        Pixels that counted.
+    """
+
+    endpoint: float
+    angular: float
+    outliers: float
+    over_one: float
+    pixels: int
+
+
+def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> FlowErrors:
+    """Compare a flow with the truth.
+
+    Parameters
+    ----------
+    flow, truth : array_like, shape (H, W, 2)
+        Estimated and true (u, v), px.
+    mask : array_like, shape (H, W), optional
+        Nonzero where pixels count.
+
+    Returns
+    -------
+    FlowErrors
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, no pixel counts, or the flow is not finite where one does.
+    """
+    estimate, known = _finite_pairs(flow, truth, mask)
+    # All of them at once below: a mask would be applied once for each.
+    estimate, known = estimate[None], known[None]
+    return FlowErrors(
+        endpoint=endpoint_error(estimate, known),
+        angular=angular_error(estimate, known),
+        outliers=outlier_rate(estimate, known),
+        over_one=outlier_rate(estimate, known, pixels=1.0, fraction=0.0),
+        pixels=known.shape[1],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

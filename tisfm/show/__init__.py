@@ -5,17 +5,29 @@ Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a 
 """
 
 from tisfm.show.anaglyph import anaglyph, dubois, second_view
+from tisfm.show.error import ERROR_RANGE, error_figure, error_to_color, flow_figure
 from tisfm.show.figures import comparison_figure, panel_figure, save_figure
-from tisfm.show.flow import Arrows, color_wheel, flow_radius, flow_to_color, quiver_points
+from tisfm.show.flow import (
+    Arrows,
+    color_wheel,
+    flow_radius,
+    flow_to_color,
+    quiver_points,
+    usual_length,
+)
 from tisfm.show.grey import depth_grey, inverse_depth_limit
 
 __all__ = [
+    "ERROR_RANGE",
     "Arrows",
     "anaglyph",
     "color_wheel",
     "comparison_figure",
     "depth_grey",
     "dubois",
+    "error_figure",
+    "error_to_color",
+    "flow_figure",
     "flow_radius",
     "flow_to_color",
     "inverse_depth_limit",
@@ -23,4 +35,5 @@ __all__ = [
     "quiver_points",
     "save_figure",
     "second_view",
+    "usual_length",
 ]

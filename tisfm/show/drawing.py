@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.show.flow import color_wheel, quiver_points
-from tisfm.show.layout import HEADING_SIZE, TITLE_SIZE, Layout, arrange, panel_size
+from tisfm.show.layout import HEADING_SIZE, TITLE_SIZE, Box, Layout, arrange, panel_size
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEGEND_SIZE = (1.3, 1.8)  # inches
+# Width and height of legends, inches.
+LEGEND_SIZE = (1.3, 1.8)
+WHEEL_SIZE = (1.3, 1.2)
+BAR_SIZE = (1.15, 1.75)
 _LEGEND_TEXT = 8.0  # points
 _PIXELS_PER_INCH = 250  # of a panel: finer pictures are reduced before they are drawn
 _ARROW_SPACING = 0.17  # inches
@@ -152,20 +155,8 @@ def draw_legend(figure: Figure, layout: Layout, shape: tuple[int, int], limit: f
     """
     if layout.legend is None:
         raise ValueError("layout has no room for a legend: ask draw_panels for it")
-    axes = figure.add_axes(layout.legend)
-    width, height = LEGEND_SIZE
-    # In inches, from the lower left corner.
-    axes.set(xlim=(0, width), ylim=(0, height))
-    axes.set_axis_off()
-    middle, radius = width / 2, 0.48
-    wheel_middle = height - radius
-    axes.imshow(
-        color_wheel(int(2 * radius * _PIXELS_PER_INCH)),
-        extent=(middle - radius, middle + radius, wheel_middle - radius, wheel_middle + radius),
-        aspect="auto",
-    )
-    rim = f"rim: {limit:.0f} px/frame" if limit >= 100 else f"rim: {limit:.2g} px/frame"
-    _write(axes, middle, height - 2 * radius - 0.05, rim, va="top", fontsize=_LEGEND_TEXT)
+    axes = _draw_wheel_in(figure, layout.legend, LEGEND_SIZE, limit)
+    middle = LEGEND_SIZE[0] / 2
     if limit == 0:
         return
     length = _round_below(limit)
@@ -175,10 +166,97 @@ def draw_legend(figure: Figure, layout: Layout, shape: tuple[int, int], limit: f
     _write(axes, middle, 0.24, f"{length:g} px/frame", va="top", fontsize=_LEGEND_TEXT)
 
 
+def draw_wheel(figure: Figure, layout: Layout, limit: float) -> None:
+    """Draw the colour wheel alone.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure of `draw_panels` with room for a legend of `WHEEL_SIZE`; modified in place.
+    layout : Layout
+        Where that room is.
+    limit : float
+        Motion at the rim of the wheel, px/frame.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    _draw_wheel_in(figure, layout.legend, WHEEL_SIZE, limit)
+
+
+def draw_color_bar(
+    figure: Figure,
+    layout: Layout,
+    ramp: NDArray[np.uint8],
+    limits: tuple[float, float],
+    *,
+    unit: str,
+) -> None:
+    """Draw a vertical bar of colours with a logarithmic scale.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure of `draw_panels` with room for a legend of `BAR_SIZE`; modified in place.
+    layout : Layout
+        Where that room is.
+    ramp : (N, 1, 3) uint8 ndarray
+        Colours from the top of the scale to its bottom.
+    limits : (float, float)
+        Values at the bottom and at the top; beyond them is what has the colours of the ends.
+    unit : str
+        Unit of the values.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    width, height = BAR_SIZE
+    axes = _inch_axes(figure, layout.legend, BAR_SIZE)
+    left, right, bottom, top = 0.1, 0.28, 0.08, height - 0.08
+    axes.imshow(ramp, extent=(left, right, bottom, top), aspect="auto", interpolation="nearest")
+    axes.set(xlim=(0, width), ylim=(0, height))
+    axes.plot(
+        [left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.5", lw=0.6
+    )
+    low, high = limits
+    span = math.log(high / low)
+    # Doublings as long as they leave room for their labels, else every other one, and so on.
+    doublings = math.floor(span / math.log(2) + 1e-9)
+    for k in range(0, doublings + 1, 1 + doublings // 10):
+        value = low * 2**k
+        y = bottom + (top - bottom) * math.log(value / low) / span
+        axes.plot([right, right + 0.05], [y, y], color="0.3", lw=0.6)
+        sign = "≤ " if k == 0 else "≥ " if value >= high * (1 - 1e-9) else ""
+        axes.text(right + 0.09, y, f"{sign}{value:.3g} {unit}", va="center", fontsize=_LEGEND_TEXT)
+
+
 def backdrop(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a picture as dim grey levels, from which bright arrows stand out."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     return np.rint(grey * np.float32(0.6)).astype(np.uint8)
+
+
+def _inch_axes(figure: Figure, box: Box, size: tuple[float, float]) -> Axes:
+    """Return invisible axes, in inches from their lower left corner."""
+    axes = figure.add_axes(box)
+    axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
+    axes.set_axis_off()
+    return axes
+
+
+def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: float) -> Axes:
+    """Draw the colour wheel at the top of a legend, its range below; return the axes, in inches."""
+    axes = _inch_axes(figure, box, size)
+    middle, radius = size[0] / 2, 0.48
+    wheel_middle = size[1] - radius
+    axes.imshow(
+        color_wheel(int(2 * radius * _PIXELS_PER_INCH)),
+        extent=(middle - radius, middle + radius, wheel_middle - radius, wheel_middle + radius),
+        aspect="auto",
+    )
+    # Pictures set the limits of their axes to themselves.
+    axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
+    rim = f"rim: {limit:.0f} px/frame" if limit >= 100 else f"rim: {limit:.2g} px/frame"
+    _write(axes, middle, size[1] - 2 * radius - 0.05, rim, va="top", fontsize=_LEGEND_TEXT)
+    return axes
 
 
 def _new_figure(size: tuple[float, float]) -> Figure:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
-from tisfm.show.flow import flow_radius, flow_to_color
+from tisfm.show.flow import flow_to_color, usual_length
 from tisfm.show.grey import depth_grey
 from tisfm.show.layout import panel_size
 
@@ -112,7 +112,7 @@ def comparison_figure(
     for name, array in (*depths.items(), *flows.items()):
         require_same_size(name, array, "frame", picture)
     if flow_limit is None:
-        limit = _usual_length(flows.get("truth_flow", flows["flow"]))
+        limit = usual_length(flows.get("truth_flow", flows["flow"]))
     else:
         limit = check_limit("flow_limit", flow_limit)
 
@@ -219,13 +219,6 @@ def _labels(names: Mapping[str, str] | None) -> dict[str, str]:
     if unknown:
         raise ValueError(f"names has {', '.join(unknown)}, expected any of {', '.join(_NAMES)}")
     return {**_NAMES, **changes}
-
-
-def _usual_length(flow: NDArray[np.floating[Any]]) -> float:
-    """Return the length, px/frame, that all but a few vectors of a flow stay below."""
-    radius = flow_radius(flow)
-    known = radius[np.isfinite(radius)]
-    return float(np.percentile(known, 98)) if known.size else 0.0
 
 
 def _pleasant_columns(images: Sequence[NDArray[np.uint8]]) -> int:

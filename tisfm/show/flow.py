@@ -54,6 +54,24 @@ def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
     return radius
 
 
+def usual_length(flow: ArrayLike) -> float:
+    """Return the length, px, that all but 2 % of the known vectors of a flow stay below.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) array_like
+        Flow (u, v), px. Unknown are NaN and components beyond 1e9.
+
+    Returns
+    -------
+    float
+        The 98th percentile of the lengths, px; 0.0 if no vector is known.
+    """
+    radius = flow_radius(flow)
+    known = radius[np.isfinite(radius)]
+    return float(np.percentile(known, 98)) if known.size else 0.0
+
+
 def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
     """Show flow as colours: direction as hue, length as saturation.
 

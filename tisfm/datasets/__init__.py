@@ -1,0 +1,11 @@
+"""Frame pairs with true motion, in the folder layouts of the usual benchmarks.
+
+Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs with a disparity. Nothing is
+downloaded: `find_pairs` finds what lies in a folder, and reads it when asked to.
+"""
+
+from tisfm.datasets.finding import find_pairs
+from tisfm.datasets.layouts import LAYOUTS, Layout
+from tisfm.datasets.pair import DatasetPair, LoadedPair
+
+__all__ = ["LAYOUTS", "DatasetPair", "Layout", "LoadedPair", "find_pairs"]

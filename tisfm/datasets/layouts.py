@@ -1,0 +1,200 @@
+"""How the datasets lay out their files.
+
+A finder gets one folder and returns the pairs of which this folder is the root, without reading
+any. What counts is the truth: a pair whose frames are missing is found, and says so when it is
+loaded; frames without truth are no pair.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from tisfm.datasets.pair import DatasetPair
+from tisfm.formats import IMAGE_SUFFIXES
+
+Layout = Literal["middlebury", "kitti", "sintel", "yosemite", "stereo"]
+
+_KITTI_FRAMES = ("image_2", "colored_0", "image_0")
+_KITTI_CALIBRATIONS = ("calib_cam_to_cam", "calib")
+_DISPARITY_NAMES = ("disp", "disparity", "gt")
+_DISPARITY_SUFFIXES = (".npz", ".npy", ".png", ".tif", ".tiff")
+
+
+def find_middlebury(folder: Path) -> Iterator[DatasetPair]:
+    """Find flow10.flo beside its frames, or in other-gt-flow/NAME with them in other-data/NAME."""
+    truth = folder / "flow10.flo"
+    if not truth.is_file():
+        return
+    base, frames = folder.parent, folder
+    if base.name == "other-gt-flow" and not (folder / "frame10.png").is_file():
+        base = base.parent
+        frames = base / "other-data" / folder.name
+    yield DatasetPair(
+        layout="middlebury",
+        dataset=base.name,
+        name=folder.name,
+        frame0=frames / "frame10.png",
+        frame1=frames / "frame11.png",
+        truth=truth,
+    )
+
+
+def find_kitti(folder: Path) -> Iterator[DatasetPair]:
+    """Find flow_occ/NNNNNN_10.png, or flow_noc alone, with the frames in folders beside it."""
+    with_occlusion, without = folder / "flow_occ", folder / "flow_noc"
+    truths = with_occlusion if with_occlusion.is_dir() else without
+    frames = _first_folder(folder, _KITTI_FRAMES) or folder / _KITTI_FRAMES[0]
+    calibrations = _first_folder(folder, _KITTI_CALIBRATIONS)
+    for truth in _sorted_files(truths, "*_10.png"):
+        name = truth.stem.removesuffix("_10")
+        yield DatasetPair(
+            layout="kitti",
+            dataset=_above_training(folder).name,
+            name=name,
+            frame0=frames / truth.name,
+            frame1=frames / f"{name}_11.png",
+            truth=truth,
+            truth_format="kitti",
+            visible=without / truth.name if truths is not without and without.is_dir() else None,
+            calibration=None if calibrations is None else calibrations / f"{name}.txt",
+        )
+
+
+def find_sintel(folder: Path) -> Iterator[DatasetPair]:
+    """Find flow/SCENE/frame_NNNN.flo with passes clean or final, or gt/frame_NNNN.flo."""
+    passes = [name for name in ("clean", "final") if (folder / name).is_dir()]
+    for name in passes:
+        for truth in _sorted_files(folder / "flow", "*/frame_*.flo"):
+            scene = truth.parent.name
+            yield from _sintel_pair(
+                truth,
+                frames=folder / name / scene,
+                masks=folder,
+                scene=scene,
+                dataset=f"{_above_training(folder).name} {name}",
+            )
+    if not passes:
+        for truth in _sorted_files(folder / "gt", "frame_*.flo"):
+            yield from _sintel_pair(truth, frames=folder, masks=folder / "gt", dataset=folder.name)
+
+
+def _sintel_pair(
+    truth: Path, *, frames: Path, masks: Path, dataset: str, scene: str = ""
+) -> Iterator[DatasetPair]:
+    digits = truth.stem.removeprefix("frame_")
+    if not digits.isdecimal():
+        return
+
+    def beside(kind: str, suffix: str) -> Path | None:
+        return masks / kind / scene / f"{truth.stem}{suffix}" if (masks / kind).is_dir() else None
+
+    yield DatasetPair(
+        layout="sintel",
+        dataset=dataset,
+        name=f"{scene}/{truth.stem}" if scene else truth.stem,
+        frame0=frames / f"{truth.stem}.png",
+        frame1=frames / f"frame_{int(digits) + 1:0{len(digits)}d}.png",
+        truth=truth,
+        occluded=beside("occlusions", ".png"),
+        invalid=beside("invalid", ".png"),
+        calibration=beside("camdata_left", ".cam"),
+    )
+
+
+def find_yosemite(folder: Path) -> Iterator[DatasetPair]:
+    """Find flowNN*.flo beside frames yos*N and yos*N+1, and a sky mask."""
+    frames: dict[int, Path] = {}
+    pattern = None
+    for file in _sorted_files(folder, "yos*"):
+        number = re.search(r"\d+$", file.stem)
+        if number is not None and file.suffix.lower() in IMAGE_SUFFIXES:
+            frames[int(number.group())] = file
+            pattern = f"{file.stem[: number.start()]}{{}}{file.suffix}"
+    if pattern is None:
+        return
+    sky = next(iter(_sorted_files(folder, "sky_mask*.png")), None)
+    for truth in _sorted_files(folder, "flow*.flo"):
+        digits = re.match(r"flow(\d+)", truth.stem)
+        if digits is not None:
+            first = int(digits.group(1))
+            frame0, frame1 = (frames.get(k, folder / pattern.format(k)) for k in (first, first + 1))
+            yield DatasetPair(
+                layout="yosemite",
+                dataset=folder.name,
+                name=frame0.stem,
+                frame0=frame0,
+                frame1=frame1,
+                truth=truth,
+                sky=sky,
+            )
+
+
+def find_stereo(folder: Path) -> Iterator[DatasetPair]:
+    """Find NAME_left and NAME_right, or left and right, with a disparity of the left view."""
+    for left in _sorted_files(folder, "*left.*"):
+        prefix = left.stem.removesuffix("left")
+        if left.suffix.lower() not in IMAGE_SUFFIXES or not (prefix == "" or prefix[-1] == "_"):
+            continue
+        candidates = (
+            folder / f"{prefix}{name}{suffix}"
+            for name in _DISPARITY_NAMES
+            for suffix in _DISPARITY_SUFFIXES
+        )
+        truth = next((path for path in candidates if path.is_file()), None)
+        if truth is not None:
+            mask = folder / f"{prefix}mask.png"
+            yield DatasetPair(
+                layout="stereo",
+                dataset=folder.name,
+                name=prefix.rstrip("_") or folder.name,
+                frame0=left,
+                frame1=folder / f"{prefix}right{left.suffix}",
+                truth=truth,
+                truth_format="disparity",
+                visible=mask if mask.is_file() else None,
+            )
+
+
+class _Rule(NamedTuple):
+    find: Callable[[Path], Iterator[DatasetPair]]
+    expected: str
+
+
+LAYOUTS: dict[str, _Rule] = {
+    "middlebury": _Rule(
+        find_middlebury,
+        "NAME/flow10.flo beside frame10.png and frame11.png, or "
+        "other-gt-flow/NAME/flow10.flo with other-data/NAME",
+    ),
+    "kitti": _Rule(
+        find_kitti,
+        "flow_occ or flow_noc/NNNNNN_10.png with image_2, colored_0 or image_0/NNNNNN_10.png and "
+        "NNNNNN_11.png",
+    ),
+    "sintel": _Rule(
+        find_sintel,
+        "flow/SCENE/frame_NNNN.flo with clean or final/SCENE/frame_NNNN.png, or "
+        "gt/frame_NNNN.flo with frame_NNNN.png",
+    ),
+    "yosemite": _Rule(find_yosemite, "flowNN*.flo with yos*NN.tif or .png"),
+    "stereo": _Rule(
+        find_stereo,
+        "NAME_left.png and NAME_right.png, or left.png and right.png, with NAME_disp, "
+        "NAME_disparity or NAME_gt (.npz, .npy, .png or .tif)",
+    ),
+}
+"""Of each layout its finder, and the files that it looks for."""
+
+
+def _first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_dir()), None)
+
+
+def _above_training(folder: Path) -> Path:
+    """Return the folder that a dataset is named by: not its part for training."""
+    return folder.parent if folder.name == "training" else folder
+
+
+def _sorted_files(folder: Path, pattern: str) -> list[Path]:
+    return sorted(path for path in folder.glob(pattern) if not path.name.startswith("."))

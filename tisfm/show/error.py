@@ -1,0 +1,156 @@
+"""Flow errors as colours, and the figures of an evaluation."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.show.arrays import as_flow, as_map, check_limit, require_same_size
+from tisfm.show.drawing import (
+    BAR_SIZE,
+    WHEEL_SIZE,
+    draw_color_bar,
+    draw_panels,
+    draw_wheel,
+)
+from tisfm.show.flow import flow_to_color, usual_length
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ERROR_RANGE = (1 / 16, 16.0)
+"""Default ends of the scale of errors, px: eight doublings, with 1 px in the middle."""
+
+_UNKNOWN_GREY = 128
+_WIDE = 2  # width over height from which pictures go below one another
+
+
+def error_to_color(
+    error: ArrayLike, *, limits: tuple[float, float] = ERROR_RANGE
+) -> NDArray[np.uint8]:
+    """Show the length of flow errors as colours, from black through red to pale yellow.
+
+    The scale is logarithmic, so that one range serves a tenth of a pixel and ten alike and
+    pictures of all datasets can be compared: each doubling of the error is the same step of the
+    map, which is perceptually uniform (inferno).
+
+    Parameters
+    ----------
+    error : (H, W) array_like
+        Length of the error, px, such as from `tisfm.metrics.endpoint_error_map`. Where it is NaN,
+        the truth is unknown: grey.
+    limits : (float, float)
+        Errors at the two ends of the map, px. Smaller and greater ones are shown as these.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Colours red, green, blue.
+
+    Raises
+    ------
+    ValueError
+        If `error` is not (H, W) or the limits are not finite, positive and in order.
+    """
+    values = as_map("error", error)
+    low, high = check_error_limits(limits)
+    known = ~np.isnan(values)
+    share = np.log(np.clip(np.where(known, values, low), low, high) / low) / math.log(high / low)
+    levels = np.rint(share * 255).astype(np.uint8)
+    color = cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1].copy()
+    color[~known] = _UNKNOWN_GREY
+    return color
+
+
+def error_figure(
+    error: ArrayLike, *, title: str | None = None, limits: tuple[float, float] = ERROR_RANGE
+) -> Figure:
+    """Show a map of flow errors with its scale.
+
+    Parameters
+    ----------
+    error : (H, W) array_like
+        Length of the error, px; NaN where the truth is unknown.
+    title : str, optional
+        Heading of the figure.
+    limits : (float, float)
+        As in `error_to_color`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure, for `save_figure`.
+
+    Raises
+    ------
+    ValueError
+        As `error_to_color`.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    values = as_map("error", error)
+    low, high = check_error_limits(limits)
+    picture = error_to_color(values, limits=limits)
+    label = "End-point error of the flow (grey: truth unknown)"
+    figure, _, layout = draw_panels([[(label, picture)]], heading=title, legend=BAR_SIZE)
+    ramp = np.geomspace(high, low, 256)[:, None]  # the greatest error on top
+    bar = error_to_color(ramp, limits=(low, high))
+    draw_color_bar(figure, layout, bar, (low, high), unit="px")
+    return figure
+
+
+def flow_figure(
+    flow: ArrayLike,
+    truth: ArrayLike,
+    *,
+    title: str | None = None,
+    limit: float | None = None,
+) -> Figure:
+    """Show a flow beside the true one, as colours of one range.
+
+    Parameters
+    ----------
+    flow, truth : (H, W, 2) array_like
+        Recovered and true flow, px/frame. Unknown, NaN or beyond 1e9, is black.
+    title : str, optional
+        Heading of the figure.
+    limit : float, optional
+        Motion at the rim of the colour wheel, px/frame, by default the 98th percentile of the
+        length of the true flow.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure, for `save_figure`.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, sizes differ, or the limit is negative or not finite.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    recovered, true = as_flow("flow", flow), as_flow("truth", truth)
+    require_same_size("truth", true, "flow", recovered)
+    top = usual_length(true) if limit is None else check_limit("limit", limit)
+    panels = [
+        ("Recovered flow", flow_to_color(recovered, limit=top)),
+        ("True flow (black: unknown)", flow_to_color(true, limit=top)),
+    ]
+    height, width = recovered.shape[:2]
+    rows = [panels] if width < _WIDE * height else [[panel] for panel in panels]
+    figure, _, layout = draw_panels(rows, heading=title, legend=WHEEL_SIZE)
+    draw_wheel(figure, layout, top)
+    return figure
+
+
+def check_error_limits(limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of a logarithmic scale, or raise an error unless they make one."""
+    low, high = limits
+    if not (math.isfinite(low) and math.isfinite(high) and 0 < low < high):
+        raise ValueError(f"limits is {limits!r}, expected two finite numbers with 0 < low < high")
+    return float(low), float(high)
