@@ -19,7 +19,17 @@ __all__ = [
     "interpret_sequence",
 ]
 
-_SUBMODULES = ("formats", "horn_schunck", "metrics", "reference", "runtime", "scenes", "show")
+_SUBMODULES = (
+    "datasets",
+    "evaluation",
+    "formats",
+    "horn_schunck",
+    "metrics",
+    "reference",
+    "runtime",
+    "scenes",
+    "show",
+)
 
 
 def __getattr__(name: str) -> ModuleType:

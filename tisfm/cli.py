@@ -1,4 +1,4 @@
-"""The command line: ``tisfm demo``, ``tisfm run``, ``tisfm figures``."""
+"""The command line: ``tisfm demo``, ``tisfm run``, ``tisfm eval``, ``tisfm figures``."""
 
 import io
 import os
@@ -12,6 +12,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
+from tisfm.datasets import Layout
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
@@ -92,6 +93,72 @@ class Run:
             step=self.step,
             resume=self.resume,
             figures=self.figures,
+            threads=self.threads,
+        )
+
+
+@dataclass(kw_only=True)
+class StatedCameraOptions:
+    """The camera, where the dataset does not state one or another is wanted."""
+
+    focal: float | None = None
+    """Focal length of every pair, px. By default what the dataset states, or else 600."""
+    center: tuple[float, float] | None = None
+    """Principal point (cx, cy) that goes with --focal, px. By default the centre of the image."""
+
+    def camera(self) -> Camera | None:
+        """Return the camera of every pair, or None for those that the dataset states."""
+        if self.focal is None:
+            if self.center is not None:
+                raise ValueError("center is given without focal: give --focal as well")
+            return None
+        return Camera(focal=self.focal, center=self.center)
+
+
+@dataclass(kw_only=True)
+class Eval:
+    """Compare with the true motion of benchmarks.
+
+    Interprets every pair found in the folders and prints one table of errors: end-point (EPE) and
+    angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more (R1.0), and,
+    where the dataset says what is occluded, EPE without it (noc). Known layouts are those of
+    Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs with a disparity.
+
+    With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_error.png (end-point error, on
+    one scale for all), NAME_flow.png (recovered beside true flow) and NAME_flow.flo; and eval.json
+    with versions, settings and every number.
+    """
+
+    folders: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="FOLDER [FOLDER ...]", help_behavior_hint="(required)"),
+    ]
+    """Folders of datasets, or folders above them."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
+    """Folder for pictures, flow and eval.json; made if need be. By default nothing is written."""
+    layout: Layout | None = None
+    """Layout of the folders; by default every one that is recognised."""
+    preset: Preset = "balanced"
+    """Settings to start from; the settings below show its values, and change them."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores. Errors do not depend on it."""
+    camera: OmitArgPrefixes[StatedCameraOptions] = field(default_factory=StatedCameraOptions)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.commands import evaluate
+
+        if not self.folders:
+            raise ValueError(
+                "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
+            )
+        return evaluate(
+            self.folders,
+            self.output,
+            layout=self.layout,
+            camera=self.camera.camera(),
+            settings=self.settings.settings(),
             threads=self.threads,
         )
 
@@ -180,16 +247,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _parse(arguments: list[str]) -> Run | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:
     preset = _preset(arguments)
-    default = Run(
-        source=tyro.MISSING,
-        output=tyro.MISSING,
-        preset=preset,
-        settings=SettingsOptions(**asdict(Settings.preset(preset))),
-    )
+    settings = SettingsOptions(**asdict(Settings.preset(preset)))
+    run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
+    evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=settings)
     commands = (
-        Annotated[Run, subcommand("run", default=default, prefix_name=False)]
+        Annotated[Run, subcommand("run", default=run, prefix_name=False)]
+        | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
     )

@@ -20,7 +20,13 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.datasets import Layout, LoadedPair, find_pairs
+from tisfm.evaluation import PairEvaluation
+from tisfm.evaluation import evaluate as evaluate_pairs
+from tisfm.evaluation_outputs import EVALUATION_RECORD, EvaluationWriter
+from tisfm.evaluation_table import evaluation_table
 from tisfm.horn_schunck import horn_schunck
+from tisfm.interpretation import Interpretation
 from tisfm.metrics import angular_error, depth_errors, endpoint_error
 from tisfm.outputs import RECORD, PairWriter
 from tisfm.pair import interpret
@@ -77,6 +83,52 @@ def run(
     for code, advice in writer.advice.items():
         _tell(f"{code}: {advice}")
     return 0
+
+
+def evaluate(
+    folders: Sequence[str],
+    output: Path | None,
+    *,
+    layout: Layout | None = None,
+    camera: Camera | None = None,
+    settings: Settings,
+    threads: int | None = None,
+) -> int:
+    """Interpret the pairs of datasets, print their errors, write all; return the exit code."""
+    pairs = dict.fromkeys(pair for folder in folders for pair in find_pairs(folder, layout))
+    runtime.start(threads=threads)
+    writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
+    with _progress() as progress:
+        task = progress.add_task("compiling", total=len(pairs))
+
+        def finish_pair(
+            evaluation: PairEvaluation, result: Interpretation | None, loaded: LoadedPair | None
+        ) -> None:
+            if writer is not None:
+                writer.write(evaluation, result, loaded)
+            progress.update(task, advance=1, description=evaluation.label)
+
+        evaluation = evaluate_pairs(pairs, camera=camera, settings=settings, on_pair=finish_pair)
+    if writer is not None:
+        writer.finish(evaluation)
+    Console().print(evaluation_table(evaluation))
+    good = [pair for pair in evaluation.pairs if pair.fault is None]
+    if good:
+        counts = Counter(pair.status for pair in good)
+        number = len(good)
+        statuses = ", ".join(f"{count} {code}" for code, count in counts.items())
+        where = (
+            ""
+            if output is None
+            else (f" Pictures and flow in {output}, every number in {output / EVALUATION_RECORD}.")
+        )
+        _tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
+    advice = {pair.status: pair.message for pair in reversed(good) if pair.status != "converged"}
+    for code, message in advice.items():
+        _tell(f"{code}: {message}")
+    for pair in evaluation.faults:
+        _tell(f"tisfm: {pair.label}: {pair.fault}")
+    return 1 if evaluation.faults else 0
 
 
 def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:

@@ -78,6 +78,14 @@ def lanes() -> int:
     return 8 if ti.lang.impl.current_cfg().arch in (ti.x64, ti.arm64) else 1
 
 
+def threads() -> int:
+    """Return the most CPU threads that kernels use, starting the runtime if need be."""
+    start()
+    import taichi as ti
+
+    return int(ti.lang.impl.current_cfg().cpu_max_num_threads)
+
+
 def _is_running() -> bool:
     if "taichi" not in sys.modules:
         return False

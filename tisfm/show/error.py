@@ -95,7 +95,7 @@ def error_figure(
     values = as_map("error", error)
     low, high = check_error_limits(limits)
     picture = error_to_color(values, limits=limits)
-    label = "End-point error of the flow (grey: truth unknown)"
+    label = "End-point error (grey: truth unknown)"
     figure, _, layout = draw_panels([[(label, picture)]], heading=title, legend=BAR_SIZE)
     ramp = np.geomspace(high, low, 256)[:, None]  # the greatest error on top
     bar = error_to_color(ramp, limits=(low, high))

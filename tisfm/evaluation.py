@@ -1,0 +1,262 @@
+"""Interpretations of pairs whose motion is known, compared with it."""
+
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.datasets import DatasetPair, LoadedPair
+from tisfm.interpretation import Interpretation
+from tisfm.metrics import FlowErrors, flow_errors
+from tisfm.pair import interpret
+from tisfm.settings import Settings, check_settings
+
+_WARM_UP_SIDE = 64  # px
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairEvaluation:
+    """What came of one pair.
+
+    Attributes
+    ----------
+    pair : DatasetPair
+        Where its files lie.
+    fault : str or None
+        Why there are no errors to report, in one line; None if all went well.
+    size : (int, int) or None
+        Height and width, px.
+    camera : Camera or None
+        The camera it was interpreted with.
+    status, message : str
+        How the interpretation ended, and what to try; empty where it was not begun.
+    seconds : float or None
+        Time of the interpretation. Reading files, compiling kernels, comparing and writing are
+        not part of it.
+    errors : FlowErrors or None
+        Where the truth is known.
+    visible : FlowErrors or None
+        The same without the pixels that are occluded in frame 1, if the dataset says which.
+    without_sky : FlowErrors or None
+        The same without the sky, if the dataset says where it is.
+    """
+
+    pair: DatasetPair
+    fault: str | None = None
+    size: tuple[int, int] | None = None
+    camera: Camera | None = None
+    status: str = ""
+    message: str = ""
+    seconds: float | None = None
+    errors: FlowErrors | None = None
+    visible: FlowErrors | None = None
+    without_sky: FlowErrors | None = None
+
+    @property
+    def label(self) -> str:
+        """Dataset and name."""
+        return f"{self.pair.dataset}/{self.pair.name}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanErrors:
+    """Means over pairs, each pair counting the same whatever its size.
+
+    Attributes
+    ----------
+    pairs : int
+        Pairs that the means are over: those without a fault.
+    seconds : float
+        Time of an interpretation.
+    errors : FlowErrors
+        Where the truth is known. Its `pixels` are those of all pairs together.
+    visible, without_sky : FlowErrors or None
+        As in `PairEvaluation`; None unless every one of the pairs has them, because a mean over
+        other pairs could not be compared with that of the column beside it.
+    """
+
+    pairs: int
+    seconds: float
+    errors: FlowErrors
+    visible: FlowErrors | None = None
+    without_sky: FlowErrors | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """An evaluation of some pairs with one set of settings.
+
+    Attributes
+    ----------
+    settings : Settings
+    pairs : tuple of PairEvaluation
+        In the order they were given.
+    """
+
+    settings: Settings
+    pairs: tuple[PairEvaluation, ...]
+
+    @property
+    def faults(self) -> list[PairEvaluation]:
+        """The pairs that could not be evaluated."""
+        return [pair for pair in self.pairs if pair.fault is not None]
+
+    @property
+    def datasets(self) -> dict[str, list[PairEvaluation]]:
+        """The pairs of each dataset, in order."""
+        groups: dict[str, list[PairEvaluation]] = {}
+        for pair in self.pairs:
+            groups.setdefault(pair.pair.dataset, []).append(pair)
+        return groups
+
+    @property
+    def dataset_means(self) -> dict[str, MeanErrors | None]:
+        """Means of each dataset; None for one of which no pair could be evaluated."""
+        return {name: mean_errors(pairs) for name, pairs in self.datasets.items()}
+
+    @property
+    def mean(self) -> MeanErrors | None:
+        """Means over all pairs; None if none could be evaluated."""
+        return mean_errors(self.pairs)
+
+
+def evaluate(
+    pairs: Iterable[DatasetPair],
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    on_pair: Callable[[PairEvaluation, Interpretation | None, LoadedPair | None], None]
+    | None = None,
+) -> Evaluation:
+    """Interpret pairs and compare their flow with the truth.
+
+    A pair that cannot be read, interpreted or compared is recorded with its fault, and the others
+    go on. Kernels are compiled beforehand, so that no time includes it.
+
+    Parameters
+    ----------
+    pairs : iterable of DatasetPair
+        Such as from `tisfm.datasets.find_pairs`. One that is given twice is evaluated once.
+    camera : Camera, optional
+        Camera of every pair; by default the one that the dataset states, or else `Camera()`.
+    settings : Settings, optional
+        By default those of the preset "balanced".
+    on_pair : callable, optional
+        Called after every pair with its evaluation, the interpretation and what was loaded (None
+        for a pair with a fault). An error that it raises is the fault of the pair, and it is then
+        called once more with that.
+
+    Returns
+    -------
+    Evaluation
+
+    Raises
+    ------
+    TypeError
+        If `camera` or `settings` is not of its type.
+    """
+    if camera is not None and not isinstance(camera, Camera):
+        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
+    settings = check_settings(settings)
+    compiled: set[Any] = set()
+    done = []
+    for pair in dict.fromkeys(pairs):
+        try:
+            loaded = pair.load()
+            kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
+            if kind not in compiled:
+                _warm_up(settings, *kind)
+                compiled.add(kind)
+            evaluation, result = _evaluate_pair(pair, loaded, camera=camera, settings=settings)
+            if on_pair is not None:
+                on_pair(evaluation, result, loaded)
+        except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
+            text = " ".join(str(error).split()) or type(error).__name__
+            evaluation = PairEvaluation(pair=pair, fault=text)
+            if on_pair is not None:
+                on_pair(evaluation, None, None)
+        done.append(evaluation)
+    return Evaluation(settings=settings, pairs=tuple(done))
+
+
+def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
+    """Return means over the pairs without a fault, or None if there is none."""
+    good = [pair for pair in pairs if pair.errors is not None and pair.seconds is not None]
+    errors = _mean([pair.errors for pair in good])
+    if errors is None:
+        return None
+    return MeanErrors(
+        pairs=len(good),
+        seconds=float(np.mean([pair.seconds for pair in good])),
+        errors=errors,
+        visible=_mean([pair.visible for pair in good]),
+        without_sky=_mean([pair.without_sky for pair in good]),
+    )
+
+
+def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
+    """Return everything about a pair as plain values, for JSON."""
+    record = asdict(evaluation)
+    paths = record.pop("pair")
+    return {
+        **{key: os.fspath(v) if isinstance(v, os.PathLike) else v for key, v in paths.items()},
+        **record,
+    }
+
+
+def _evaluate_pair(
+    pair: DatasetPair, loaded: LoadedPair, *, camera: Camera | None, settings: Settings
+) -> tuple[PairEvaluation, Interpretation]:
+    """Interpret one pair and compare its flow with the truth."""
+    camera = camera or loaded.camera or Camera()
+    begin = time.perf_counter()
+    result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings)
+    seconds = time.perf_counter() - begin
+    height, width = loaded.flow.shape[:2]
+    evaluation = PairEvaluation(
+        pair=pair,
+        size=(height, width),
+        camera=camera,
+        status=str(result.status),
+        message=result.status.message,
+        seconds=seconds,
+        errors=flow_errors(result.flow, loaded.flow),
+        visible=_errors_outside(result.flow, loaded.flow, loaded.occlusion),
+        without_sky=_errors_outside(result.flow, loaded.flow, loaded.sky),
+    )
+    return evaluation, result
+
+
+def _errors_outside(
+    flow: np.ndarray, truth: np.ndarray, mask: np.ndarray | None
+) -> FlowErrors | None:
+    """Return the errors without the pixels of a mask, or None if there is none or no pixel is."""
+    if mask is None:
+        return None
+    counted = ~mask
+    known = np.isfinite(truth).all(axis=-1)
+    return flow_errors(flow, truth, mask=counted) if (counted & known).any() else None
+
+
+def _mean(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
+    """Return the mean of every error, or None if one is missing or there are none."""
+    present = [error for error in errors if error is not None]
+    if not present or len(present) < len(errors):
+        return None
+    means = {
+        field.name: float(np.mean([getattr(error, field.name) for error in present]))
+        for field in fields(FlowErrors)
+        if field.name != "pixels"
+    }
+    return FlowErrors(**means, pixels=sum(error.pixels for error in present))
+
+
+def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> None:
+    """Interpret a small pair of noise, so that every kernel is compiled before it is timed."""
+    noise = np.random.default_rng(0).integers(0, 256, (_WARM_UP_SIDE, _WARM_UP_SIDE, *channels))
+    frame = noise.astype(dtype)
+    interpret(frame, np.roll(frame, 1, axis=1), settings=settings)
