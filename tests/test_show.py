@@ -12,11 +12,15 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from tisfm.show import (
+    ERROR_RANGE,
     anaglyph,
     color_wheel,
     comparison_figure,
     depth_grey,
     dubois,
+    error_figure,
+    error_to_color,
+    flow_figure,
     flow_radius,
     flow_to_color,
     inverse_depth_limit,
@@ -24,6 +28,7 @@ from tisfm.show import (
     quiver_points,
     save_figure,
     second_view,
+    usual_length,
 )
 from tisfm.show.anaglyph import _MATRICES
 
@@ -580,3 +585,64 @@ def test_matplotlib_is_imported_only_for_figures_and_never_pyplot():
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+# Flow errors
+
+
+def test_error_colors_brighten_with_every_doubling():
+    error = np.array([[0.0, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1, 2, 4, 8, 16, 1e9, np.inf]])
+    color = error_to_color(error)[0].astype(int)
+    luma = color @ [0.299, 0.587, 0.114]
+    assert luma[0] == luma[1] < 3 and luma[-1] == luma[-2] == luma[-3] > 230
+    steps = np.diff(luma[1:-2])
+    assert (steps > 0).all() and steps.max() < 3 * steps.min()
+    assert (error_to_color(error, limits=(1, 2))[0, 6] == color[-1]).all()
+
+
+def test_unknown_errors_are_grey():
+    error = np.array([[np.nan, 0.0, 1.0]], np.float32)
+    assert error_to_color(error)[0, 0].tolist() == [128, 128, 128]
+    every = error_to_color(np.geomspace(*ERROR_RANGE, 4000)[None])[0].astype(int)
+    assert np.ptp(every, axis=1)[(every > 100).all(axis=1)].min() > 20  # nothing else is grey
+
+
+@pytest.mark.parametrize("limits", [(0, 1), (1, 1), (2, 1), (np.nan, 1), (1, np.inf), (-1, 1)])
+def test_error_limits_are_checked(limits):
+    for draw in (error_to_color, error_figure):
+        with pytest.raises(ValueError, match=r"limits is \(.*0 < low < high"):
+            draw(np.ones((3, 4)), limits=limits)
+
+
+def test_usual_length_leaves_out_the_longest():
+    flow = np.zeros((10, 10, 2))
+    flow[..., 0] = np.arange(100).reshape(10, 10)
+    flow[0, 0] = 1e10, 0
+    flow[0, 1] = np.nan
+    assert usual_length(flow) == pytest.approx(np.percentile(np.arange(2, 100), 98))
+    assert usual_length(np.full((3, 4, 2), np.nan)) == 0
+
+
+@pytest.mark.parametrize("shape", [(60, 80), (20, 90), (90, 20), (1, 1)])
+def test_figures_of_an_evaluation(tmp_path, shape):
+    """Nothing is drawn beyond the edges: they are white."""
+    rng = np.random.default_rng(0)
+    flow, truth = rng.normal(size=(2, *shape, 2))
+    truth[0, 0] = np.nan
+    error = np.hypot(*np.moveaxis(flow - truth, -1, 0))
+    for figure in (error_figure(error, title="A name"), flow_figure(flow, truth, title="A name")):
+        save_figure(tmp_path / "a.png", figure)
+        image = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"))
+        for edge in (image[:3], image[-3:], image[:, :3], image[:, -3:]):
+            assert (edge == 255).all()
+        assert (image < 255).any()
+
+
+def test_figures_of_an_evaluation_share_a_range(tmp_path):
+    truth = np.zeros((40, 60, 2))
+    truth[..., 0] = 3.0
+    with pytest.raises(ValueError, match=r"truth is \(40, 60\) but flow is \(40, 59\)"):
+        flow_figure(truth[:, 1:], truth)
+    with pytest.raises(ValueError, match="limit is -1"):
+        flow_figure(truth, truth, limit=-1.0)
+    flow_figure(truth, np.full_like(truth, np.nan))  # nothing known: no range

@@ -201,11 +201,12 @@ def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
 def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
     """Return everything about a pair as plain values, for JSON."""
     record = asdict(evaluation)
-    paths = record.pop("pair")
-    return {
-        **{key: os.fspath(v) if isinstance(v, os.PathLike) else v for key, v in paths.items()},
-        **record,
+    pair = {
+        key: os.fspath(value) if isinstance(value, os.PathLike) else value
+        for key, value in record.pop("pair").items()
     }
+    names = {key: pair.pop(key) for key in ("dataset", "name", "layout")}
+    return {**names, **record, "inputs": pair}
 
 
 def _evaluate_pair(

@@ -63,7 +63,7 @@ class EvaluationWriter:
             "threads": runtime.threads(),
             "camera": None if camera is None else asdict(camera),
             "settings": asdict(settings),
-            "error_range": list(ERROR_RANGE),
+            "error_range_px": list(ERROR_RANGE),
             "complete": False,
             "pairs": [],
             "dataset_means": {},
@@ -103,7 +103,7 @@ class EvaluationWriter:
             save_figure(f"{path}_flow.png", figure, _DPI)
             error = endpoint_error_map(result.flow, loaded.flow)
             save_figure(f"{path}_error.png", error_figure(error, title=title), _DPI)
-        self._record["pairs"].append({**as_record(evaluation), "files": stem})
+        self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
         self._write_record()
 
     def finish(self, evaluation: Evaluation) -> None:

@@ -132,10 +132,12 @@ def find_yosemite(folder: Path) -> Iterator[DatasetPair]:
 
 def find_stereo(folder: Path) -> Iterator[DatasetPair]:
     """Find NAME_left and NAME_right, or left and right, with a disparity of the left view."""
-    for left in _sorted_files(folder, "*left.*"):
-        prefix = left.stem.removesuffix("left")
-        if left.suffix.lower() not in IMAGE_SUFFIXES or not (prefix == "" or prefix[-1] == "_"):
-            continue
+    views: dict[str, dict[str, Path]] = {}
+    for file in _sorted_files(folder, "*"):
+        view = re.fullmatch(r"(|.*_)(left|right)", file.stem)
+        if view is not None and file.suffix.lower() in IMAGE_SUFFIXES:
+            views.setdefault(view.group(1), {})[view.group(2)] = file
+    for prefix, found in views.items():
         candidates = (
             folder / f"{prefix}{name}{suffix}"
             for name in _DISPARITY_NAMES
@@ -143,13 +145,14 @@ def find_stereo(folder: Path) -> Iterator[DatasetPair]:
         )
         truth = next((path for path in candidates if path.is_file()), None)
         if truth is not None:
+            suffix = next(iter(found.values())).suffix  # of the other view, should one be missing
             mask = folder / f"{prefix}mask.png"
             yield DatasetPair(
                 layout="stereo",
                 dataset=folder.name,
                 name=prefix.rstrip("_") or folder.name,
-                frame0=left,
-                frame1=folder / f"{prefix}right{left.suffix}",
+                frame0=found.get("left", folder / f"{prefix}left{suffix}"),
+                frame1=found.get("right", folder / f"{prefix}right{suffix}"),
                 truth=truth,
                 truth_format="disparity",
                 visible=mask if mask.is_file() else None,
