@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm import commands, pair
+from tisfm import commands, evaluation, pair
 from tisfm.cli import main
-from tisfm.formats import read_depth_png, read_flo, read_image, write_png
+from tisfm.formats import read_depth_png, read_flo, read_image, write_flo, write_png
 from tisfm.settings import Settings
 from tisfm.show import depth_grey
 
@@ -55,6 +55,18 @@ def frames(place):
     folder.mkdir()
     for k, frame in enumerate(FRAMES):
         write_png(folder / f"f{k}.png", frame)
+    return folder
+
+
+@pytest.fixture
+def benchmark_folder(place):
+    """Two pairs in the layout of Middlebury, with the motion that `make_frames` gives them."""
+    folder = place / "flows"
+    for k, name in enumerate(("Slow", "Fast")):
+        (folder / name).mkdir(parents=True)
+        write_png(folder / name / "frame10.png", FRAMES[k])
+        write_png(folder / name / "frame11.png", FRAMES[k + 1])
+        write_flo(folder / name / "flow10.flo", np.full((H, W, 2), (k + 1.0, 0.0)))
     return folder
 
 
@@ -546,13 +558,19 @@ def test_an_unwritable_folder_is_one_line(tisfm_run, public_frames, monkeypatch,
 
 
 @pytest.mark.parametrize("output", ["file", "file/out", "file/deep/out"])
-@pytest.mark.parametrize("command", ["run", "demo", "figures"])
+@pytest.mark.parametrize("command", ["run", "demo", "eval", "figures"])
 def test_an_output_that_is_no_folder_is_one_line(
-    tisfm_run, frames, place, monkeypatch, output, command
+    tisfm_run, frames, benchmark_folder, place, monkeypatch, output, command
 ):
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
-    source = {"run": ["frames"], "demo": [], "figures": ["frames/f0.png", "frames/f1.png"]}
+    monkeypatch.setattr(evaluation, "interpret", forbid)
+    source = {
+        "run": ["frames"],
+        "demo": [],
+        "eval": ["flows"],
+        "figures": ["frames/f0.png", "frames/f1.png"],
+    }
     code, _, err = tisfm_run(command, *source[command], "-o", output)
     assert_one_line(code, err, output, "give another with -o")
     assert (place / "file").read_text() == "mine"
@@ -647,7 +665,7 @@ def options_of(text):
 def test_help_names_the_commands(tisfm_run):
     code, out, _ = tisfm_run("--help")
     assert code == 0
-    for word in ("run", "demo", "figures", "tisfm run --help"):
+    for word in ("run", "demo", "eval", "figures", "tisfm run --help"):
         assert word in out
 
 
@@ -679,6 +697,11 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
     [
         ("demo", {"--output", "--height", "--width", "--seed", "--threads", "--help"}),
         ("figures", {"--output", "--threads", "--focal", "--center", "--help"}),
+        (
+            "eval",
+            {"--output", "--layout", "--preset", "--threads", "--focal", "--center", "--help"}
+            | {"--" + name.replace("_", "-") for name in vars(Settings())},
+        ),
     ],
 )
 def test_help_of_the_others(tisfm_run, command, options):
@@ -742,6 +765,114 @@ def test_figures_of_a_missing_file(tisfm_run, frames, place):
     code, _, err = tisfm_run("figures", "frames/f0.png", "gone.png", "-o", "out")
     assert_one_line(code, err, "gone.png")
     assert not (place / "out").exists()
+
+
+# Evaluation
+
+
+def evaluated(folder):
+    return json.loads((Path(folder) / "eval.json").read_text(encoding="utf-8"))
+
+
+def table_of(out):
+    rows = [line.strip("│").split("│") for line in out.splitlines() if line.startswith("│")]
+    return {cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in rows}
+
+
+def test_eval_prints_a_table(tisfm_run, benchmark_folder, place):
+    before = set(place.rglob("*"))
+    code, out, err = tisfm_run("eval", "flows", "flows/Slow")
+    assert code == 0 and err == "2 pairs: 2 converged.\n"
+    rows = table_of(out)
+    assert list(rows) == ["flows/Fast", "flows/Slow", "flows, mean of 2"]
+    assert all(0 < float(row[0]) < 0.2 for row in rows.values())
+    assert set(place.rglob("*")) == before
+
+
+def test_eval_writes_what_it_prints(tisfm_run, benchmark_folder):
+    code, out, err = tisfm_run("eval", "flows", "-o", "deep/out", "--preset", "fast")
+    assert code == 0
+    assert err == (
+        "2 pairs: 2 converged. Pictures and flow in deep/out, every number in deep/out/eval.json.\n"
+    )
+    about = evaluated("deep/out")
+    assert about["complete"] is True
+    assert Settings(**about["settings"]) == Settings.preset("fast")
+    rows = table_of(out)
+    for entry in about["pairs"]:
+        assert f"{entry['errors']['endpoint']:.3f}" == rows[f"flows/{entry['name']}"][0]
+        flow = read_flo(f"deep/out/{entry['outputs']}_flow.flo")
+        expected = tisfm.interpret(
+            *(read_image(entry["inputs"][key]) for key in ("frame0", "frame1")),
+            settings=Settings.preset("fast"),
+        )
+        np.testing.assert_array_equal(flow, expected.flow)
+    assert f"{about['mean']['errors']['endpoint']:.3f}" == rows["flows, mean of 2"][0]
+
+
+def test_options_reach_the_evaluation(tisfm_run, benchmark_folder):
+    options = [
+        "--preset",
+        "paper",
+        "--outer-iterations",
+        "7",
+        "--focal",
+        "55",
+        "--center",
+        "3",
+        "4",
+    ]
+    code, _, err = tisfm_run("eval", "flows", "-o", "out", *options)
+    assert code == 0
+    about = evaluated("out")
+    assert Settings(**about["settings"]) == Settings.preset("paper", outer_iterations=7)
+    camera = {"focal": 55.0, "center": [3.0, 4.0]}
+    assert about["camera"] == camera and {str(p["camera"]) for p in about["pairs"]} == {str(camera)}
+    assert "2 iteration_limit" in err and "raise outer_iterations" in err
+
+
+def test_a_fault_is_told_at_the_end(tisfm_run, benchmark_folder):
+    (benchmark_folder / "Fast" / "frame11.png").unlink()
+    code, out, err = tisfm_run("eval", "flows", "-o", "out")
+    assert code == 1
+    assert list(table_of(out)) == ["flows/Fast (failed)", "flows/Slow", "flows, mean of 1"]
+    lines = err.splitlines()
+    assert len(lines) == 2 and lines[0].startswith("1 pair: 1 converged.")
+    assert lines[1].startswith("tisfm: flows/Fast: ") and "frame11.png does not exist" in lines[1]
+    assert evaluated("out")["complete"] is True
+    assert [bool(entry["fault"]) for entry in evaluated("out")["pairs"]] == [True, False]
+
+
+def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tisfm.evaluation_outputs, "save_figure", interrupted)
+    assert tisfm_run("eval", "flows", "-o", "out") == (130, "", "tisfm: interrupted\n")
+    assert evaluated("out")["complete"] is False and evaluated("out")["pairs"] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["FOLDER is missing", "tisfm eval FOLDER -o DIR"]),
+        (["gone"], ["there is no folder gone"]),
+        (["flows", "frames"], ["frames holds no pair", "flow10.flo", "flow_occ", "disparity"]),
+        (["frames", "--layout", "kitti"], ["frames holds no pair", "flow_occ"]),
+        (["flows", "--layout", "sintel"], ["flows holds no pair", "frame_NNNN.flo"]),
+        (["flows/Slow/flow10.flo"], ["flow10.flo is a file", "folder of a dataset"]),
+        (["flows", "--focal", "0"], ["focal is 0", "positive"]),
+        (["flows", "--center", "3", "4"], ["center is given without focal"]),
+        (["flows", "--warps", "0"], ["warps is 0", "at least 1"]),
+        (["flows", "--threads", "0"], ["threads is 0", "positive integer"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_wrong_evaluations_are_one_line(tisfm_run, frames, benchmark_folder, arguments, words):
+    code, out, err = tisfm_run("eval", *arguments, "-o", "out")
+    assert code == 1 and out == ""
+    assert_one_line(code, err, *words)
+    assert not Path("out").exists()
 
 
 # The process
