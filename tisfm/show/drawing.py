@@ -208,11 +208,9 @@ def draw_color_bar(
     """
     if layout.legend is None:
         raise ValueError("layout has no room for a legend: ask draw_panels for it")
-    width, height = BAR_SIZE
     axes = _inch_axes(figure, layout.legend, BAR_SIZE)
-    left, right, bottom, top = 0.1, 0.28, 0.08, height - 0.08
+    left, right, bottom, top = 0.1, 0.28, 0.08, BAR_SIZE[1] - 0.08
     axes.imshow(ramp, extent=(left, right, bottom, top), aspect="auto", interpolation="nearest")
-    axes.set(xlim=(0, width), ylim=(0, height))
     axes.plot(
         [left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.5", lw=0.6
     )
@@ -252,8 +250,6 @@ def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: f
         extent=(middle - radius, middle + radius, wheel_middle - radius, wheel_middle + radius),
         aspect="auto",
     )
-    # Pictures set the limits of their axes to themselves.
-    axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
     rim = f"rim: {limit:.0f} px/frame" if limit >= 100 else f"rim: {limit:.2g} px/frame"
     _write(axes, middle, size[1] - 2 * radius - 0.05, rim, va="top", fontsize=_LEGEND_TEXT)
     return axes
