@@ -99,7 +99,7 @@ def measure_memory() -> dict[str, float]:
 
 def smoke_contests() -> bool:
     """Run the contests with peers and of changes on small scenes; return whether they did."""
-    commands = (["bench.peers"], ["bench.ablation", "--preset", "fast"])
+    commands = (["bench.peers"], ["bench.ablation", "--preset", "fast", "--only", "warp"])
     return all(
         subprocess.run(
             [sys.executable, "-m", *command, "--smoke"], cwd=ROOT, check=False
