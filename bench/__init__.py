@@ -1,1 +1,4 @@
-"""Benchmarks of tisfm against its NumPy reference; ``python -m bench --help``."""
+"""Benchmarks of tisfm: ``python -m bench``, ``bench.peers`` and ``bench.ablation``, ``--help``.
+
+The first stands beside the NumPy reference, the others beside other libraries and settings.
+"""

@@ -29,6 +29,7 @@ FULL = {
     "only": None,
     "seconds": 0.5,
     "memory": True,
+    "contests": False,
     "output": "full",
 }
 SMOKE = FULL | {
@@ -36,6 +37,7 @@ SMOKE = FULL | {
     "lanes": "8",
     "seconds": 0.05,
     "memory": False,
+    "contests": True,
     "output": "smoke",
 }
 BARS = FULL | {
@@ -60,7 +62,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--full-reference", action="store_true", help="NumPy pairs at every size")
     parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
     options = parser.parse_args(arguments)
-    options.memory = False if options.only else None
+    options.memory = options.contests = False if options.only else None
     for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
         if getattr(options, name, None) is None:
             setattr(options, name, value)
@@ -95,8 +97,20 @@ def measure_memory() -> dict[str, float]:
     return memory
 
 
+def smoke_contests() -> bool:
+    """Run the contests with peers and of changes on small scenes; return whether they did."""
+    commands = (["bench.peers"], ["bench.ablation", "--preset", "fast", "--only", "warp"])
+    return all(
+        subprocess.run(
+            [sys.executable, "-m", *command, "--smoke"], cwd=ROOT, check=False
+        ).returncode
+        == 0
+        for command in commands
+    )
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, or 1 where an answer disagreed or, with ``--bars``, a bar was missed."""
+    """Return 0, or 1 where an answer disagreed, a method failed or a bar was missed."""
     options = parse(arguments)
     RESULTS.mkdir(exist_ok=True)
     agreed, reports = True, []
@@ -120,9 +134,10 @@ def main(arguments: list[str] | None = None) -> int:
     for bar in checked:
         console.print(str(bar), highlight=False)
     write_markdown(results, RESULTS / f"{options.output}.md", notes=[str(bar) for bar in checked])
+    contested = smoke_contests() if options.contests else True
     if not agreed:
         console.print("an answer disagreed with the reference, or a benchmark failed: see above")
-    return 0 if agreed and all(bar.met for bar in checked) else 1
+    return 0 if agreed and contested and all(bar.met for bar in checked) else 1
 
 
 if __name__ == "__main__":

@@ -1,13 +1,26 @@
-"""The benchmarks' bookkeeping: merging, shares, bars, agreement. No timing."""
+"""The benchmarks' bookkeeping: merging, shares, bars, agreement, contests. No timing."""
 
+import ast
 import itertools
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from bench import ablation, contest_report, peers
 from bench.agreement import check, check_quantile, disagreement
 from bench.bars import bars
+from bench.columns import cores, present, ratio, standard_time
+from bench.contest import Call, MethodFailure, hold, score
+from bench.peer_plot import picture
+from bench.peer_process import WORKER, Peer, survey
 from bench.report import HEAD, collect, write_markdown
+from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.traffic import TRAFFIC
 
 PIXELS = 480 * 640
@@ -105,3 +118,227 @@ def test_every_kernel_has_its_traffic():
     assert {case.name for case in CASES} == set(TRAFFIC)
     for case, side in itertools.product(CASES, (Operations, References)):
         assert callable(getattr(side, case.kernel))
+
+
+# Contests: methods on pairs with a true flow.
+
+SIZE = (48, 64)
+
+
+def flow_pair(name="Grove2", group="middlebury", size=SIZE):
+    frame = np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8)
+    truth = np.zeros((*size, 2))
+    return FlowPair(name=name, group=group, frame0=frame, frame1=frame, truth=truth)
+
+
+class Fake:
+    """Flow off by a constant, in a time that is made up: call k takes seconds · (k + 1)."""
+
+    def __init__(self, name, log, *, error=1.0, seconds=1e-3, fails_on=""):
+        self.name, self.log, self.error, self.seconds = name, log, error, seconds
+        self.fails_on, self.calls = fails_on, 0
+
+    def run(self, pair):
+        self.log.append((self.name, pair.name))
+        if pair.name == self.fails_on:
+            raise MethodFailure("broken")
+        self.calls += 1
+        seconds = self.seconds * self.calls
+        flow = np.full((*pair.size, 2), [self.error, 0.0])
+        return Call(flow=flow, seconds=seconds, cpu=2 * seconds)
+
+
+def contest(methods, pairs, rounds=2):
+    conditions = {"threads": 2}
+    reference = methods[0].name
+    return hold(
+        methods, pairs, reference=reference, rounds=rounds, conditions=conditions, missing={}
+    )
+
+
+def test_methods_take_turns_in_every_round():
+    log = []
+    slow = {"seconds": 1.0}  # not so quick that calls are doubled
+    held = contest([Fake("a", log, **slow), Fake("b", log, **slow)], [flow_pair()], rounds=1)
+    on_pair = [name for name, pair in log if pair == "Grove2"]
+    assert on_pair == ["a", "b", "a", "b"]
+    assert [len(m.timings) for m in held.measurements] == [1, 1]
+
+
+def test_first_calls_and_those_before_quick_ones_are_not_timed():
+    held = contest([Fake("a", [])], [flow_pair()], rounds=2)
+    # Calls 1 and 2 warm up, 3 is the pair's first, 4 and 6 come before those timed.
+    assert [round(t.seconds * 1e3) for t in held.of("a", "Grove2").timings] == [5, 7]
+    assert cores(held, "a") == pytest.approx(2)
+
+
+def test_a_slow_method_has_fewer_rounds_and_no_warm_up_of_each_pair():
+    log = []
+    methods = [Fake("a", log), Fake("slow", log, seconds=100.0)]
+    held = contest(methods, [flow_pair()], rounds=5)
+    assert [t.round for t in held.of("slow", "Grove2").timings] == [1, 2, 3]
+    assert [t.round for t in held.of("a", "Grove2").timings] == [1, 2, 3, 4, 5]
+    assert ratio(held, "slow").median > 1e4
+
+
+def test_a_failure_costs_one_pair_and_is_reported(tmp_path):
+    log = []
+    pairs = [flow_pair(), flow_pair("Urban2"), flow_pair("kitti", "kitti")]
+    held = contest([Fake("a", log), Fake("b", log, fails_on="Urban2")], pairs)
+    assert held.failures() == {"b on Urban2": "broken"}
+    middlebury, kitti = present(held)
+    assert middlebury.value(held, "a") == pytest.approx(1)
+    assert middlebury.value(held, "b") is None
+    assert kitti.value(held, "b") == 0
+    assert ratio(held, "b") is None
+    contest_report.write(held, tmp_path / "out", title="title")
+    text = (tmp_path / "out.md").read_text(encoding="utf-8")
+    assert "- b on Urban2: broken" in text
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["methods"] == ["a", "b"]
+
+
+def test_a_method_that_cannot_start_is_missing():
+    held = contest([Fake("a", []), Fake("b", [], fails_on="Grove2-crop")], [flow_pair()])
+    assert held.methods == ("a",)
+    assert held.missing == {"b": "broken"}
+
+
+def test_flow_that_is_not_finite_is_a_failure():
+    held = contest([Fake("a", []), Fake("b", [], error=np.nan)], [flow_pair()])
+    assert "not finite" in held.failures()["b on Grove2"]
+
+
+def test_time_of_a_standard_pair_and_change_of_the_error():
+    def methods():
+        return [Fake("a", [], seconds=1e-5), Fake("b", [], seconds=1e-5, error=1.5)]
+
+    small = contest(methods(), [flow_pair()], rounds=1)
+    scale = 480 * 640 / (SIZE[0] * SIZE[1])
+    assert standard_time(small, "a").median == pytest.approx(5e-5 * scale)
+    both = [flow_pair(), flow_pair("Urban2", size=(480, 640))]
+    held = contest(methods(), both, rounds=1)
+    assert standard_time(held, "a").median == pytest.approx(8e-5)  # of Urban2 alone
+    rows = contest_report.summary(held, changes=True).rows
+    assert [row[1] for row in rows] == ["1.000", "1.500 (+50.0%)"]
+
+
+def test_names_in_the_picture_overlap_neither_each_other_nor_the_marks():
+    methods = [
+        Fake(f"method number {k}", [], error=1 + 0.02 * k, seconds=1e-3 * (1 + 0.01 * k))
+        for k in range(6)
+    ]
+    figure = picture(contest(methods, [flow_pair()]))
+    (axes,) = figure.axes
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == 6
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    marks = [line for line in axes.lines if line.get_marker() == "o"]
+    centres = [axes.transData.transform(np.ravel(mark.get_xydata())) for mark in marks]
+    assert not any(box.contains(*centre) for box in boxes for centre in centres)
+
+
+def test_the_worker_needs_nothing_of_this_project():
+    tree = ast.parse(WORKER.read_text(encoding="utf-8"))
+    names = {a.name for node in ast.walk(tree) if isinstance(node, ast.Import) for a in node.names}
+    names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    roots = {name.partition(".")[0] for name in names}
+    assert roots <= sys.stdlib_module_names | {"numpy", "cv2", "skimage"}
+
+
+@pytest.fixture
+def dis(tmp_path):
+    peer = Peer(
+        "OpenCV DIS fast", python=Path(sys.executable), threads=1, folder=tmp_path, timeout=60
+    )
+    yield peer
+    peer.close()
+
+
+def test_a_worker_gives_flow_and_starts_again_after_it_died(dis):
+    first, second = scene_pairs(96, 128)
+    expected = dis.run(first).flow
+    assert score(expected, first, dis.name).epe < 1
+    dis._process.kill()
+    dis._process.wait()
+    with pytest.raises(MethodFailure, match="its process died with status"):
+        dis.run(second)
+    np.testing.assert_array_equal(dis.run(first).flow, expected)
+
+
+def test_what_a_library_refuses_is_reported_and_the_worker_goes_on(dis):
+    pair = scene_pairs(96, 128)[0]
+    other = np.zeros((10, 12), np.uint8)
+    unequal = replace(pair, name="unequal", frame1=other)
+    with pytest.raises(MethodFailure, match="error"):
+        dis.run(unequal)
+    assert dis.run(pair).flow.shape == (96, 128, 2)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
+def test_a_worker_that_does_not_answer_is_ended(tmp_path):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.chmod(0o755)
+    peer = Peer("OpenCV DIS fast", python=python, threads=1, folder=tmp_path, timeout=0.2)
+    with pytest.raises(MethodFailure, match="without an answer"):
+        peer.run(scene_pairs(24, 32)[0])
+
+
+def test_every_peer_is_available_or_missing_for_a_reason():
+    found = survey(Path(sys.executable))
+    assert "OpenCV DIS medium" in found.available
+    assert all(found.missing.values())
+    with pytest.raises(RuntimeError, match="does not run the peers' worker"):
+        survey(Path("no-such-python"))
+
+
+def test_smoke_of_the_peers(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(peers, "RESULTS", tmp_path)
+    threads = str(os.cpu_count())  # as the tests started Taichi
+    assert peers.main(["--smoke", "--only", "tisfm fast", "DIS", "--threads", threads]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"smoke-peers.{suffix}" for suffix in ("md", "json", "png")
+    }
+    assert "OpenCV DIS medium" in capsys.readouterr().out
+    assert peers.main(["--smoke", "--only", "nothing", "--threads", threads]) == 2
+    assert "no method has nothing in its name" in capsys.readouterr().err
+
+
+def test_smoke_of_the_changes(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(ablation, "RESULTS", tmp_path)
+    monkeypatch.setattr(ablation, "CHANGES", {"one warp": {"warps": 1}, "none": {"warps": 2}})
+    threads = str(os.cpu_count())
+    assert ablation.main(["--smoke", "--preset", "fast", "--threads", threads]) == 0
+    printed = capsys.readouterr().out
+    assert "missing: none: the same as the preset" in printed
+    assert "one warp: warps = 1" in (tmp_path / "smoke-ablation.md").read_text(encoding="utf-8")
+
+
+def test_the_changes_are_possible_and_an_impossible_one_is_named():
+    for preset in ("fast", "balanced", "accurate"):
+        assert set(ablation.variants(preset, ablation.CHANGES)) == set(ablation.CHANGES)
+    with pytest.raises(ValueError, match="'few' is impossible: warps is 0"):
+        ablation.variants("fast", {"few": {"warps": 0}})
+
+
+def test_all_pairs_are_found(shared_data):
+    found, missing = find_pairs(shared_data)
+    assert not missing
+    assert len(found) == 10
+    for pair in found:
+        assert pair.frame0.shape[:2] == pair.frame1.shape[:2] == pair.size
+        assert pair.frame0.dtype == pair.frame1.dtype == np.uint8
+        known = (np.abs(pair.truth) < 1e9).all(axis=-1)
+        x, y = np.meshgrid(*map(np.arange, pair.size[::-1]))
+        place = (np.dstack([x, y]) + np.where(known[..., None], pair.truth, 0)).astype(np.float32)
+        first, second = pair.frame0.astype(np.float32), pair.frame1.astype(np.float32)
+        moved = cv2.remap(second, place, None, cv2.INTER_LINEAR)
+        assert np.abs(moved - first)[known].mean() < 0.8 * np.abs(second - first)[known].mean()
+
+
+def test_missing_pairs_are_named(tmp_path):
+    found, missing = find_pairs(tmp_path)
+    assert not found
+    assert "frame10.png" in missing["Grove2"]
+    with pytest.raises(NotADirectoryError, match="expected one with real sequences"):
+        data_folder(tmp_path / "none")

@@ -1,0 +1,112 @@
+"""``python -m bench.ablation``: what each change of a preset does to errors and time, in one run.
+
+The changes are in `CHANGES`. All run on the same pairs, in turns; the tables and all numbers are
+left in bench/results.
+"""
+
+import argparse
+import sys
+from collections.abc import Mapping
+from typing import Any, get_args
+
+from bench import own_methods
+from bench.contest import Contest, machine
+from bench.contest_command import (
+    RESULTS,
+    Pairs,
+    add_options,
+    check_counts,
+    choose,
+    hold_with_progress,
+    load_pairs,
+    wide_console,
+)
+from bench.contest_report import show, write
+from tisfm import runtime
+from tisfm.settings import Preset, Settings
+
+# Name → what differs from the preset. A setting that a change does not name is the preset's.
+CHANGES: dict[str, dict[str, Any]] = {
+    "one warp": {"warps": 1},
+    "four warps": {"warps": 4},
+    "outer iterations 10": {"outer_iterations": 10},
+    "pyramid factor 0.7": {"pyramid_factor": 0.7},
+    "quadratic smoothing": {"contrast": None},
+    "cube derivatives": {"derivatives": "cube"},
+    "translation only": {"model": "translation"},
+    "presmoothing 0.8": {"presmoothing": 0.8},
+}
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.ablation", description=__doc__)
+    add_options(parser)
+    parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
+    options = parser.parse_args(arguments)
+    check_counts(parser, options)
+    return options
+
+
+def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, Settings]:
+    """Return name → settings; raise a ValueError that names a change which is impossible."""
+    settings = {}
+    for name, change in changes.items():
+        try:
+            settings[name] = Settings.preset(preset, **change)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"the change {name!r} is impossible: {error}") from None
+    return settings
+
+
+def compare(options: argparse.Namespace, found: Pairs) -> Contest:
+    """Run the preset and its variants."""
+    base = Settings.preset(options.preset)
+    reference = f"preset {options.preset}"
+    every = variants(options.preset, CHANGES)
+    chosen = choose(list(every), options.only, what="change", name=str)
+    missing = dict(found.missing)
+    missing.update({name: "the same as the preset" for name in chosen if every[name] == base})
+    methods = [own_methods.interpretation(reference, base)]
+    methods += [
+        own_methods.interpretation(name, every[name]) for name in chosen if name not in missing
+    ]
+    runtime.start(threads=options.threads)
+    return hold_with_progress(
+        methods,
+        found,
+        options,
+        reference=reference,
+        conditions={"pairs": found.source, "threads": options.threads, **machine()},
+        missing=missing,
+    )
+
+
+def remarks() -> list[str]:
+    """Return what each change is, and how to read the percentages."""
+    return [
+        "In parentheses: the difference to the unchanged preset.",
+        *(
+            f"{name}: " + ", ".join(f"{key} = {value!r}" for key, value in change.items())
+            for name, change in CHANGES.items()
+        ),
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Return 0, 1 where a variant failed on a pair, or 2 where nothing could be run."""
+    options = parse(arguments)
+    try:
+        contest = compare(options, load_pairs(options))
+    except (OSError, ValueError) as error:
+        print(f"bench.ablation: {error}", file=sys.stderr)
+        return 2
+    path = RESULTS / (options.output or ("smoke-ablation" if options.smoke else "ablation"))
+    title = f"Changes of the preset {options.preset}"
+    write(contest, path, title=title, remarks=remarks(), changes=True)
+    show(contest, wide_console(), changes=True)
+    return 1 if contest.failures() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
