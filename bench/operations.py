@@ -85,7 +85,7 @@ class Operations:
 
     def edge_weights(self) -> Timed:
         field, out = self.field, self.grid.allocate(2 * self.n)
-        arguments = (self.grid, field.rho, field.open_edges, out)
+        arguments = (self.grid, field.rho, field.edges, out)
         return (
             lambda: diffusivity.edge_weights(*arguments, contrast=CONTRAST),
             lambda _: self.read(out),
@@ -99,7 +99,7 @@ class Operations:
 
     def energy(self) -> Timed:
         field = self.field
-        tables = (field.open_edges, field.x_hat, field.y_hat)
+        tables = (field.edges, field.x_hat, field.y_hat)
         arguments = (self.grid, *self._system(), *tables, field.rho)
         return (
             lambda: reductions.energy(*arguments, alpha=ALPHA, contrast=CONTRAST),

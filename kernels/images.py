@@ -11,35 +11,40 @@ from tisfm.kernels.lanes import (
     store_lane,
 )
 
-IMAGE_HALO = 2  # derivatives look two pixels to each side
+IMAGE_HALO = 4  # second derivatives look two pixels to each side, twice
 
 
-def image_to_lanes(grid: LaneGrid, image, out) -> None:
-    """Lay an image into lanes, repeating its border in the halo and in the padding.
+def image_to_lanes(grid: LaneGrid, image, out, *, component: int = 0) -> None:
+    """Lay an image into one component of a lane array, repeating its border in the halo and in the padding.
 
     Parameters
     ----------
     grid : LaneGrid
     image : (H, W) float32
-    out : lane array, 1 component, halo `IMAGE_HALO`
+    out : lane array, any halo
+    component : int
     """
     grid.check_image(image, "image")
-    grid.check(out, 1, "out", halo=IMAGE_HALO)
-    _image_to_lanes[grid.lanes](image, out)
+    halo = (out.shape[1] - grid.height) // 2
+    grid.check(out, out.shape[0], "out", halo=halo)
+    if not 0 <= component < out.shape[0]:
+        raise ValueError(f"component is {component}: out has {out.shape[0]}")
+    _image_to_lanes[grid.lanes](image, halo, component, out)
 
 
 @lane_kernel
 def _image_to_lanes(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
-    out: LaneArray(3),  # (1, H+4, S+4)
+    halo: ti.i32,
+    component: ti.i32,
+    out: LaneArray(3),  # (k, H+2·halo, S+2·halo)
 ):
-    halo = ti.static(IMAGE_HALO)
     strip = out.shape[2] - 2 * halo
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y = ti.max(0, ti.min(row - halo, image.shape[0] - 1))
         for lane in ti.static(range(lane_count(out))):
             x = ti.max(0, ti.min(lane * strip + position - halo, image.shape[1] - 1))
-            store_lane(out, 0, row, position, lane, image[y, x])
+            store_lane(out, component, row, position, lane, image[y, x])
 
 
 def lanes_to_images(grid: LaneGrid, array, out) -> None:

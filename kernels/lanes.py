@@ -155,8 +155,11 @@ class LaneGrid:
         return mask
 
     def open_edges(self) -> np.ndarray:
-        """Return a column table that is 1 where a pixel has an eastern neighbour, else 0."""
-        return self.columns(self.column_index() < self.width - 1)
+        """Return a lane array that is 1 where a pixel has an eastern, a southern neighbour."""
+        edges = self.allocate(2)
+        edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
+        edges[1, 1:-2] = self.columns(self.column_index() < self.width)
+        return edges
 
     def check(self, array: np.ndarray, components: int, name: str, halo: int = 1) -> None:
         """Raise unless `array` is a lane array of this grid that a kernel may write to."""

@@ -7,44 +7,64 @@ blocks are then added in float64, in the order of the image.
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.diffusivity import stiffness_table
 from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel, lane_of
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 
 BLOCK = 16
+TINY = 1e-20
 
 
 def energy(
-    grid: LaneGrid, tensor, weights, open_edges, x_hat, y_hat, rho, *, alpha: float, contrast: float
+    grid: LaneGrid,
+    tensor,
+    weights,
+    edges,
+    x_hat,
+    y_hat,
+    rho,
+    *,
+    alpha: float,
+    contrast: float,
+    stiffness=None,
+    joint: bool = False,
 ) -> tuple[float, float, float]:
     """Compute the energy (eq. 6, 20) and its half-quadratic form (eq. 8, 21).
 
-    The regularisation is that of edges: every edge once, Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)).
+    The regularisation is that of edges: every edge once, g Σ_k Φ_δ(√s_k Δρ̂_k), or, joint,
+    g Φ_δ of the length of the vector of all √s_k Δρ̂_k; Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)).
 
     Parameters
     ----------
     grid : LaneGrid
     tensor : lane array, 6 components
     weights : lane array, 2n components
-        b, for the half-quadratic form.
-    open_edges, x_hat : column tables
+        s_k·g·b, for the half-quadratic form.
+    edges : lane array, 2 components
+        g of the eastern and the southern edge.
+    x_hat : column table
     y_hat : (H + 2,) float32
     rho : lane array, n components
     alpha : float
         α = λ̂β.
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
+    stiffness : sequence of n floats, optional
+        s_k, by default 1.
+    joint : bool
+        Whether an edge is one for all components.
 
     Returns
     -------
     data, smoothness, half_quadratic : float
-        Data term, α Σ Φ_δ, and α Σ [bΔ² + δ²(b + 1/b − 2)]. The energy is ``data + smoothness``,
-        its half-quadratic form ``data + half_quadratic``; they agree where b belongs to `rho`.
+        The quadratic form of the tensor, α Σ g Φ_δ, and α Σ g [bΔ² + δ²(b + 1/b − 2)]. The last
+        two agree where b belongs to `rho`.
     """
     components = rho.shape[0]
     grid.check(tensor, 6, "tensor")
     grid.check(weights, 2 * components, "weights")
     grid.check(rho, components, "rho")
-    grid.check_columns(open_edges, "open_edges")
+    grid.check(edges, 2, "edges")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     blocks = -(-grid.strip // BLOCK)
@@ -52,7 +72,18 @@ def energy(
     # With δ infinite, b is 1 and its penalty vanishes.
     squared = contrast * contrast if np.isfinite(contrast) else 0.0
     _energy[grid.lanes](
-        tensor, weights, open_edges, x_hat, y_hat, rho, 1.0 / contrast, squared, components, partial
+        tensor,
+        weights,
+        edges,
+        x_hat,
+        y_hat,
+        rho,
+        stiffness_table(stiffness, components),
+        (1.0 / contrast) ** 2,
+        squared,
+        components,
+        joint,
+        partial,
     )
     data, smoothness, half_quadratic = partial.sum(axis=1).sum(axis=0)
     return float(data), float(alpha * smoothness), float(alpha * half_quadratic)
@@ -62,13 +93,15 @@ def energy(
 def _energy(
     tensor: LaneArray(3),  # (6, H+2, S+2)
     weights: LaneArray(3),  # (2n, H+2, S+2)
-    open_edges: LaneArray(1),  # (S+2,)
+    edges: LaneArray(3),  # (2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     rho: LaneArray(3),  # (n, H+2, S+2)
-    inverse_contrast: ti.f32,
+    stiffness: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    inverse_squared_contrast: ti.f32,
     squared_contrast: ti.f32,
     n: ti.template(),
+    joint: ti.template(),
     partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 3)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
@@ -76,7 +109,6 @@ def _energy(
     for index in range(height * blocks):
         row, block = index // blocks, index % blocks
         y = row + 1
-        open_south = ti.select(row < height - 1, 1.0, 0.0)
         data, smooth, half = 0.0 * x_hat[1], 0.0 * x_hat[1], 0.0 * x_hat[1]
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             s = position + 1
@@ -84,35 +116,42 @@ def _energy(
             u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
             data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
             data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
-            for k in ti.static(range(n)):
-                center = rho[k, y, s]
-                east = (rho[k, y, s + 1] - center) * open_edges[s]
-                south = (rho[k, y + 1, s] - center) * open_south
-                smooth += _aubert(east, inverse_contrast) + _aubert(south, inverse_contrast)
-                half += _half_quadratic(east, weights[k, y, s], squared_contrast)
-                half += _half_quadratic(south, weights[n + k, y, s], squared_contrast)
-        _store(partial, row, block, 0, data, ti.static(lane_count(rho)))
-        _store(partial, row, block, 1, smooth, ti.static(lane_count(rho)))
-        _store(partial, row, block, 2, half, ti.static(lane_count(rho)))
+            for side in ti.static(range(2)):  # east, south
+                g = edges[side, y, s]
+                length = 0.0 * g
+                for k in ti.static(range(n)):
+                    step = rho[k, y + side, s + 1 - side] - rho[k, y, s]
+                    square = stiffness[k] * step * step
+                    if ti.static(joint):
+                        length += square
+                    else:
+                        b = weights[n * side + k, y, s] / (stiffness[k] * ti.max(g, TINY))
+                        smooth += g * _aubert(square, inverse_squared_contrast)
+                        half += g * (b * square + _penalty(b, squared_contrast))
+                if ti.static(joint):
+                    b = weights[n * side, y, s] / (stiffness[0] * ti.max(g, TINY))
+                    smooth += g * _aubert(length, inverse_squared_contrast)
+                    half += g * (b * length + _penalty(b, squared_contrast))
+        store_sum(partial, row, block, 0, data, ti.static(lane_count(rho)))
+        store_sum(partial, row, block, 1, smooth, ti.static(lane_count(rho)))
+        store_sum(partial, row, block, 2, half, ti.static(lane_count(rho)))
 
 
 @ti.func
-def _aubert(difference, inverse_contrast):
-    scaled = difference * inverse_contrast
-    return 2.0 * difference * difference / (1.0 + ti.sqrt(1.0 + scaled * scaled))
+def _aubert(square, inverse_squared_contrast):
+    return 2.0 * square / (1.0 + ti.sqrt(1.0 + square * inverse_squared_contrast))
 
 
 @ti.func
-def _half_quadratic(difference, weight, squared_contrast):
+def _penalty(b, squared_contrast):
     # (1 − b)²/b is b + 1/b − 2 without its cancellation.
-    gap = 1.0 - weight
-    present = ti.min(1.0, weight * 1e20)  # 0 where there is no edge
-    penalty = present * squared_contrast * gap * gap / ti.max(weight, 1e-20)
-    return weight * difference * difference + penalty
+    gap = 1.0 - b
+    return squared_contrast * gap * gap / ti.max(b, TINY)
 
 
 @ti.func
-def _store(partial: ti.template(), row, block, term: ti.template(), value, lanes: ti.template()):
+def store_sum(partial: ti.template(), row, block, term: ti.template(), value, lanes: ti.template()):
+    """Write the sum of a value's lanes to an element of `partial`."""
     total = ti.cast(0.0, ti.f64)
     for lane in ti.static(range(lanes)):
         total += ti.cast(lane_of(value, lane, lanes), ti.f64)
@@ -165,5 +204,5 @@ def _change(
                 moved += step * step
                 size += value * value
                 previous[k, y, s] = value
-        _store(partial, row, block, 0, moved, ti.static(lane_count(rho)))
-        _store(partial, row, block, 1, size, ti.static(lane_count(rho)))
+        store_sum(partial, row, block, 0, moved, ti.static(lane_count(rho)))
+        store_sum(partial, row, block, 1, size, ti.static(lane_count(rho)))

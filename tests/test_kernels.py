@@ -121,7 +121,7 @@ def test_edge_weights(size, components, lanes, contrast, make_problem):
     problem = make_problem(*size, components, lanes)
     field = problem.field
     out = problem.grid.allocate(2 * components)
-    edge_weights(problem.grid, field.rho, field.open_edges, out, contrast=contrast)
+    edge_weights(problem.grid, field.rho, field.edges, out, contrast=contrast)
     expected = reference.edge_weights(problem.rho, contrast)
     close(problem.from_lanes(out), expected)
     # In the halo columns, too, the eastern ones: they are the western weights of every strip.
@@ -203,7 +203,7 @@ def test_energy(size, components, lanes, contrast, make_problem):
         problem.grid,
         problem.tensor_lanes,
         problem.to_lanes(weights),
-        field.open_edges,
+        field.edges,
         field.x_hat,
         field.y_hat,
         field.rho,

@@ -1,17 +1,17 @@
-"""What the images say: a motion tensor, renewed at every warp."""
+"""What the images say: motion tensors, renewed at every warp."""
 
 import numpy as np
 
 from tisfm.field import Field
-from tisfm.kernels.derivatives import derivatives
+from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
-from tisfm.kernels.motion_tensor import brightness_tensor
+from tisfm.kernels.motion_tensor import constancy_tensors
 from tisfm.kernels.warp import warp
 
 
-class BrightnessTerm:
-    """The squared brightness constraint (eq. 4) of a pair of grey frames.
+class DataTerm:
+    """Constancy of brightness (eq. 4) and of its gradient, for a pair of grey frames.
 
     Parameters
     ----------
@@ -20,25 +20,54 @@ class BrightnessTerm:
         Grey levels.
     scheme : {"cube", "five_tap"}
         Derivatives.
+    brightness, gradient : float
+        Weights of the two constraints.
+    normalization : float or None
+        ζ, grey levels per px.
+    contrast : float
+        ε, px/frame (grey levels where constraints are not normalised); infinite for a quadratic
+        data term.
+
+    Attributes
+    ----------
+    scales : tuple of float
+        m ε² of each term in use, m its weight (`tisfm.kernels.robust`).
     """
 
-    def __init__(self, grid: LaneGrid, frame0: np.ndarray, frame1: np.ndarray, scheme: str) -> None:
+    def __init__(
+        self,
+        grid: LaneGrid,
+        frame0: np.ndarray,
+        frame1: np.ndarray,
+        *,
+        scheme: str,
+        brightness: float,
+        gradient: float,
+        normalization: float | None,
+        contrast: float,
+    ) -> None:
         self._grid, self._frame1, self._scheme = grid, frame1, scheme
+        self._constraints = {
+            "brightness": brightness,
+            "gradient": gradient,
+            "normalization": normalization,
+        }
+        self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
         self._warped = np.empty_like(frame1)
-        self._derivatives = grid.allocate(3)
+        self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
         self._mask = grid.allocate(1)
         self._flow = grid.allocate(2)
-        self._tensor = grid.allocate(6)
+        self._terms = grid.allocate(6 * len(self.scales))
         image_to_lanes(grid, frame0, self._lanes0)
 
     def linearise(self, field: Field) -> np.ndarray:
-        """Warp frame 1 by the field's flow and return the motion tensor there.
+        """Warp frame 1 by the field's flow and return the motion tensors there.
 
         Returns
         -------
-        lane array, 6 components
+        lane array, 6 components for each term
             J11, J12, J22, j1, j2, J_tt: overwritten by the next call.
         """
         grid = self._grid
@@ -46,5 +75,7 @@ class BrightnessTerm:
         warp(grid, self._frame1, self._flow, self._warped, self._mask)
         image_to_lanes(grid, self._warped, self._lanes1)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
-        brightness_tensor(grid, self._derivatives, self._flow, self._mask, self._tensor)
-        return self._tensor
+        constancy_tensors(
+            grid, self._derivatives, self._flow, self._mask, self._terms, **self._constraints
+        )
+        return self._terms

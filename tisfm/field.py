@@ -24,8 +24,11 @@ class Field:
     ----------
     rho : lane array, `components` components
         ρ̂, px/frame of this level.
-    x_hat, open_edges : column tables
+    x_hat : column table
     y_hat : (H + 2,) float32
+    edges : lane array, 2 components
+        g of the eastern and the southern edge of every pixel: 1, and 0 across the border, unless
+        the image says otherwise.
     """
 
     def __init__(self, grid: LaneGrid, camera: Camera, components: int) -> None:
@@ -35,7 +38,7 @@ class Field:
         self.x_hat = grid.columns((grid.column_index() - cx) / camera.focal)
         self.y_hat = aligned_zeros((grid.height + 2,))
         self.y_hat[1:-1] = (np.arange(grid.height) - cy) / camera.focal
-        self.open_edges = grid.open_edges()
+        self.edges = grid.open_edges()
         self.rho = grid.allocate(components)
 
     def start_from(self, coarse: np.ndarray, ratio: float) -> None:

@@ -1,5 +1,6 @@
 """The half-quadratic algorithm (Table 1), within one linearisation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from tisfm.kernels.diffusivity import edge_weights
 from tisfm.kernels.evidence import evidence
 from tisfm.kernels.reductions import change, energy
 from tisfm.kernels.relaxation import sweep
+from tisfm.kernels.robust import robust_energy, robust_tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,19 @@ class HalfQuadratic:
     outer_iterations, sweeps : int
     relaxation, tolerance : float
     solver : {"cholesky", "closed_form"}
+    scales : sequence of float
+        Of the data terms (`tisfm.kernels.robust`).
+    stiffness : sequence of float
+        s_k of each component.
+    joint : bool
+        Whether an edge is one for all components.
+
+    Attributes
+    ----------
+    weights : lane array, 2n components
+        s_k·g·b of every edge.
+    tensor : lane array, 6 components
+        The data terms, weighted and added up.
     """
 
     def __init__(
@@ -57,29 +72,38 @@ class HalfQuadratic:
         relaxation: float,
         tolerance: float,
         solver: str,
+        scales: Sequence[float],
+        stiffness: Sequence[float],
+        joint: bool,
     ) -> None:
-        self.field, self.alpha, self.contrast = field, alpha, contrast
+        self.field, self.alpha = field, alpha
         self.outer_iterations, self.sweeps, self.tolerance = outer_iterations, sweeps, tolerance
-        self.relaxation, self.solver = relaxation, solver
+        self.relaxation, self.solver, self.scales = relaxation, solver, scales
+        self._penalty = {"contrast": contrast, "stiffness": stiffness, "joint": joint}
+        self.tensor = field.grid.allocate(6)
         self.weights = field.grid.allocate(2 * field.components)
         self._previous = field.grid.allocate(field.components)
 
-    def update_weights(self) -> None:
-        """Compute the auxiliary field b of the current ρ̂."""
+    def update_weights(self, terms: np.ndarray) -> None:
+        """Compute the auxiliary fields of the current ρ̂: b, and the weights of the data."""
         field = self.field
-        edge_weights(field.grid, field.rho, field.open_edges, self.weights, contrast=self.contrast)
+        edge_weights(field.grid, field.rho, field.edges, self.weights, **self._penalty)
+        robust_tensor(
+            field.grid, terms, field.x_hat, field.y_hat, field.rho, self.tensor, scales=self.scales
+        )
 
-    def evidence(self, tensor: np.ndarray) -> np.ndarray:
+    def evidence(self, terms: np.ndarray) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
 
-        See `tisfm.kernels.evidence`; the weights become those of the current ρ̂.
+        See `tisfm.kernels.evidence`; the weights become those of the current ρ̂, and the residual
+        is the robust one.
         """
         field = self.field
-        self.update_weights()
+        self.update_weights(terms)
         out = field.grid.allocate(7)
         evidence(
             field.grid,
-            tensor,
+            self.tensor,
             self.weights,
             field.x_hat,
             field.y_hat,
@@ -89,13 +113,13 @@ class HalfQuadratic:
         )
         return field.to_images(out)
 
-    def minimise(self, tensor: np.ndarray) -> tuple[list[Iteration], bool]:
+    def minimise(self, terms: np.ndarray) -> tuple[list[Iteration], bool]:
         """Iterate until ρ̂ ceases to evolve, or the limit of iterations.
 
         Parameters
         ----------
-        tensor : lane array, 6 components
-            Motion tensor.
+        terms : lane array, 6 components for each data term
+            Motion tensors.
 
         Returns
         -------
@@ -108,10 +132,10 @@ class HalfQuadratic:
         iterations: list[Iteration] = []
         self._previous[...] = field.rho
         for _ in range(self.outer_iterations):
-            self.update_weights()
+            self.update_weights(terms)
             sweep(
                 grid,
-                tensor,
+                self.tensor,
                 self.weights,
                 field.x_hat,
                 field.y_hat,
@@ -122,21 +146,24 @@ class HalfQuadratic:
                 sweeps=self.sweeps,
             )
             moved, size = change(grid, field.rho, self._previous)
-            data, smoothness, half_quadratic = energy(
+            data = robust_energy(
+                grid, terms, field.x_hat, field.y_hat, field.rho, scales=self.scales
+            )
+            half_data, smoothness, half_smoothness = energy(
                 grid,
-                tensor,
+                self.tensor,
                 self.weights,
-                field.open_edges,
+                field.edges,
                 field.x_hat,
                 field.y_hat,
                 field.rho,
                 alpha=self.alpha,
-                contrast=self.contrast,
+                **self._penalty,
             )
             iterations.append(
                 Iteration(
                     energy=data + smoothness,
-                    half_quadratic=data + half_quadratic,
+                    half_quadratic=half_data + half_smoothness,
                     change=moved / size if size > 0 else 0.0,
                 )
             )

@@ -31,7 +31,7 @@ def horn_schunck(
         Horn and Schunck's α², in squared grey levels of the 8-bit scale.
     settings : Settings, optional
         Pyramid, warps, iterations, derivatives and presmoothing; by default the preset
-        ``"balanced"``. Its smoothness, β, contrast and model are not used.
+        ``"balanced"``. What else they say is not used.
 
     Returns
     -------
@@ -49,7 +49,17 @@ def horn_schunck(
     doi 10.1016/0004-3702(81)90024-2.
     """
     settings = check_settings(settings)
-    settings = replace(settings, smoothness=smoothness, beta=1)
+    settings = replace(
+        settings,
+        smoothness=smoothness,
+        beta=1,
+        stiffness=(1,) * 6,
+        image_edges=0,
+        brightness=1,
+        gradient=0,
+        normalization=None,
+        data_contrast=None,
+    )
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()

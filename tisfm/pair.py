@@ -75,7 +75,7 @@ def interpret(
     rho[: field.components] = field.images()
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
-        trust = confidence(solution.minimiser.evidence(solution.tensor), flow)
+        trust = confidence(solution.minimiser.evidence(solution.terms), flow)
     return Interpretation(
         rho=rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
@@ -99,7 +99,7 @@ def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Statu
             "8-bit scale, raise smoothness or contrast, and check the camera's focal length and "
             "centre",
         )
-    if not solution.tensor[:3].any():
+    if not solution.minimiser.tensor[:3].any():
         return Status(
             "no_texture",
             "the frames are uniform, so no motion can be seen: check that they are images of a "

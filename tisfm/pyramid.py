@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.data_term import BrightnessTerm
+from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
+from tisfm.image_edges import image_edges_in_lanes
 from tisfm.kernels.lanes import LaneGrid
 from tisfm.runtime import lanes
 from tisfm.settings import Settings
@@ -27,8 +28,8 @@ class Solution:
         ρ̂, px/frame.
     minimiser : HalfQuadratic
         With the weights b of the last iteration.
-    tensor : lane array, 6 components
-        Motion tensor of the last warp.
+    terms : lane array, 6 components for each data term
+        Motion tensors of the last warp.
     history : list of (level, warp, Iteration)
         Every half-quadratic iteration; level 0 is the finest.
     converged : bool
@@ -37,7 +38,7 @@ class Solution:
 
     field: Field
     minimiser: HalfQuadratic
-    tensor: np.ndarray
+    terms: np.ndarray
     history: list[tuple[int, int, Iteration]]
     converged: bool
 
@@ -122,6 +123,18 @@ def coarse_to_fine(
         field = Field(grid, camera.scaled(factor**level, height, width), components)
         if coarse is not None:
             field.start_from(coarse, factor)
+        if settings.image_edges > 0:
+            field.edges = image_edges_in_lanes(grid, frame0, settings.image_edges)
+        data_term = DataTerm(
+            grid,
+            frame0,
+            frame1,
+            scheme=settings.derivatives,
+            brightness=settings.brightness,
+            gradient=settings.gradient,
+            normalization=settings.normalization,
+            contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
+        )
         minimiser = HalfQuadratic(
             field,
             alpha=settings.alpha,
@@ -131,14 +144,16 @@ def coarse_to_fine(
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,
             solver=settings.solver,
+            scales=data_term.scales,
+            stiffness=settings.stiffness[:components],
+            joint=settings.joint_edges,
         )
-        data_term = BrightnessTerm(grid, frame0, frame1, settings.derivatives)
         for warp in range(settings.warps):
-            tensor = data_term.linearise(field)
-            iterations, converged = minimiser.minimise(tensor)
+            terms = data_term.linearise(field)
+            iterations, converged = minimiser.minimise(terms)
             history += [(level, warp, iteration) for iteration in iterations]
         if level > 0:
             coarse = field.images()
     return Solution(
-        field=field, minimiser=minimiser, tensor=tensor, history=history, converged=converged
+        field=field, minimiser=minimiser, terms=terms, history=history, converged=converged
     )

@@ -9,6 +9,8 @@ Departures from the paper, beyond that scaling:
 - eq. 10 on edges: b belongs to the difference of two neighbours, as in eq. 14, so that the
   iteration majorises and minimises one energy exactly;
 - a contrast δ in eq. 10: Φ_δ(s) = 2δ²(√(1 + s²/δ²) − 1); the paper has δ = 1 in the units of τ;
+- robust weights of the data, gradient constancy, normalised constraints, image-driven edges and
+  a stiffness of each component, all as `tisfm.Settings` describes them, none in the paper;
 - a warp: frame 1 is brought to frame 0 by the current flow before derivatives are taken.
 
 Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
@@ -16,26 +18,28 @@ the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 
 has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.settings import Settings
 
 # --- Images -----------------------------------------------------------------------------------
 
 
 def derivatives(
-    frame0: np.ndarray, frame1: np.ndarray, scheme: str
+    frame0: np.ndarray, frame1: np.ndarray, scheme: str, halo: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (I_x, I_y, I_t), each (H, W); images repeat beyond their border.
+    """Return (I_x, I_y, I_t), each (H + 2·halo, W + 2·halo); images repeat beyond their border.
 
     ``"cube"``: Horn and Schunck's 2×2×2 cube. ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of
     both frames, and their difference.
     """
-    height, width = frame0.shape
-    a = np.pad(np.asarray(frame0, np.float64), 2, mode="edge")
-    b = np.pad(np.asarray(frame1, np.float64), 2, mode="edge")
+    height, width = frame0.shape[0] + 2 * halo, frame0.shape[1] + 2 * halo
+    a = np.pad(np.asarray(frame0, np.float64), 2 + halo, mode="edge")
+    b = np.pad(np.asarray(frame1, np.float64), 2 + halo, mode="edge")
 
     def at(image: np.ndarray, dy: int, dx: int) -> np.ndarray:
         return image[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
@@ -128,6 +132,81 @@ def brightness_tensor(
     return mask * np.array([ix * ix, ix * iy, iy * iy, c * ix, c * iy, c * c])
 
 
+def constancy_tensors(
+    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
+    flow0: np.ndarray,
+    mask: np.ndarray,
+    *,
+    brightness: float,
+    gradient: float,
+    normalization: float | None,
+) -> list[np.ndarray]:
+    """Return the tensors, (6, H, W), of brightness and gradient constancy whose weight is not 0.
+
+    `gradients` have a halo of 2 px. Normalised, each constraint is divided by |∇I|² + ζ².
+    """
+
+    def constraint(ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:
+        tensor = brightness_tensor((ix, iy, it), flow0, mask)
+        if normalization is None:
+            return tensor
+        return tensor / (ix**2 + iy**2 + normalization**2 + 1e-12)
+
+    ix, iy, it = gradients
+    terms = []
+    if brightness > 0:
+        inner = np.s_[2:-2, 2:-2]
+        terms.append(brightness * constraint(ix[inner], iy[inner], it[inner]))
+    if gradient > 0:
+        of_x = constraint(_five_tap(ix, 1), _five_tap(iy, 1), _five_tap(it, 1))
+        of_y = constraint(_five_tap(iy, 1), _five_tap(iy, 0), _five_tap(it, 0))
+        terms.append(gradient * (of_x + of_y))
+    return terms
+
+
+def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
+    """Return the derivative along an axis by (1, −8, 0, 8, −1)/12, without the halo of 2 px."""
+    steps = {-2: 1, -1: -8, 1: 8, 2: -1}
+    moved = sum(weight * np.roll(image, -step, axis) for step, weight in steps.items())
+    return moved[2:-2, 2:-2] / 12
+
+
+def robust_tensor(
+    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
+) -> np.ndarray:
+    """Return Σ w J, (6, H, W), with w = 1/√(1 + q/s), q the quadratic form and s the scale of J.
+
+    Its J_tt includes the penalty s(w + 1/w − 2), so that its quadratic form is the half-quadratic
+    data term.
+    """
+    total = np.zeros_like(terms[0])
+    for term, scale in zip(terms, scales, strict=True):
+        weight = 1 / np.sqrt(1 + residual(term, motion, rho) / scale)
+        total += weight * term
+        if np.isfinite(scale):
+            total[5] += scale * (1 - weight) ** 2 / weight
+    return total
+
+
+def robust_energy(
+    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
+) -> float:
+    """Return Σ 2s(√(1 + q/s) − 1) over pixels and terms (Charbonnier)."""
+    total = 0.0
+    for term, scale in zip(terms, scales, strict=True):
+        q = residual(term, motion, rho)
+        total += float((2 * q / (1 + np.sqrt(1 + q / scale))).sum())
+    return total
+
+
+def residual(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt, (H, W): a square, so at least 0."""
+    u, v = flow(motion, rho)
+    j11, j12, j22, j1, j2, jtt = tensor
+    q = j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt
+    return np.maximum(q, 0)
+
+
 # --- Half-quadratic algorithm -----------------------------------------------------------------
 
 
@@ -145,20 +224,77 @@ def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return east, south
 
 
-def edge_weights(rho: np.ndarray, contrast: float) -> np.ndarray:
-    """Return b (eq. 10, 14), (2n, H, W): n eastern edges, n southern ones, 0 across the border."""
-    east, south = (1 / np.sqrt(1 + (d / contrast) ** 2) for d in differences(rho))
-    east[:, :, -1] = 0
-    south[:, -1] = 0
-    return np.concatenate([east, south])
+@dataclass(frozen=True, kw_only=True)
+class Smoothness:
+    """Which differences count as edges, and how much.
+
+    Attributes
+    ----------
+    contrast : float
+        δ, px/frame.
+    stiffness : (n,) array or None
+        s_k; None for 1.
+    joint : bool
+        Whether an edge is one for all components.
+    edges : (2, H, W) array or None
+        g of the eastern and southern edges; None for 1.
+    """
+
+    contrast: float
+    stiffness: np.ndarray | None = None
+    joint: bool = False
+    edges: np.ndarray | None = None
+
+    def squares(self, rho: np.ndarray) -> np.ndarray:
+        """Return s_kΔ², or, joint, their sum over k for every k: (2, n, H, W)."""
+        squares = np.stack(differences(rho)) ** 2 * self.stiffnesses(len(rho))
+        if self.joint:
+            squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
+        return squares
+
+    def stiffnesses(self, components: int) -> np.ndarray:
+        """Return s_k, (n, 1, 1)."""
+        values = np.ones(components) if self.stiffness is None else np.asarray(self.stiffness)
+        return values[:, None, None]
+
+    def open(self, height: int, width: int) -> np.ndarray:
+        """Return g, 0 across the border: (2, 1, H, W)."""
+        edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
+        edges[0, :, -1] = edges[1, -1] = 0
+        return edges[:, None]
+
+
+def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
+    """Return g = c/(1 + κ|ΔI|/m), (2, H, W): m the mean of |ΔI|, c such that the mean of g is 1."""
+    steps = np.abs(np.stack(differences(frame[None].astype(np.float64))))[:, 0]
+    inside = np.ones(steps.shape, bool)
+    inside[0, :, -1] = inside[1, -1] = False
+    if not inside.any():
+        return np.zeros(steps.shape)
+    edges = inside / (1 + strength * steps / max(steps[inside].mean(), 1e-5))
+    return edges / edges[inside].mean()
+
+
+def edge_weights(rho: np.ndarray, smoothness: Smoothness) -> np.ndarray:
+    """Return s_k g b (eq. 10, 14), (2n, H, W): n eastern edges, n southern ones."""
+    b = 1 / np.sqrt(1 + smoothness.squares(rho) / smoothness.contrast**2)
+    weights = smoothness.stiffnesses(len(rho)) * smoothness.open(*rho.shape[1:]) * b
+    return weights.reshape(-1, *rho.shape[1:])
+
+
+def smoothness_energy(rho: np.ndarray, smoothness: Smoothness) -> float:
+    """Return Σ_edges g Σ_k Φ_δ(√s_k Δρ̂_k), or, joint, g Φ_δ of the vector's length."""
+    penalty = aubert(np.sqrt(smoothness.squares(rho)), smoothness.contrast)
+    if smoothness.joint:
+        penalty = penalty[:, :1]
+    return float((smoothness.open(*rho.shape[1:]) * penalty).sum())
 
 
 def energy(
-    tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, contrast: float
+    tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, smoothness: Smoothness
 ) -> float:
-    """Return the energy (eq. 6, 20): the data term plus α Σ_edges Σ_k Φ_δ(Δρ̂_k)."""
-    penalty = sum(aubert(d, contrast).sum() for d in differences(rho))
-    return data_energy(tensor, motion, rho) + alpha * float(penalty)
+    """Return the energy (eq. 6, 20) of a quadratic data term: that term plus α times smoothness."""
+    return data_energy(tensor, motion, rho) + alpha * smoothness_energy(rho, smoothness)
 
 
 def half_quadratic_energy(
@@ -167,16 +303,19 @@ def half_quadratic_energy(
     rho: np.ndarray,
     weights: np.ndarray,
     alpha: float,
-    contrast: float,
+    smoothness: Smoothness,
 ) -> float:
-    """Return its half-quadratic form (eq. 8, 21): per edge bΔ² + δ²(b + 1/b − 2)."""
-    steps = np.concatenate(differences(rho))
-    inside = weights > 0
-    b = np.where(inside, weights, 1.0)
-    penalty = b * steps**2
-    if np.isfinite(contrast):
-        penalty = penalty + contrast**2 * (1 - b) ** 2 / b
-    return data_energy(tensor, motion, rho) + alpha * float(penalty[inside].sum())
+    """Return its half-quadratic form (eq. 8, 21): per edge g[bΔ² + δ²(b + 1/b − 2)]."""
+    n, height, width = rho.shape
+    edges = smoothness.open(height, width)
+    scale = smoothness.stiffnesses(n) * edges
+    b = np.where(scale > 0, weights.reshape(2, n, height, width) / np.where(scale > 0, scale, 1), 1)
+    penalty = b * smoothness.squares(rho)
+    if np.isfinite(smoothness.contrast):
+        penalty = penalty + smoothness.contrast**2 * (1 - b) ** 2 / b
+    if smoothness.joint:
+        penalty = penalty[:, :1]
+    return data_energy(tensor, motion, rho) + alpha * float((edges * penalty).sum())
 
 
 def data_energy(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> float:
@@ -290,28 +429,34 @@ class Minimisation:
 
 
 def minimise(
-    tensor: np.ndarray,
+    terms: Sequence[np.ndarray],
     motion: np.ndarray,
     rho: np.ndarray,
     *,
     alpha: float,
-    contrast: float,
+    smoothness: Smoothness,
     outer_iterations: int,
     sweeps: int,
+    scales: Sequence[float] = (np.inf,),
     relaxation: float = 1.0,
     tolerance: float = 0.0,
 ) -> Minimisation:
-    """Run the half-quadratic algorithm (Table 1); `rho` is modified in place."""
+    """Run the half-quadratic algorithm (Table 1); `rho` is modified in place.
+
+    `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`.
+    """
     energies: list[float] = []
     half: list[float] = []
     changes: list[float] = []
     for _ in range(outer_iterations):
         before = rho.copy()
-        weights = edge_weights(rho, contrast)
+        weights = edge_weights(rho, smoothness)
+        tensor = robust_tensor(terms, motion, rho, scales)
         for _ in range(sweeps):
             sweep_red_black(tensor, motion, weights, rho, alpha=alpha, relaxation=relaxation)
-        energies.append(energy(tensor, motion, rho, alpha, contrast))
-        half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, contrast))
+        data = robust_energy(terms, motion, rho, scales)
+        energies.append(data + alpha * smoothness_energy(rho, smoothness))
+        half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness))
         moved, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
         changes.append(float(moved / size) if size > 0 else 0.0)
         if moved <= tolerance * size:
@@ -342,43 +487,48 @@ def prolong(coarse: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndar
 
 
 def coarse_to_fine(
-    pyramid0: list[np.ndarray],
-    pyramid1: list[np.ndarray],
-    cameras: list[Camera],
-    *,
-    components: int,
-    factor: float,
-    scheme: str,
-    warps: int,
-    alpha: float,
-    contrast: float,
-    outer_iterations: int,
-    sweeps: int,
-    relaxation: float,
-    tolerance: float,
+    pyramid0: list[np.ndarray], pyramid1: list[np.ndarray], camera: Camera, settings: Settings
 ) -> np.ndarray:
-    """Return ρ̂, (components, H, W), of the finest of the given levels, the finest first."""
+    """Return ρ̂, (n, H, W), of the finest of the given levels, the finest first.
+
+    `camera` is that of the finest level; of the settings, the pyramid is the one given.
+    """
+    n, factor = settings.components, settings.pyramid_factor
+    size = pyramid0[0].shape
+    constraints = {
+        "brightness": settings.brightness,
+        "gradient": settings.gradient,
+        "normalization": settings.normalization,
+    }
+    epsilon = np.inf if settings.data_contrast is None else settings.data_contrast
+    scales = [m * epsilon**2 for m in (settings.brightness, settings.gradient) if m > 0]
     rho: np.ndarray | None = None
-    for frame0, frame1, camera in reversed(list(zip(pyramid0, pyramid1, cameras, strict=True))):
-        if rho is None:
-            rho = np.zeros((components, *frame0.shape))
-        else:
-            rho = prolong(rho, frame0.shape, factor)
-        motion = motion_matrix(camera, frame0.shape[0], frame0.shape[1], components)
-        for _ in range(warps):
+    for level in reversed(range(len(pyramid0))):
+        frame0, frame1 = pyramid0[level], pyramid1[level]
+        shape = frame0.shape
+        rho = np.zeros((n, *shape)) if rho is None else prolong(rho, shape, factor)
+        motion = motion_matrix(camera.scaled(factor**level, *size), *shape, n)
+        smoothness = Smoothness(
+            contrast=settings.contrast_for(camera.focal),
+            stiffness=np.array(settings.stiffness[:n]),
+            joint=settings.joint_edges,
+            edges=image_edges(frame0, settings.image_edges) if settings.image_edges > 0 else None,
+        )
+        for _ in range(settings.warps):
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)
-            tensor = brightness_tensor(derivatives(frame0, warped, scheme), flow0, mask)
+            gradients = derivatives(frame0, warped, settings.derivatives, halo=2)
             minimise(
-                tensor,
+                constancy_tensors(gradients, flow0, mask, **constraints),
                 motion,
                 rho,
-                alpha=alpha,
-                contrast=contrast,
-                outer_iterations=outer_iterations,
-                sweeps=sweeps,
-                relaxation=relaxation,
-                tolerance=tolerance,
+                alpha=settings.alpha,
+                smoothness=smoothness,
+                scales=scales,
+                outer_iterations=settings.outer_iterations,
+                sweeps=settings.sweeps,
+                relaxation=settings.relaxation,
+                tolerance=settings.tolerance,
             )
     if rho is None:
         raise ValueError("pyramids are empty: expected at least one level")

@@ -1,6 +1,7 @@
 """Settings: what is minimised, and how. Presets are named points in this space."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
@@ -26,8 +27,8 @@ class Settings:
     motion : {"field"}
         Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does.
     smoothness : float
-        λ̂ = λ/f², weight of the regularisation, on the 8-bit grey scale. The paper's λ = 1e8 at
-        f = 600 is 278.
+        λ̂, weight of the regularisation. Without unit where constraints are normalised; without
+        `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
     beta : float
         β of eq. 12; smoothness and β enter as α = λ̂β.
     contrast : float or None
@@ -35,6 +36,25 @@ class Settings:
         precision cannot keep the energy from rising. The same at every level. None for δ = 1 in
         the units of τ and ω, that is f pixels: the paper's setting, under which smoothing is all
         but quadratic.
+    joint_edges : bool
+        Whether neighbours that differ in one component are an edge for all of them. Otherwise
+        every component has edges of its own, as in the paper.
+    stiffness : tuple of 6 floats
+        s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. Motion
+        towards the camera and about its axis are better left to change, other rotation is not:
+        it looks like τ1 and τ2. All 1 in the paper. The translation model uses the first three.
+    image_edges : float
+        κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|, and
+        its mean is kept. 0 in the paper.
+    brightness, gradient : float
+        Weights of the constancy of brightness (eq. 4) and of its gradient, which changes of
+        illumination leave alone. At least one is above 0; 1 and 0 in the paper.
+    normalization : float or None
+        ζ, grey levels per px: every constraint is divided by |∇I|² + ζ², so that it is a distance
+        in px whatever the contrast. None for constraints as they are: the paper's.
+    data_contrast : float or None
+        ε, px/frame (grey levels without `normalization`): residuals beyond it count in proportion
+        rather than squared (Charbonnier). None for squares: the paper's.
     derivatives : {"cube", "five_tap"}
         Horn and Schunck's 2×2×2 cube, whose estimates belong half a pixel to the south-east of
         the pixel they are given to, or five taps on the mean of both frames.
@@ -67,18 +87,25 @@ class Settings:
 
     model: Model = "rigid"
     motion: Motion = "field"
-    smoothness: float = 600.0
+    smoothness: float = 20.0
     beta: float = 1.0
-    contrast: float | None = 0.03
+    contrast: float | None = 0.02
+    joint_edges: bool = True
+    stiffness: tuple[float, float, float, float, float, float] = (1, 1, 0.1, 10, 10, 0.1)
+    image_edges: float = 2.0
+    brightness: float = 0.3
+    gradient: float = 1.0
+    normalization: float | None = 0.1
+    data_contrast: float | None = 0.1
     derivatives: Derivatives = "five_tap"
-    presmoothing: float = 0.0
+    presmoothing: float = 0.6
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
-    warps: int = 2
-    outer_iterations: int = 15
-    sweeps: int = 10
+    warps: int = 3
+    outer_iterations: int = 10
+    sweeps: int = 8
     relaxation: float = 1.9
-    tolerance: float = 1e-2
+    tolerance: float = 2e-2
     solver: Solver = "cholesky"
 
     def __post_init__(self) -> None:
@@ -93,6 +120,18 @@ class Settings:
         _check_real("beta", self.beta, above=0)
         if self.contrast is not None:
             _check_real("contrast", self.contrast, least=1e-3, most=1e6)
+        if not isinstance(self.joint_edges, bool):
+            raise TypeError(f"joint_edges is {self.joint_edges!r}: expected True or False")
+        object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
+        _check_real("image_edges", self.image_edges, least=0, most=1e6)
+        for name in ("brightness", "gradient"):
+            _check_real(name, getattr(self, name), least=0, most=1e6)
+        if not self.brightness + self.gradient > 0:
+            raise ValueError("brightness and gradient are both 0: give one of them a weight")
+        if self.normalization is not None:
+            _check_real("normalization", self.normalization, least=0, most=1e6)
+        if self.data_contrast is not None:
+            _check_real("data_contrast", self.data_contrast, least=1e-3, most=1e6)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
         _check_real("relaxation", self.relaxation, above=0, below=2)
@@ -105,7 +144,7 @@ class Settings:
             value = getattr(self, field.name)
             if field.name in _COUNTS and value is not None:
                 object.__setattr__(self, field.name, int(value))
-            elif isinstance(value, Real):
+            elif isinstance(value, Real) and not isinstance(value, bool):
                 object.__setattr__(self, field.name, float(value))
 
     @classmethod
@@ -195,6 +234,14 @@ def _check_real(
         raise ValueError(f"{name} is {value}: expected a finite number {' and '.join(bounds)}")
 
 
+def _check_stiffness(stiffness: object) -> tuple[float, ...]:
+    if isinstance(stiffness, str) or not isinstance(stiffness, Sequence) or len(stiffness) != 6:
+        raise TypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
+    for k, value in enumerate(stiffness):
+        _check_real(f"stiffness[{k}]", value, least=1e-3, most=1e6)
+    return tuple(float(value) for value in stiffness)
+
+
 def _check_count(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} is {value!r}: expected an integer")
@@ -207,14 +254,24 @@ _PRESETS: dict[str, Settings] = {
         smoothness=PAPER_SMOOTHNESS,
         beta=0.25,
         contrast=None,
+        joint_edges=False,
+        stiffness=(1.0,) * 6,
+        image_edges=0.0,
+        brightness=1.0,
+        gradient=0.0,
+        normalization=None,
+        data_contrast=None,
         derivatives="cube",
+        presmoothing=0.0,
         pyramid_levels=1,
         warps=1,
         outer_iterations=200,
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(outer_iterations=6, sweeps=4, tolerance=2e-2),
+    "fast": Settings(warps=1, outer_iterations=4, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
-    "accurate": Settings(outer_iterations=40, tolerance=4e-3),
+    "accurate": Settings(
+        pyramid_factor=0.75, warps=3, outer_iterations=15, sweeps=10, tolerance=1e-2
+    ),
 }
