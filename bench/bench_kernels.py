@@ -58,8 +58,18 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-PLAIN = ("image_to_lanes", "warp", "brightness_tensor")
-PER_MODEL = ("lanes_to_images", "flow", "edge_weights", "energy", "change", "prolong", "evidence")
+PLAIN = ("image_to_lanes", "warp", "constancy_tensors")
+PER_MODEL = (
+    "lanes_to_images",
+    "flow",
+    "robust_tensor",
+    "robust_energy",
+    "edge_weights",
+    "energy",
+    "change",
+    "prolong",
+    "evidence",
+)
 CASES = [
     *(Case(kernel) for kernel in PLAIN),
     *(Case("derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),

@@ -55,17 +55,8 @@ def reference_run(problem: Problem, settings: Settings):
     ]
     return lambda: reference.coarse_to_fine(
         *pyramids,
-        [problem.camera.scaled(factor**level, *size) for level in range(levels)],
-        components=settings.components,
-        factor=factor,
-        scheme=settings.derivatives,
-        warps=settings.warps,
-        alpha=settings.alpha,
-        contrast=settings.contrast_for(problem.camera.focal),
-        outer_iterations=settings.outer_iterations,
-        sweeps=settings.sweeps,
-        relaxation=settings.relaxation,
-        tolerance=settings.tolerance,
+        problem.camera,
+        settings,
     )
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.problems import ALPHA, CONTRAST, RATIO, RELAXATION, Problem
+from bench.problems import ALPHA, CONSTRAINTS, CONTRAST, RATIO, RELAXATION, SCALES, Problem
 from tisfm.field import Field
 from tisfm.kernels import (
     derivatives,
@@ -16,6 +16,7 @@ from tisfm.kernels import (
     motion_tensor,
     reductions,
     relaxation,
+    robust,
     transfer,
     warp,
 )
@@ -53,10 +54,11 @@ class Operations:
         frames = [self.grid.allocate(1, halo=images.IMAGE_HALO) for _ in range(2)]
         for frame, array in zip(self.problem.frames, frames, strict=True):
             images.image_to_lanes(self.grid, frame.astype(np.float32), array)
-        out = self.grid.allocate(3)
+        halo = derivatives.DERIVATIVE_HALO
+        out = self.grid.allocate(3, halo=halo)
         return (
             lambda: derivatives.derivatives(self.grid, *frames, out, scheme=self.option),
-            lambda _: self.read(out),
+            lambda _: self.read(out, halo=halo)[:, halo:-halo, halo:-halo],
         )
 
     def flow(self) -> Timed:
@@ -74,13 +76,35 @@ class Operations:
             lambda _: np.stack([out, self.read(mask)[0]]),
         )
 
-    def brightness_tensor(self) -> Timed:
+    def constancy_tensors(self) -> Timed:
         p = self.problem
-        inputs = [self.lay(array) for array in (p.gradients, p.flow, p.mask[None])]
-        out = self.grid.allocate(6)
+        halo = derivatives.DERIVATIVE_HALO
+        gradients = self.grid.allocate(3, halo=halo)
+        for component, image in enumerate(p.gradients):
+            padded = np.ascontiguousarray(image, np.float32)
+            gradients[component] = self.lay_with_border(padded, halo)
+        inputs = [gradients, *(self.lay(array) for array in (p.flow, p.mask[None]))]
+        out = self.grid.allocate(12)
         return (
-            lambda: motion_tensor.brightness_tensor(self.grid, *inputs, out),
+            lambda: motion_tensor.constancy_tensors(self.grid, *inputs, out, **CONSTRAINTS),
             lambda _: self.read(out),
+        )
+
+    def robust_tensor(self) -> Timed:
+        field, out = self.field, self.grid.allocate(6)
+        terms = self.lay(self.problem.terms)
+        arguments = (self.grid, terms, field.x_hat, field.y_hat, field.rho)
+        return (
+            lambda: robust.robust_tensor(*arguments, out, scales=SCALES),
+            lambda _: self.read(out),
+        )
+
+    def robust_energy(self) -> Timed:
+        field, terms = self.field, self.lay(self.problem.terms)
+        arguments = (self.grid, terms, field.x_hat, field.y_hat, field.rho)
+        return (
+            lambda: robust.robust_energy(*arguments, scales=SCALES),
+            lambda total: np.array([[total]]),
         )
 
     def edge_weights(self) -> Timed:
@@ -140,6 +164,13 @@ class Operations:
         array[:, 1:-1, 0, 1:] = array[:, 1:-1, -2, :-1]
         array[:, 1:-1, -1, :-1] = array[:, 1:-1, 1, 1:]
         return out
+
+    def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
+        """Lay (H + 2·halo, W + 2·halo) into one component of a lane array, border included."""
+        grid = self.grid
+        columns = np.arange(grid.strip + 2 * halo)[:, None] + grid.strip * np.arange(grid.lanes)
+        table = image[:, np.minimum(columns, image.shape[1] - 1)]
+        return table if grid.lanes > 1 else table[..., 0]
 
     def read(self, array: np.ndarray, halo: int = 0) -> np.ndarray:
         """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border."""

@@ -8,7 +8,10 @@ from tisfm import reference, scenes
 
 ALPHA = 278.0  # the paper's λ = 1e8 at f = 600
 CONTRAST = 0.03  # px/frame
+SMOOTHNESS = reference.Smoothness(contrast=CONTRAST)
 RELAXATION = 1.9
+CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
+SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
 RATIO = 0.7  # coarse over fine sampling density
 NOISE = 0.1  # px/frame, on ρ̂: no weight of an edge is all but 0 or 1
 
@@ -39,14 +42,14 @@ class Problem:
         """Return the edge weights of the first components of ρ̂."""
         if components not in self._weights:
             rho = self.rho[:components]
-            self._weights[components] = single(reference.edge_weights(rho, CONTRAST))
+            self._weights[components] = single(reference.edge_weights(rho, SMOOTHNESS))
         return self._weights[components]
 
     @cached_property
     def gradients(self) -> np.ndarray:
-        """(I_x, I_y, I_t) of frame 0 and frame 1 warped, (3, H, W)."""
+        """(I_x, I_y, I_t) of frame 0 and frame 1 warped, with a border of 2 px, (3, H+4, W+4)."""
         warped, _ = reference.warp(self.frames[1], self.flow)
-        return single(np.array(reference.derivatives(self.frames[0], warped, "five_tap")))
+        return single(np.array(reference.derivatives(self.frames[0], warped, "five_tap", halo=2)))
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -56,7 +59,15 @@ class Problem:
     @cached_property
     def tensor(self) -> np.ndarray:
         """Motion tensor, (6, H, W)."""
-        return single(reference.brightness_tensor(tuple(self.gradients), self.flow, self.mask))
+        inner = tuple(self.gradients[:, 2:-2, 2:-2])
+        return single(reference.brightness_tensor(inner, self.flow, self.mask))
+
+    @cached_property
+    def terms(self) -> np.ndarray:
+        """Motion tensors of brightness and gradient constancy, normalised, (12, H, W)."""
+        gradients = tuple(self.gradients)
+        tensors = reference.constancy_tensors(gradients, self.flow, self.mask, **CONSTRAINTS)
+        return single(np.concatenate(tensors))
 
 
 def single(values: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.problems import ALPHA, CONTRAST, RATIO, RELAXATION, Problem
+from bench.problems import ALPHA, CONSTRAINTS, RATIO, RELAXATION, SCALES, SMOOTHNESS, Problem
 from tisfm import reference
 
 Run = Callable[[], np.ndarray]
@@ -23,7 +23,7 @@ class References:
 
     def image_to_lanes(self) -> Run:
         image = self.problem.frames[0]
-        return lambda: np.pad(image, 2, mode="edge")[None]  # the border alone: no lanes here
+        return lambda: np.pad(image, 4, mode="edge")[None]  # the border alone: no lanes here
 
     def lanes_to_images(self) -> Run:
         return lambda: self.rho.copy()  # a copy alone: there are no lanes to leave
@@ -38,13 +38,21 @@ class References:
         image, flow = self.problem.frames[1], self.problem.flow
         return lambda: np.array(reference.warp(image, flow))
 
-    def brightness_tensor(self) -> Run:
+    def constancy_tensors(self) -> Run:
         p = self.problem
         arguments = (tuple(p.gradients), p.flow, p.mask)
-        return lambda: reference.brightness_tensor(*arguments)
+        return lambda: np.concatenate(reference.constancy_tensors(*arguments, **CONSTRAINTS))
+
+    def robust_tensor(self) -> Run:
+        arguments = (np.split(self.problem.terms, 2), self.motion, self.rho)
+        return lambda: reference.robust_tensor(*arguments, SCALES)
+
+    def robust_energy(self) -> Run:
+        arguments = (np.split(self.problem.terms, 2), self.motion, self.rho)
+        return lambda: np.array([[reference.robust_energy(*arguments, SCALES)]])
 
     def edge_weights(self) -> Run:
-        return lambda: reference.edge_weights(self.rho, CONTRAST)
+        return lambda: reference.edge_weights(self.rho, SMOOTHNESS)
 
     def sweep(self) -> Run:
         arguments = (self.problem.tensor, self.motion, self.problem.weights(self.n))
@@ -61,8 +69,8 @@ class References:
         weights = self.problem.weights(self.n)
 
         def run() -> np.ndarray:
-            plain = reference.energy(*arguments, ALPHA, CONTRAST)
-            half = reference.half_quadratic_energy(*arguments, weights, ALPHA, CONTRAST)
+            plain = reference.energy(*arguments, ALPHA, SMOOTHNESS)
+            half = reference.half_quadratic_energy(*arguments, weights, ALPHA, SMOOTHNESS)
             return np.array([[plain], [half]])
 
         return run

@@ -32,9 +32,7 @@ def robust_tensor(grid: LaneGrid, terms, x_hat, y_hat, rho, out, *, scales) -> N
     """
     count = _check(grid, terms, x_hat, y_hat, rho, scales)
     grid.check(out, 6, "out")
-    _robust_tensor[grid.lanes](
-        terms, x_hat, y_hat, rho, *_finite(scales), rho.shape[0], count, out
-    )
+    _robust_tensor[grid.lanes](terms, x_hat, y_hat, rho, *_finite(scales), rho.shape[0], count, out)
 
 
 def robust_energy(grid: LaneGrid, terms, x_hat, y_hat, rho, *, scales) -> float:

@@ -37,9 +37,11 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
     image = np.random.default_rng(1).normal(size=size).astype(np.float32)
     array = grid.allocate(1, halo=IMAGE_HALO)
     image_to_lanes(grid, image, array)
-    rows = np.clip(np.arange(-2, size[0] + 2), 0, size[0] - 1)
+    rows = np.clip(np.arange(-IMAGE_HALO, size[0] + IMAGE_HALO), 0, size[0] - 1)
     for lane in range(lanes):
-        columns = np.clip(lane * grid.strip + np.arange(-2, grid.strip + 2), 0, size[1] - 1)
+        columns = np.clip(
+            lane * grid.strip + np.arange(-IMAGE_HALO, grid.strip + IMAGE_HALO), 0, size[1] - 1
+        )
         in_lane = array[0] if lanes == 1 else array[0, ..., lane]
         np.testing.assert_array_equal(in_lane, image[np.ix_(rows, columns)])
 
@@ -52,7 +54,7 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
 @each_lanes
 @pytest.mark.parametrize("scheme", ["cube", "five_tap"])
 def test_derivatives(size, lanes, scheme, make_problem):
-    from tisfm.kernels.derivatives import derivatives
+    from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
     from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
 
     problem = make_problem(*size, 6, lanes)
@@ -61,9 +63,10 @@ def test_derivatives(size, lanes, scheme, make_problem):
     in_lanes = [grid.allocate(1, halo=IMAGE_HALO) for _ in frames]
     for frame, array in zip(frames, in_lanes, strict=True):
         image_to_lanes(grid, frame, array)
-    out = grid.allocate(3)
+    out = grid.allocate(3, halo=DERIVATIVE_HALO)
     derivatives(grid, *in_lanes, out, scheme=scheme)
-    close(problem.from_lanes(out), np.array(reference.derivatives(*frames, scheme)), scale=255)
+    inner = problem.from_lanes(out[:, 1:-1, 1:-1])
+    close(inner, np.array(reference.derivatives(*frames, scheme)), scale=255)
 
 
 @each_size
@@ -94,38 +97,161 @@ def test_warp(size, lanes, make_problem):
     np.testing.assert_allclose(out, expected, atol=255 * 64 * 2.0**-23)
 
 
+CONSTRAINTS = [
+    {"brightness": 1.0, "gradient": 0.0, "normalization": None},  # the paper's
+    {"brightness": 0.0, "gradient": 2.0, "normalization": None},
+    {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1},
+]
+
+
 @each_size
 @each_lanes
-def test_brightness_tensor(size, lanes, make_problem):
-    from tisfm.kernels.motion_tensor import brightness_tensor
+@pytest.mark.parametrize("constraints", CONSTRAINTS, ids=["brightness", "gradient", "normalized"])
+def test_constancy_tensors(size, lanes, constraints, make_problem):
+    from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
+    from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
+    from tisfm.kernels.motion_tensor import constancy_tensors
 
     problem = make_problem(*size, 6, lanes)
-    rng = np.random.default_rng(4)
-    gradients = rng.normal(scale=20, size=(3, *size)).astype(np.float32)
+    grid, rng = problem.grid, np.random.default_rng(4)
+    frames = rng.uniform(0, 255, size=(2, *size)).astype(np.float32)
     flow = rng.normal(scale=2, size=(2, *size)).astype(np.float32)
     mask = rng.integers(0, 2, size=(1, *size)).astype(np.float32)
-    out = problem.grid.allocate(6)
-    arguments = [problem.to_lanes(a) for a in (gradients, flow, mask)]
-    brightness_tensor(problem.grid, *arguments, out)
-    close(problem.from_lanes(out), reference.brightness_tensor(tuple(gradients), flow, mask[0]))
+    in_lanes = [grid.allocate(1, halo=IMAGE_HALO) for _ in frames]
+    for frame, array in zip(frames, in_lanes, strict=True):
+        image_to_lanes(grid, frame, array)
+    gradients = grid.allocate(3, halo=DERIVATIVE_HALO)
+    derivatives(grid, *in_lanes, gradients, scheme="five_tap")
+    count = (constraints["brightness"] > 0) + (constraints["gradient"] > 0)
+    out = grid.allocate(6 * count)
+    arguments = [problem.to_lanes(a) for a in (flow, mask)]
+    constancy_tensors(grid, gradients, *arguments, out, **constraints)
+    expected = reference.constancy_tensors(
+        reference.derivatives(*frames, "five_tap", halo=2), flow, mask[0], **constraints
+    )
+    actual = problem.from_lanes(out)
+    for k in range(6 * count):
+        # Each constraint carries roundings of 255 grey levels: relative to the largest of the sum.
+        scale = max(np.abs(expected[k // 6][k % 6]).max(), 1e-6)
+        np.testing.assert_allclose(actual[k], expected[k // 6][k % 6], rtol=2e-4, atol=2e-6 * scale)
     assert not padding(problem, out).any()
+
+
+def test_constancy_tensors_refuse_bad_weights(make_problem):
+    from tisfm.kernels.motion_tensor import constancy_tensors
+
+    for weights in ({"brightness": 0.0, "gradient": 0.0}, {"brightness": -1.0, "gradient": 2.0}):
+        with pytest.raises(ValueError, match="expected weights of at least 0"):
+            constancy_tensors(None, None, None, None, None, **weights, normalization=None)
 
 
 @each_size
 @each_model
 @each_lanes
+@pytest.mark.parametrize("scales", [(np.inf,), (5.0,), (3.0, np.inf), (3.0, 50.0)], ids=str)
+def test_robust_data(size, components, lanes, scales, make_problem):
+    from tisfm.kernels.robust import robust_energy, robust_tensor
+
+    problem = make_problem(*size, components, lanes)
+    terms = [problem.tensor, make_problem(*size, components, lanes, seed=1).tensor][: len(scales)]
+    field, out = problem.field, problem.grid.allocate(6)
+    in_lanes = problem.to_lanes(np.concatenate(terms))
+    tables = (field.x_hat, field.y_hat, field.rho)
+    robust_tensor(problem.grid, in_lanes, *tables, out, scales=scales)
+    expected = reference.robust_tensor(terms, problem.motion, problem.rho, scales)
+    close(problem.from_lanes(out), expected, scale=np.abs(expected).max())
+    assert not padding(problem, out).any()
+    total = robust_energy(problem.grid, in_lanes, *tables, scales=scales)
+    assert total == pytest.approx(
+        reference.robust_energy(terms, problem.motion, problem.rho, scales), rel=1e-5
+    )
+    # The half-quadratic data term at the flow its weights belong to is the robust one.
+    assert reference.data_energy(expected, problem.motion, problem.rho) == pytest.approx(
+        reference.robust_energy(terms, problem.motion, problem.rho, scales)
+    )
+
+
+def test_robust_data_refuses_bad_scales(make_problem):
+    from tisfm.kernels.robust import robust_energy
+
+    problem = make_problem(5, 7, 6, 1)
+    field = problem.field
+    for scales in ((0.0,), (1.0, 1.0, 1.0)):
+        with pytest.raises(ValueError, match="scales"):
+            robust_energy(
+                problem.grid,
+                problem.tensor_lanes,
+                field.x_hat,
+                field.y_hat,
+                field.rho,
+                scales=scales,
+            )
+
+
+def smoothness_of(problem, contrast, kind):
+    """Return the reference's smoothness, the kernels' options, and g in lanes."""
+    if kind == "paper":
+        return reference.Smoothness(contrast=contrast), {}, problem.field.edges
+    n, height, width = problem.rho.shape
+    g = np.random.default_rng(8).uniform(0.1, 2, size=(2, height, width))
+    g[0, :, -1] = g[1, -1] = 0
+    g = g.astype(np.float32)
+    options = {"stiffness": (1.0, 0.5, 0.1, 10.0, 3.0, 0.2)[:n], "joint": kind == "joint"}
+    smoothness = reference.Smoothness(
+        contrast=contrast,
+        edges=g.astype(float),
+        stiffness=np.array(options["stiffness"]),
+        joint=options["joint"],
+    )
+    return smoothness, options, problem.to_lanes(g)
+
+
+each_smoothness = pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
+
+
+@each_size
+@each_model
+@each_lanes
+@each_smoothness
 @pytest.mark.parametrize("contrast", [0.03, 1.0, 600.0, np.inf])
-def test_edge_weights(size, components, lanes, contrast, make_problem):
+def test_edge_weights(size, components, lanes, kind, contrast, make_problem):
     from tisfm.kernels.diffusivity import edge_weights
 
     problem = make_problem(*size, components, lanes)
-    field = problem.field
+    smoothness, options, edges = smoothness_of(problem, contrast, kind)
     out = problem.grid.allocate(2 * components)
-    edge_weights(problem.grid, field.rho, field.edges, out, contrast=contrast)
-    expected = reference.edge_weights(problem.rho, contrast)
+    edge_weights(problem.grid, problem.field.rho, edges, out, contrast=contrast, **options)
+    expected = reference.edge_weights(problem.rho, smoothness)
     close(problem.from_lanes(out), expected)
     # In the halo columns, too, the eastern ones: they are the western weights of every strip.
     close(out[:components], problem.to_lanes(expected)[:components])
+
+
+def test_edge_weights_refuse_bad_stiffness(make_problem):
+    from tisfm.kernels.diffusivity import edge_weights
+
+    problem = make_problem(5, 7, 3, 1)
+    field, out = problem.field, problem.grid.allocate(6)
+    for stiffness in ((1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 1.0, np.inf)):
+        with pytest.raises(ValueError, match="expected 3 positive numbers"):
+            edge_weights(
+                problem.grid, field.rho, field.edges, out, contrast=1.0, stiffness=stiffness
+            )
+
+
+@each_size
+@each_lanes
+@pytest.mark.parametrize("strength", [0.5, 2.0])
+def test_image_edges(size, lanes, strength, make_problem):
+    from tisfm.image_edges import image_edges, image_edges_in_lanes
+
+    problem = make_problem(*size, 2, lanes)
+    frame = np.random.default_rng(9).uniform(0, 255, size=size).astype(np.float32)
+    expected = reference.image_edges(frame, strength)
+    close(image_edges(frame, strength), expected)
+    close(problem.from_lanes(image_edges_in_lanes(problem.grid, frame, strength)), expected)
+    uniform = image_edges(np.full(size, 7, np.float32), strength)
+    np.testing.assert_array_equal(uniform, problem.from_lanes(problem.grid.open_edges()))
 
 
 @pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
@@ -141,7 +267,7 @@ def test_one_sweep_is_the_reference_sweep(
 
     problem = make_problem(*size, components, lanes, channels=2)
     field, alpha = problem.field, 40.0
-    weights = reference.edge_weights(problem.rho, 1.0)
+    weights = reference.edge_weights(problem.rho, reference.Smoothness(contrast=1.0))
     sweep(
         problem.grid,
         problem.tensor_lanes,
@@ -171,7 +297,9 @@ def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
     results = []
     for solver in ("cholesky", "closed_form"):
         problem = make_problem(19, 43, components, lanes)
-        weights = problem.to_lanes(reference.edge_weights(problem.rho, 0.3))
+        weights = problem.to_lanes(
+            reference.edge_weights(problem.rho, reference.Smoothness(contrast=0.3))
+        )
         field = problem.field
         tables = (field.x_hat, field.y_hat, field.rho)
         sweep(
@@ -192,29 +320,32 @@ def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
 @each_size
 @each_model
 @each_lanes
+@each_smoothness
 @pytest.mark.parametrize("contrast", [0.05, 600.0, np.inf])
-def test_energy(size, components, lanes, contrast, make_problem):
+def test_energy(size, components, lanes, kind, contrast, make_problem):
     from tisfm.kernels.reductions import energy
 
     problem = make_problem(*size, components, lanes)
     field = problem.field
-    weights = reference.edge_weights(0.5 * problem.rho, contrast)  # of another ρ̂
+    smoothness_, options, edges = smoothness_of(problem, contrast, kind)
+    weights = reference.edge_weights(0.5 * problem.rho, smoothness_)  # of another ρ̂
     data, smoothness, half_quadratic = energy(
         problem.grid,
         problem.tensor_lanes,
         problem.to_lanes(weights),
-        field.edges,
+        edges,
         field.x_hat,
         field.y_hat,
         field.rho,
         alpha=40.0,
         contrast=contrast,
+        **options,
     )
     arguments = (problem.tensor, problem.motion, problem.rho)
-    expected = reference.energy(*arguments, 40.0, contrast)
-    expected_half = reference.half_quadratic_energy(*arguments, weights, 40.0, contrast)
-    assert data + smoothness == pytest.approx(expected, rel=1e-6)
-    assert data + half_quadratic == pytest.approx(expected_half, rel=1e-6)
+    expected = reference.energy(*arguments, 40.0, smoothness_)
+    expected_half = reference.half_quadratic_energy(*arguments, weights, 40.0, smoothness_)
+    assert data + smoothness == pytest.approx(expected, rel=2e-6)
+    assert data + half_quadratic == pytest.approx(expected_half, rel=2e-6)
 
 
 @each_size
@@ -253,7 +384,7 @@ def test_evidence(size, components, lanes, make_problem):
     from tisfm.kernels.evidence import evidence
 
     problem = make_problem(*size, components, lanes)
-    weights = reference.edge_weights(problem.rho, 1.0)
+    weights = reference.edge_weights(problem.rho, reference.Smoothness(contrast=1.0))
     out, field = problem.grid.allocate(7), problem.field
     evidence(
         problem.grid,

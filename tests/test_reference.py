@@ -117,13 +117,14 @@ def random_problem(components, *, seed=0, shape=(9, 12), real=False, focal=15.0)
 @pytest.mark.parametrize("relaxation", [1.0, 1.9, 1.98])
 def test_energy_never_rises(components, real, contrast, relaxation):
     tensor, motion, rho = random_problem(components, real=real)
-    start = reference.energy(tensor, motion, rho, 30.0, contrast)
+    smoothness = reference.Smoothness(contrast=contrast)
+    start = reference.energy(tensor, motion, rho, 30.0, smoothness)
     run = reference.minimise(
-        tensor,
+        [tensor],
         motion,
         rho,
         alpha=30.0,
-        contrast=contrast,
+        smoothness=smoothness,
         outer_iterations=15,
         sweeps=2,
         relaxation=relaxation,
@@ -136,15 +137,99 @@ def test_energy_never_rises(components, real, contrast, relaxation):
     assert np.all(np.array(run.half_quadratic) <= energies[:-1] * (1 + 1e-12))
 
 
+@pytest.mark.parametrize("joint", [False, True])
+@pytest.mark.parametrize("relaxation", [1.0, 1.9])
+def test_energy_never_rises_with_robust_data_and_image_edges(joint, relaxation):
+    tensor, motion, rho = random_problem(6, real=True)
+    other, _, _ = random_problem(6, seed=1)
+    rng = np.random.default_rng(2)
+    smoothness = reference.Smoothness(
+        contrast=0.02,
+        stiffness=np.array([1, 1, 0.1, 10, 10, 0.1]),
+        joint=joint,
+        edges=rng.uniform(0.1, 2, size=(2, *rho.shape[1:])),
+    )
+    terms, scales = [tensor, other], [4.0, np.inf]
+    start = reference.robust_energy(terms, motion, rho, scales)
+    start += 30.0 * reference.smoothness_energy(rho, smoothness)
+    run = reference.minimise(
+        terms,
+        motion,
+        rho,
+        alpha=30.0,
+        smoothness=smoothness,
+        scales=scales,
+        outer_iterations=15,
+        sweeps=2,
+        relaxation=relaxation,
+    )
+    energies, half = np.array([start, *run.energies]), np.array(run.half_quadratic)
+    assert np.all(np.diff(energies) <= 1e-12 * energies[:-1])
+    assert energies[-1] < 0.9 * start
+    assert np.all(half >= energies[1:] * (1 - 1e-12))
+    assert np.all(half <= energies[:-1] * (1 + 1e-12))
+
+
+def test_normalised_constraints_are_distances_in_pixels():
+    """Of an image that moves by (1.5, 0), whatever its contrast."""
+    _, columns = np.mgrid[:20, :24].astype(float)
+    one, zero = np.ones((20, 24)), np.zeros((2, 20, 24))
+    for steepness in (1.0, 5.0):
+        frame0, frame1 = (steepness * (x + 0.1 * x**2) for x in (columns, columns - 1.5))
+        terms = reference.constancy_tensors(
+            reference.derivatives(frame0, frame1, "five_tap", halo=2),
+            zero,
+            one,
+            brightness=1.0,
+            gradient=1.0,
+            normalization=0.0,
+        )
+        inner = np.s_[5:-5, 5:-5]  # beyond it, the images repeat
+        for term in terms:
+            np.testing.assert_allclose(term[5][inner], 1.5**2, rtol=1e-6)
+            np.testing.assert_allclose(term[3][inner], -1.5, rtol=1e-6)
+
+
+def test_gradient_constancy_does_not_see_a_change_of_brightness():
+    rng = np.random.default_rng(0)
+    frame = rng.uniform(0, 200, size=(15, 17))
+    constraints = {"brightness": 0.5, "gradient": 2.0, "normalization": None}
+    zero, one = np.zeros((2, 15, 17)), np.ones((15, 17))
+    still, brighter = (
+        reference.constancy_tensors(
+            reference.derivatives(frame, frame + shift, "five_tap", halo=2),
+            zero,
+            one,
+            **constraints,
+        )
+        for shift in (0.0, 20.0)
+    )
+    np.testing.assert_allclose(brighter[1], still[1], atol=1e-9)
+    assert np.abs(brighter[0] - still[0]).max() > 10
+    assert np.all(brighter[0][5] == pytest.approx(0.5 * 20.0**2))
+
+
+def test_image_edges_keep_the_mean_and_open_at_edges():
+    frame = np.zeros((9, 12))
+    frame[:, 6:] = 100.0
+    edges = reference.image_edges(frame, 2.0)
+    inside = np.concatenate([edges[0, :, :-1].ravel(), edges[1, :-1].ravel()])
+    assert inside.mean() == pytest.approx(1.0)
+    assert edges[0, 0, 5] < 0.2 * edges[0, 0, 4]
+    assert not edges[0, :, -1].any() and not edges[1, -1].any()
+    np.testing.assert_allclose(reference.image_edges(3 * frame, 2.0), edges)  # relative contrast
+
+
 def test_energy_with_the_wrong_weight_of_the_regularisation_rises():
     """With λ̂ in place of α in the energy the iteration is no descent: the check can fail."""
     tensor, motion, rho = random_problem(6)
     alpha, beta = 30.0, 0.25
-    options = {"contrast": 0.02, "sweeps": 20, "relaxation": 1.5}
-    reference.minimise(tensor, motion, rho, alpha=alpha / beta, outer_iterations=30, **options)
-    before = reference.energy(tensor, motion, rho, alpha / beta, 0.02)
-    reference.minimise(tensor, motion, rho, alpha=alpha, outer_iterations=1, **options)
-    assert reference.energy(tensor, motion, rho, alpha / beta, 0.02) > 1.01 * before
+    smoothness = reference.Smoothness(contrast=0.02)
+    options = {"smoothness": smoothness, "sweeps": 20, "relaxation": 1.5}
+    reference.minimise([tensor], motion, rho, alpha=alpha / beta, outer_iterations=30, **options)
+    before = reference.energy(tensor, motion, rho, alpha / beta, smoothness)
+    reference.minimise([tensor], motion, rho, alpha=alpha, outer_iterations=1, **options)
+    assert reference.energy(tensor, motion, rho, alpha / beta, smoothness) > 1.01 * before
 
 
 @pytest.mark.parametrize("components", [6, 3, 2])
@@ -153,7 +238,8 @@ def test_sweeps_reach_the_solution_of_the_whole_system(components, sweep):
     """Against one dense solve of all pixels at once."""
     # A wide view: over a narrow one translation and rotation are all but the same motion.
     tensor, motion, rho = random_problem(components, shape=(5, 6), focal=1.5)
-    weights = reference.edge_weights(rho, 0.5)
+    smoothness = reference.Smoothness(contrast=0.5)
+    weights = reference.edge_weights(rho, smoothness)
     matrix = reference.local_matrices(tensor, motion, weights, 30.0)
 
     def residual(field):
@@ -166,7 +252,7 @@ def test_sweeps_reach_the_solution_of_the_whole_system(components, sweep):
     exact = np.linalg.solve(system, constant).reshape(rho.shape)
 
     def energy(field):
-        return reference.half_quadratic_energy(tensor, motion, field, weights, 30.0, 0.5)
+        return reference.half_quadratic_energy(tensor, motion, field, weights, 30.0, smoothness)
 
     first_gap = energy(rho) - energy(exact)
     for _ in range(400):

@@ -21,19 +21,26 @@ NUMBERS = (
     "smoothness",
     "beta",
     "contrast",
+    "image_edges",
+    "brightness",
+    "gradient",
+    "normalization",
+    "data_contrast",
     "presmoothing",
     "pyramid_factor",
     "relaxation",
     "tolerance",
 )
+NONE_IS_MEANT = ("contrast", "normalization", "data_contrast")
 CHOICES = ("model", "motion", "derivatives", "solver")
+OTHERS = ("joint_edges", "stiffness")
 
 positive = st.floats(1e-3, 1e5)
 
 
 def test_every_setting_is_covered_here():
     names = {field.name for field in dataclasses.fields(tisfm.Settings)}
-    assert names == {*COUNTS, *NUMBERS, *CHOICES}
+    assert names == {*COUNTS, *NUMBERS, *CHOICES, *OTHERS}
 
 
 # Presets
@@ -64,6 +71,9 @@ def test_preset_paper_has_the_papers_values():
     assert paper.beta == 0.25
     assert paper.alpha == pytest.approx(1e8 / 600**2 / 4)
     assert (paper.pyramid_levels, paper.warps, paper.derivatives) == (1, 1, "cube")
+    assert (paper.brightness, paper.gradient, paper.image_edges) == (1, 0, 0)
+    assert (paper.normalization, paper.data_contrast) == (None, None)
+    assert (paper.joint_edges, paper.stiffness) == (False, (1,) * 6)
     # δ = 1 in the units of τ and ω is f pixels.
     assert paper.contrast is None
     assert paper.contrast_for(600.0) == 600.0
@@ -92,6 +102,35 @@ def test_unknown_setting_names_those_available():
 
 
 # Values of Settings
+
+
+def test_one_of_the_constraints_needs_a_weight():
+    with pytest.raises(ValueError, match="brightness and gradient are both 0"):
+        tisfm.Settings(brightness=0, gradient=0)
+
+
+@pytest.mark.parametrize("value", [1, None, "yes"])
+def test_joint_edges_is_true_or_false(value):
+    with pytest.raises(TypeError, match=r"joint_edges is .*expected True or False"):
+        tisfm.Settings(joint_edges=value)
+
+
+@pytest.mark.parametrize("value", [3.0, None, "111111", (1, 1, 1), (1,) * 7])
+def test_stiffness_has_six_numbers(value):
+    with pytest.raises(TypeError, match=r"stiffness is .*expected 6 numbers"):
+        tisfm.Settings(stiffness=value)
+
+
+@pytest.mark.parametrize("value", [0, -1, math.nan, math.inf])
+def test_stiffness_is_positive_and_finite(value):
+    with pytest.raises(ValueError, match=r"stiffness\[2\] is .*expected a finite number"):
+        tisfm.Settings(stiffness=(1, 1, value, 1, 1, 1))
+
+
+def test_stiffness_may_come_as_a_list():
+    settings = tisfm.Settings(stiffness=[1, 2, 3, 4, 5, 6])
+    assert settings.stiffness == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert hash(settings) == hash(tisfm.Settings(stiffness=(1, 2, 3, 4, 5, 6)))
 
 
 @pytest.mark.parametrize(
@@ -162,7 +201,7 @@ def test_what_is_no_number_is_refused(name, value):
         tisfm.Settings(**{name: value})
 
 
-@pytest.mark.parametrize("name", [name for name in NUMBERS if name != "contrast"])
+@pytest.mark.parametrize("name", [name for name in NUMBERS if name not in NONE_IS_MEANT])
 def test_none_is_no_number(name):
     with pytest.raises(TypeError, match=f"{name} is None"):
         tisfm.Settings(**{name: None})

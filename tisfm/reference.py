@@ -166,9 +166,9 @@ def constancy_tensors(
 
 def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
     """Return the derivative along an axis by (1, −8, 0, 8, −1)/12, without the halo of 2 px."""
-    steps = {-2: 1, -1: -8, 1: 8, 2: -1}
-    moved = sum(weight * np.roll(image, -step, axis) for step, weight in steps.items())
-    return moved[2:-2, 2:-2] / 12
+    near = np.roll(image, -1, axis) - np.roll(image, 1, axis)
+    far = np.roll(image, -2, axis) - np.roll(image, 2, axis)
+    return (8 * near - far)[2:-2, 2:-2] / 12
 
 
 def robust_tensor(
@@ -494,12 +494,7 @@ def coarse_to_fine(
     `camera` is that of the finest level; of the settings, the pyramid is the one given.
     """
     n, factor = settings.components, settings.pyramid_factor
-    size = pyramid0[0].shape
-    constraints = {
-        "brightness": settings.brightness,
-        "gradient": settings.gradient,
-        "normalization": settings.normalization,
-    }
+    height, width = pyramid0[0].shape
     epsilon = np.inf if settings.data_contrast is None else settings.data_contrast
     scales = [m * epsilon**2 for m in (settings.brightness, settings.gradient) if m > 0]
     rho: np.ndarray | None = None
@@ -507,7 +502,7 @@ def coarse_to_fine(
         frame0, frame1 = pyramid0[level], pyramid1[level]
         shape = frame0.shape
         rho = np.zeros((n, *shape)) if rho is None else prolong(rho, shape, factor)
-        motion = motion_matrix(camera.scaled(factor**level, *size), *shape, n)
+        motion = motion_matrix(camera.scaled(factor**level, height, width), shape[0], shape[1], n)
         smoothness = Smoothness(
             contrast=settings.contrast_for(camera.focal),
             stiffness=np.array(settings.stiffness[:n]),
@@ -519,7 +514,14 @@ def coarse_to_fine(
             warped, mask = warp(frame1, flow0)
             gradients = derivatives(frame0, warped, settings.derivatives, halo=2)
             minimise(
-                constancy_tensors(gradients, flow0, mask, **constraints),
+                constancy_tensors(
+                    gradients,
+                    flow0,
+                    mask,
+                    brightness=settings.brightness,
+                    gradient=settings.gradient,
+                    normalization=settings.normalization,
+                ),
                 motion,
                 rho,
                 alpha=settings.alpha,

@@ -269,7 +269,7 @@ _PRESETS: dict[str, Settings] = {
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=1, outer_iterations=4, sweeps=5, tolerance=4e-2),
+    "fast": Settings(warps=2, outer_iterations=3, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
     "accurate": Settings(
         pyramid_factor=0.75, warps=3, outer_iterations=15, sweeps=10, tolerance=1e-2
