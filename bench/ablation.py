@@ -27,14 +27,23 @@ from tisfm.settings import Preset, Settings
 
 # Name → what differs from the preset. A setting that a change does not name is the preset's.
 CHANGES: dict[str, dict[str, Any]] = {
-    "one warp": {"warps": 1},
-    "four warps": {"warps": 4},
-    "outer iterations 10": {"outer_iterations": 10},
-    "pyramid factor 0.7": {"pyramid_factor": 0.7},
-    "quadratic smoothing": {"contrast": None},
+    "no gradient constancy": {"gradient": 0.0, "brightness": 1.0},
+    "no brightness constancy": {"brightness": 0.0},
+    "quadratic data": {"data_contrast": None},
+    "no image-driven edges": {"image_edges": 0.0},
+    "edges per component": {"joint_edges": False},
+    "one stiffness": {"stiffness": (1, 1, 1, 1, 1, 1)},
+    "quadratic smoothness": {"contrast": None},
+    "no presmoothing": {"presmoothing": 0.0},
     "cube derivatives": {"derivatives": "cube"},
-    "translation only": {"model": "translation"},
-    "presmoothing 0.8": {"presmoothing": 0.8},
+    "translation model": {"model": "translation"},
+    "pyramid factor 0.5": {"pyramid_factor": 0.5},
+    "one warp": {"warps": 1},
+    "five warps": {"warps": 5},
+    "half the smoothness": {"smoothness": 10.0},
+    "twice the smoothness": {"smoothness": 40.0},
+    # On the scale of grey levels, λ̂ and ε are other numbers: those that were best before.
+    "not normalised": {"normalization": None, "data_contrast": 1.0, "smoothness": 200.0},
 }
 
 

@@ -15,7 +15,7 @@ IMAGE_HALO = 4  # second derivatives look two pixels to each side, twice
 
 
 def image_to_lanes(grid: LaneGrid, image, out, *, component: int = 0) -> None:
-    """Lay an image into one component of a lane array, repeating its border in the halo and in the padding.
+    """Lay an image into a component of a lane array; halo and padding repeat its border.
 
     Parameters
     ----------

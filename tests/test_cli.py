@@ -206,7 +206,7 @@ def test_a_pair_without_motion_does_not_set_the_ranges(tisfm_run, frames):
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_pair_that_diverges_is_said_and_does_not_set_the_ranges(tisfm_run, frames, place):
     for k in range(2):
-        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e8)
+        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
     cv2.imwrite("g1.tif", FRAMES[1].astype(np.float32))
     cv2.imwrite("g2.tif", FRAMES[2].astype(np.float32))
     code, _, err = tisfm_run("run", "h0.tif", "h1.tif", "g1.tif", "g2.tif", "-o", "out")
@@ -227,6 +227,10 @@ def test_a_pair_that_diverges_is_said_and_does_not_set_the_ranges(tisfm_run, fra
         (["--preset", "fast", "--preset", "paper"], Settings.preset("paper")),
         (["--model", "translation"], Settings(model="translation")),
         (["--contrast", "None"], Settings(contrast=None)),
+        (["--no-joint-edges", "--data-contrast", "None"],
+         Settings(joint_edges=False, data_contrast=None)),
+        (["--stiffness", "1", "1", "0.1", "2", "2", "3"],
+         Settings(stiffness=(1, 1, 0.1, 2, 2, 3))),
         (["--preset", "paper", "--contrast", "0.1"], Settings.preset("paper", contrast=0.1)),
         (["--pyramid-levels", "1", "--solver", "closed_form"],
          Settings(pyramid_levels=1, solver="closed_form")),
@@ -688,8 +692,9 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
     assert re.search(r"--preset {paper,fast,balanced,accurate} .{0,100}\(default: paper\)", text)
     for name, value in vars(Settings.preset("paper")).items():
         option = "--" + name.replace("_", "-")
-        following = text.split(option + " ", 1)[1]
-        assert re.search(r"\(default: ([^)]*)\)", following).group(1) == str(value), option
+        following = re.split(re.escape(option) + "[ ,]", text, maxsplit=1)[1]
+        shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        assert re.search(r"\(default: ([^)]*)\)", following).group(1) == shown, option
 
 
 @pytest.mark.parametrize(
@@ -700,7 +705,8 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         (
             "eval",
             {"--output", "--layout", "--preset", "--threads", "--focal", "--center", "--help"}
-            | {"--" + name.replace("_", "-") for name in vars(Settings())},
+            | {"--" + name.replace("_", "-") for name in vars(Settings())}
+            | {"--no-joint-edges"},
         ),
     ],
 )

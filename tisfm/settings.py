@@ -40,9 +40,10 @@ class Settings:
         Whether neighbours that differ in one component are an edge for all of them. Otherwise
         every component has edges of its own, as in the paper.
     stiffness : tuple of 6 floats
-        s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. Motion
-        towards the camera and about its axis are better left to change, other rotation is not:
-        it looks like τ1 and τ2. All 1 in the paper. The translation model uses the first three.
+        s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. ω1 and
+        ω2 look like τ2 and τ1, so they had better not change; ω3, about the optical axis, may. A
+        soft τ3 (0.1) gives better flow on slanted surfaces, and worse depth by eq. 24. All 1 in
+        the paper. The translation model uses the first three.
     image_edges : float
         κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|, and
         its mean is kept. 0 in the paper.
@@ -91,7 +92,7 @@ class Settings:
     beta: float = 1.0
     contrast: float | None = 0.02
     joint_edges: bool = True
-    stiffness: tuple[float, float, float, float, float, float] = (1, 1, 0.1, 10, 10, 0.1)
+    stiffness: tuple[float, float, float, float, float, float] = (1, 1, 1, 10, 10, 0.1)
     image_edges: float = 2.0
     brightness: float = 0.3
     gradient: float = 1.0
@@ -269,7 +270,7 @@ _PRESETS: dict[str, Settings] = {
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=2, outer_iterations=3, sweeps=5, tolerance=4e-2),
+    "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
     "accurate": Settings(
         pyramid_factor=0.75, warps=3, outer_iterations=15, sweeps=10, tolerance=1e-2
