@@ -20,7 +20,7 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image t
 # Of the largest value of a component. A few roundings; more where B has condition numbers of some
 # hundreds, and where a residual is the difference of much larger numbers.
 TOLERANCE = 1e-6
-TOLERANCES = {"sweep": 1e-4, "evidence": 1e-4}
+TOLERANCES = {"sweep": 1e-4, "evidence": 1e-4, "robust_tensor": 1e-4}
 
 
 @dataclass(frozen=True)
