@@ -14,8 +14,8 @@ def confidence(evidence: np.ndarray, flow: np.ndarray) -> np.ndarray:
     ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around it and M the
     covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
     is seen (the aperture problem), near 1 at a corner. It is divided by 1 + r/(4·r̃), r the mean
-    squared residual in the window and r̃ its median over the image: where the brightness
-    constraint is not met, at occlusions above all, texture is no reason for trust.
+    squared residual in the window and r̃ its median over the image: where the data
+    constraints are not met, at occlusions above all, texture is no reason for trust.
 
     Parameters
     ----------
