@@ -38,8 +38,11 @@ CHANGES: dict[str, dict[str, Any]] = {
     "cube derivatives": {"derivatives": "cube"},
     "translation model": {"model": "translation"},
     "pyramid factor 0.5": {"pyramid_factor": 0.5},
+    "pyramid factor 0.8": {"pyramid_factor": 0.8},
     "one warp": {"warps": 1},
     "five warps": {"warps": 5},
+    "as few on coarse levels": {"coarse_warps": 3},
+    "twice as many on coarse levels": {"coarse_warps": 12},
     "half the smoothness": {"smoothness": 10.0},
     "twice the smoothness": {"smoothness": 40.0},
     # On the scale of grey levels, λ̂ and ε are other numbers: those that were best before.

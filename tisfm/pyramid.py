@@ -148,7 +148,7 @@ def coarse_to_fine(
             stiffness=settings.stiffness[:components],
             joint=settings.joint_edges,
         )
-        for warp in range(settings.warps):
+        for warp in range(settings.warps_on(level)):
             terms = data_term.linearise(field)
             iterations, converged = minimiser.minimise(terms)
             history += [(level, warp, iteration) for iteration in iterations]

@@ -509,7 +509,7 @@ def coarse_to_fine(
             joint=settings.joint_edges,
             edges=image_edges(frame0, settings.image_edges) if settings.image_edges > 0 else None,
         )
-        for _ in range(settings.warps):
+        for _ in range(settings.warps_on(level)):
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)
             gradients = derivatives(frame0, warped, settings.derivatives, halo=2)

@@ -13,7 +13,7 @@ Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
-_COUNTS = ("pyramid_levels", "warps", "outer_iterations", "sweeps")
+_COUNTS = ("pyramid_levels", "warps", "coarse_warps", "outer_iterations", "sweeps")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,10 @@ class Settings:
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
         about 12 px.
     warps : int
-        Linearisations per level.
+        Linearisations on the finest level.
+    coarse_warps : int
+        Linearisations on each of the others. They cost little there, and what a coarse level gets
+        wrong no finer one mends.
     outer_iterations : int
         Most half-quadratic iterations per warp.
     sweeps : int
@@ -103,6 +106,7 @@ class Settings:
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
     warps: int = 3
+    coarse_warps: int = 8
     outer_iterations: int = 10
     sweeps: int = 8
     relaxation: float = 1.9
@@ -183,6 +187,10 @@ class Settings:
     def alpha(self) -> float:
         """α = λ̂β of eq. 16 and 23."""
         return self.smoothness * self.beta
+
+    def warps_on(self, level: int) -> int:
+        """Return the number of linearisations on a level of the pyramid, 0 the finest."""
+        return self.coarse_warps if level > 0 else self.warps
 
     def contrast_for(self, focal: float) -> float:
         """Return δ, px/frame, for a focal length in px."""
@@ -266,13 +274,14 @@ _PRESETS: dict[str, Settings] = {
         presmoothing=0.0,
         pyramid_levels=1,
         warps=1,
+        coarse_warps=1,
         outer_iterations=200,
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
+    "fast": Settings(warps=2, coarse_warps=6, outer_iterations=8, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
     "accurate": Settings(
-        pyramid_factor=0.75, warps=3, outer_iterations=15, sweeps=10, tolerance=1e-2
+        pyramid_factor=0.7, coarse_warps=6, outer_iterations=15, sweeps=10, tolerance=1e-2
     ),
 }
