@@ -36,7 +36,7 @@ _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
 # Without these a file states when it was made, and two runs never make the same file.
 _UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 _PLEASANT_RATIO = 1.6
-_OCCLUDED = (230, 20, 60)
+_OCCLUDED = (255, 0, 60)
 
 
 def comparison_figure(
