@@ -25,6 +25,7 @@ from tisfm.metrics import (
     occlusion_scores,
     outlier_rate,
 )
+from tisfm.occlusion import leaves_image
 from tisfm.scenes import static_scene
 
 H, W = 40, 56
@@ -174,11 +175,16 @@ def test_occlusion_is_compared_where_the_truth_is_known(data):
     loaded = found.pair.load()
     ours = tisfm.interpret(loaded.frame0, loaded.frame1, camera=found.camera, settings=FAST)
     known = np.isfinite(loaded.flow).all(axis=-1)
-    assert found.occlusion == occlusion_scores(ours.occlusion, loaded.occlusion, mask=known)
+    leaves = leaves_image(np.moveaxis(loaded.flow, -1, 0))
+    truth = loaded.occlusion | leaves
+    assert found.occlusion == occlusion_scores(ours.occlusion, truth, mask=known)
     assert 0 < found.occlusion.f1 <= 1
-    write_kitti_flow(
-        data / "road" / "training" / "flow_noc" / "000003_10.png", loaded.flow
-    )  # nothing is occluded
+    noc = data / "road" / "training" / "flow_noc" / "000003_10.png"
+    write_kitti_flow(noc, loaded.flow)  # as if the dataset did not count what leaves the image
+    (found,) = evaluate(find_pairs(data / "road"), settings=FAST).pairs
+    assert found.occlusion == occlusion_scores(ours.occlusion, leaves, mask=known)
+    write_kitti_flow(noc.parents[1] / "flow_occ" / noc.name, 0 * loaded.flow)
+    write_kitti_flow(noc, 0 * loaded.flow)
     assert evaluate(find_pairs(data / "road"), settings=FAST).pairs[0].occlusion is None
 
 

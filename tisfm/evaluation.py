@@ -12,6 +12,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import FlowErrors, OcclusionScores, flow_errors, occlusion_scores
+from tisfm.occlusion import leaves_image
 from tisfm.pair import interpret
 from tisfm.settings import Settings, check_settings
 
@@ -45,8 +46,8 @@ class PairEvaluation:
     without_sky : FlowErrors or None
         The same without the sky, if the dataset says where it is.
     occlusion : OcclusionScores or None
-        How well our map of occlusion agrees with that of the dataset, where the true flow is
-        known; None if the dataset has none, or nothing is occluded.
+        How well our map of occlusion agrees with that of the dataset and what leaves the image,
+        where the true flow is known; None if the dataset has none, or nothing is occluded.
     """
 
     pair: DatasetPair
@@ -253,10 +254,12 @@ def _errors_outside(
 
 def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
     """Compare a map of occlusion with the dataset's, or return None if it has nothing to find."""
-    known = np.isfinite(loaded.flow).all(axis=-1)
-    if loaded.occlusion is None or not (loaded.occlusion & known).any():
+    if loaded.occlusion is None:
         return None
-    return occlusion_scores(occlusion, loaded.occlusion, mask=known)
+    known = np.isfinite(loaded.flow).all(axis=-1)
+    # Datasets differ in whether what leaves the image is occluded; to us it is.
+    truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
+    return occlusion_scores(occlusion, truth, mask=known) if (truth & known).any() else None
 
 
 def _mean(errors: Sequence[_Measured | None]) -> _Measured | None:
