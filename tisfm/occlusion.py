@@ -19,7 +19,8 @@ def occlusion(
 
     Only one surface is seen at a place of frame 1. Where the flow takes two of them there, the
     one whose data constraints are met worse is hidden. No flow backward in time is needed: the
-    usual check of forward against backward flow costs another interpretation, and finds less.
+    usual check of forward against backward flow costs another interpretation, and found less on
+    scenes with exact truth.
 
     Parameters
     ----------
@@ -36,9 +37,8 @@ def occlusion(
 
     References
     ----------
-    Brown, Burschka, Hager, "Advances in computational stereo", PAMI 2003, section 3 (uniqueness),
-    doi 10.1109/TPAMI.2003.1217603; Xu, Jia, Matsushita, "Motion detail preserving optical flow
-    estimation", PAMI 2012, eq. 10 (targets taken more than once), doi 10.1109/TPAMI.2011.236.
+    The idea is that of Xu, Jia, Matsushita, "Motion detail preserving optical flow estimation",
+    PAMI 34 (2012), 1744, who count how often a place is taken; who loses it is decided here.
     """
     from tisfm.kernels.claims import defeated, splat  # load Taichi
 
