@@ -312,7 +312,7 @@ def test_frames_are_not_modified_and_results_repeat(blocks):
     second = tisfm.interpret(*frames)
     for frame, copy in zip(frames, copies, strict=True):
         np.testing.assert_array_equal(frame, copy)
-    for name in ("rho", "flow", "confidence"):
+    for name in ("rho", "flow", "confidence", "occlusion"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     np.testing.assert_array_equal(first.history.energy, second.history.energy)
 
@@ -327,7 +327,8 @@ def test_same_bits_with_one_and_two_threads():
         "for model in ('rigid', 'translation'):\n"
         "    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera,\n"
         "                             settings=tisfm.Settings(model=model))\n"
-        "    for array in (result.rho, result.flow, result.confidence, result.history.energy):\n"
+        "    for array in (result.rho, result.flow, result.confidence, result.occlusion,\n"
+        "                  result.history.energy):\n"
         "        digest.update(array.tobytes())\n"
         "print(digest.hexdigest())\n"
     )
@@ -398,7 +399,7 @@ def test_confidence_is_the_share_of_the_data(make_problem):
         evidence[k] = value
     window = 15 * 15 * j @ m
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
-    result = confidence(evidence, np.zeros((2, 40, 40), np.float32))
+    result = confidence(evidence, np.zeros((40, 40), bool))
     np.testing.assert_allclose(result, expected, rtol=1e-5)
 
 

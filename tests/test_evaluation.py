@@ -22,8 +22,10 @@ from tisfm.metrics import (
     angular_error,
     endpoint_error,
     endpoint_error_map,
+    occlusion_scores,
     outlier_rate,
 )
+from tisfm.occlusion import leaves_image
 from tisfm.scenes import static_scene
 
 H, W = 40, 56
@@ -168,6 +170,24 @@ def test_means_are_over_pairs(data):
     assert result.mean.visible is None and result.mean.without_sky is None
 
 
+def test_occlusion_is_compared_where_the_truth_is_known(data):
+    (found,) = evaluate(find_pairs(data / "road"), settings=FAST).pairs
+    loaded = found.pair.load()
+    ours = tisfm.interpret(loaded.frame0, loaded.frame1, camera=found.camera, settings=FAST)
+    known = np.isfinite(loaded.flow).all(axis=-1)
+    leaves = leaves_image(np.moveaxis(loaded.flow, -1, 0))
+    truth = loaded.occlusion | leaves
+    assert found.occlusion == occlusion_scores(ours.occlusion, truth, mask=known)
+    assert 0 < found.occlusion.f1 <= 1
+    noc = data / "road" / "training" / "flow_noc" / "000003_10.png"
+    write_kitti_flow(noc, loaded.flow)  # as if the dataset did not count what leaves the image
+    (found,) = evaluate(find_pairs(data / "road"), settings=FAST).pairs
+    assert found.occlusion == occlusion_scores(ours.occlusion, leaves, mask=known)
+    write_kitti_flow(noc.parents[1] / "flow_occ" / noc.name, 0 * loaded.flow)
+    write_kitti_flow(noc, 0 * loaded.flow)
+    assert evaluate(find_pairs(data / "road"), settings=FAST).pairs[0].occlusion is None
+
+
 def test_a_pair_that_is_all_occluded_has_no_visible_errors(data):
     visible = np.full((H, W, 2), np.nan)
     write_kitti_flow(data / "road" / "training" / "flow_noc" / "000003_10.png", visible)
@@ -275,7 +295,7 @@ def test_the_record_holds_every_number(data, tmp_path):
     assert tisfm.Settings(**about["settings"]) == FAST
     for entry, found in zip(about["pairs"], result.pairs, strict=True):
         assert f"{entry['dataset']}/{entry['name']}" == found.label == entry["outputs"]
-        for name in ("errors", "visible", "without_sky"):
+        for name in ("errors", "visible", "without_sky", "occlusion"):
             expected = getattr(found, name)
             assert entry[name] == (None if expected is None else asdict(expected))
         assert entry["seconds"] == found.seconds
@@ -393,7 +413,9 @@ def test_the_table(data):
         ]
         assert row[5] == (f"{found.visible.endpoint:.3f}" if found.visible else "–")
         assert row[6] == (f"{found.without_sky.endpoint:.3f}" if found.without_sky else "–")
-        assert row[7] == f"{found.seconds:.2f}"
+        assert row[7] == (f"{100 * found.occlusion.f1:.1f}" if found.occlusion else "–")
+        assert row[8] == f"{found.seconds:.2f}"
+    assert [bool(found.occlusion) for found in result.pairs] == [False, False, True, False]
     assert rows[-1][1] == f"{result.mean.errors.endpoint:.3f}"
 
 

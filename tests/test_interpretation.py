@@ -15,7 +15,7 @@ from tisfm.formats import FormatError
 from tisfm.interpretation import FORMAT, Interpretation, Status
 
 H, W = 24, 40
-ARRAYS = ("rho", "flow", "confidence", "frame")
+ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")
 
 
 def frames(seed=0, channels=()):
@@ -74,6 +74,7 @@ def test_shapes_and_types(model, channels):
         array = getattr(result, name)
         assert (array.shape, array.dtype) == (shape, np.float32), name
         assert array.flags.c_contiguous, name
+    assert (result.occlusion.shape, result.occlusion.dtype) == ((H, W), np.bool_)
     assert (result.frame.shape, result.frame.dtype) == ((H, W, *channels), np.uint8)
     assert np.isfinite(result.rho).all() and result.rho[:3].any()
     assert result.rho[3:].any() == (model == "rigid")
@@ -363,7 +364,7 @@ def test_load_of_a_pickle_inside(saved):
     refused(saved)
 
 
-@pytest.mark.parametrize("name", ["about", *ARRAYS, "history_level"])
+@pytest.mark.parametrize("name", ["about", "rho", "flow", "confidence", "frame", "history_level"])
 def test_load_without_an_entry(saved, name):
     rewritten(saved, **{name: None})
     refused(saved, name.removeprefix("history_"))
@@ -376,11 +377,23 @@ def test_load_without_an_entry(saved, name):
         ("rho", np.zeros((6, H, W), np.float64)),
         ("flow", np.zeros((2, H, W), np.float32)),
         ("confidence", np.zeros((H, W + 1), np.float32)),
+        ("occlusion", np.zeros((H, W), np.uint8)),
+        ("occlusion", np.zeros((H + 1, W), bool)),
     ],
 )
 def test_load_of_arrays_that_do_not_fit(saved, name, array):
     rewritten(saved, **{name: array})
     refused(saved, name, str(array.shape), "expected")
+
+
+def test_load_of_a_file_older_than_occlusion(result, saved):
+    rewritten(saved, occlusion=None)
+    older = Interpretation.load(saved)
+    x = np.arange(W) + result.flow[..., 0]
+    y = np.arange(H)[:, None] + result.flow[..., 1]
+    leaves = (x < -0.05) | (x > W - 0.95) | (y < -0.05) | (y > H - 0.95)
+    np.testing.assert_array_equal(older.occlusion, leaves)
+    assert leaves.any() and result.occlusion[leaves].all()
 
 
 def test_load_of_a_future_format(saved):

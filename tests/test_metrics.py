@@ -14,6 +14,7 @@ from tisfm.metrics import (
     endpoint_error,
     endpoint_error_map,
     flow_errors,
+    occlusion_scores,
     outlier_rate,
 )
 
@@ -221,3 +222,32 @@ def test_depth_errors_say_what_came():
         depth_errors(np.ones((2, 3)), np.zeros((2, 3)))
     with pytest.raises(ValueError, match=r"\(2, 3\) depth is finite and positive .* 6 pixels"):
         depth_errors(np.zeros((2, 3)), np.ones((2, 3)))
+
+
+# Occlusion
+
+
+def test_occlusion_scores_by_hand():
+    found = np.array([[1, 1, 1, 0, 0]])
+    truth = np.array([[1, 1, 0, 1, 1]])
+    scores = occlusion_scores(found, truth)
+    assert (scores.precision, scores.recall) == (2 / 3, 1 / 2)
+    assert scores.f1 == pytest.approx(2 * (2 / 3) * (1 / 2) / (2 / 3 + 1 / 2))
+    assert scores.pixels == 5
+    masked = occlusion_scores(found, truth, mask=[[1, 0, 1, 1, 0]])
+    assert (masked.precision, masked.recall, masked.pixels) == (1 / 2, 1 / 2, 3)
+
+
+def test_occlusion_scores_of_empty_maps_are_numbers():
+    nothing, everything = np.zeros((3, 4), bool), np.ones((3, 4), bool)
+    for found, truth in ((nothing, everything), (everything, nothing), (nothing, nothing)):
+        scores = occlusion_scores(found, truth)
+        assert (scores.precision, scores.recall, scores.f1) == (0, 0, 0)
+    assert occlusion_scores(everything, everything).f1 == 1
+
+
+def test_occlusion_scores_say_what_came():
+    with pytest.raises(ValueError, match=r"occlusion is \(3, 4\) and truth is \(3, 5\)"):
+        occlusion_scores(np.zeros((3, 4)), np.zeros((3, 5)))
+    with pytest.raises(ValueError, match="no pixel counts"):
+        occlusion_scores(np.zeros((3, 4)), np.zeros((3, 4)), mask=np.zeros((3, 4)))

@@ -521,11 +521,34 @@ def test_figures_of_nothing_are_drawn(tmp_path):
         save_figure(tmp_path / "figure.png", figure, dpi=40)
 
 
+def test_occlusion_is_red_on_the_frame():
+    frame, inverse_depth, flow = scene(60, 80)
+    hidden = np.zeros((60, 80), bool)
+    hidden[10:30, 50:70] = True
+
+    def first(picture, **options):
+        figure = comparison_figure(picture, inverse_depth, flow, **options)
+        titles = [text.get_text() for text in figure.texts]
+        return drawn_parts(figure)[0][0].get_images()[0].get_array().astype(int), titles
+
+    for picture in (frame, frame[..., 0]):
+        plain, titles = first(picture)
+        assert "Frame" in titles
+        tinted, titles = first(picture, occlusion=hidden)
+        assert "Frame (red: not visible in the next)" in titles
+        if plain.ndim == 2:
+            plain = np.dstack([plain] * 3)
+        np.testing.assert_array_equal(tinted[~hidden], plain[~hidden])
+        assert (tinted[hidden][:, 0] > tinted[hidden][:, 1] + 40).all()
+    with pytest.raises(ValueError, match=r"occlusion is \(60, 79\) but frame is \(60, 80\)"):
+        comparison_figure(frame, inverse_depth, flow, occlusion=hidden[:, 1:])
+
+
 def test_names_replace_titles():
     frame, inverse_depth, flow = scene(20, 30)
     figure = comparison_figure(frame, inverse_depth, flow, names={"frame": "Costs $5 or $6"})
     assert "Costs $5 or $6" in [text.get_text() for text in figure.texts]
-    with pytest.raises(ValueError, match="names has fraem, expected any of frame, depth"):
+    with pytest.raises(ValueError, match="names has fraem, expected any of frame, occlusion"):
         comparison_figure(frame, inverse_depth, flow, names={"fraem": "x"})
 
 

@@ -7,7 +7,7 @@ WINDOW = 15  # px: about as far as the regularisation carries data
 TOLERATED = 4.0  # times the median residual that halves the confidence
 
 
-def confidence(evidence: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
     """Combine what the data determine with how well they are met.
 
     The share of the data in the two degrees of freedom of a pixel's flow is
@@ -21,13 +21,13 @@ def confidence(evidence: np.ndarray, flow: np.ndarray) -> np.ndarray:
     ----------
     evidence : (7, H, W) float32
         J11, J12, J22, squared residual, M11, M12, M22 (`tisfm.kernels.evidence`). Modified.
-    flow : (2, H, W) float32
-        px/frame.
+    occlusion : (H, W) bool
+        Where a pixel is not visible in frame 1.
 
     Returns
     -------
     (H, W) float32
-        In [0, 1]; 0 where the flow leaves the image.
+        In [0, 1]; 0 where occluded.
     """
     for k in range(4):
         cv2.boxFilter(evidence[k], -1, (WINDOW, WINDOW), dst=evidence[k], normalize=k == 3)
@@ -45,12 +45,5 @@ def confidence(evidence: np.ndarray, flow: np.ndarray) -> np.ndarray:
         share /= 1 + residual / tolerated
     else:
         share[residual > 0] = 0
-    share[~_lands_inside(flow)] = 0
+    share[occlusion] = 0
     return np.clip(share, 0, 1, out=share)
-
-
-def _lands_inside(flow: np.ndarray) -> np.ndarray:
-    height, width = flow.shape[1:]
-    x = flow[0] + np.arange(width, dtype=np.float32)
-    y = flow[1] + np.arange(height, dtype=np.float32)[:, None]
-    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

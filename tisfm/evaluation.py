@@ -4,18 +4,20 @@ import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.interpretation import Interpretation
-from tisfm.metrics import FlowErrors, flow_errors
+from tisfm.metrics import FlowErrors, OcclusionScores, flow_errors, occlusion_scores
+from tisfm.occlusion import leaves_image
 from tisfm.pair import interpret
 from tisfm.settings import Settings, check_settings
 
 _WARM_UP_SIDE = 64  # px
+_Measured = TypeVar("_Measured", FlowErrors, OcclusionScores)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,9 @@ class PairEvaluation:
         The same without the pixels that are occluded in frame 1, if the dataset says which.
     without_sky : FlowErrors or None
         The same without the sky, if the dataset says where it is.
+    occlusion : OcclusionScores or None
+        How well our map of occlusion agrees with that of the dataset and what leaves the image,
+        where the true flow is known; None if the dataset has none, or nothing is occluded.
     """
 
     pair: DatasetPair
@@ -55,6 +60,7 @@ class PairEvaluation:
     errors: FlowErrors | None = None
     visible: FlowErrors | None = None
     without_sky: FlowErrors | None = None
+    occlusion: OcclusionScores | None = None
 
     @property
     def label(self) -> str:
@@ -74,7 +80,7 @@ class MeanErrors:
         Time of an interpretation.
     errors : FlowErrors
         Where the truth is known. Its `pixels` are those of all pairs together.
-    visible, without_sky : FlowErrors or None
+    visible, without_sky, occlusion : FlowErrors or OcclusionScores or None
         As in `PairEvaluation`; None unless every one of the pairs has them, because a mean over
         other pairs could not be compared with that of the column beside it.
     """
@@ -84,6 +90,7 @@ class MeanErrors:
     errors: FlowErrors
     visible: FlowErrors | None = None
     without_sky: FlowErrors | None = None
+    occlusion: OcclusionScores | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +202,7 @@ def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
         errors=errors,
         visible=_mean([pair.visible for pair in good]),
         without_sky=_mean([pair.without_sky for pair in good]),
+        occlusion=_mean([pair.occlusion for pair in good]),
     )
 
 
@@ -228,6 +236,7 @@ def _evaluate_pair(
         errors=flow_errors(result.flow, loaded.flow),
         visible=_errors_outside(result.flow, loaded.flow, loaded.occlusion),
         without_sky=_errors_outside(result.flow, loaded.flow, loaded.sky),
+        occlusion=_scores(result.occlusion, loaded),
     )
     return evaluation, result
 
@@ -243,17 +252,27 @@ def _errors_outside(
     return flow_errors(flow, truth, mask=counted) if (counted & known).any() else None
 
 
-def _mean(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
+def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
+    """Compare a map of occlusion with the dataset's, or return None if it has nothing to find."""
+    if loaded.occlusion is None:
+        return None
+    known = np.isfinite(loaded.flow).all(axis=-1)
+    # Datasets differ in whether what leaves the image is occluded; to us it is.
+    truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
+    return occlusion_scores(occlusion, truth, mask=known) if (truth & known).any() else None
+
+
+def _mean(errors: Sequence[_Measured | None]) -> _Measured | None:
     """Return the mean of every error, or None if one is missing or there are none."""
     present = [error for error in errors if error is not None]
     if not present or len(present) < len(errors):
         return None
     means = {
         field.name: float(np.mean([getattr(error, field.name) for error in present]))
-        for field in fields(FlowErrors)
+        for field in fields(present[0])
         if field.name != "pixels"
     }
-    return FlowErrors(**means, pixels=sum(error.pixels for error in present))
+    return type(present[0])(**means, pixels=sum(error.pixels for error in present))
 
 
 def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> None:

@@ -10,7 +10,7 @@ from tisfm.evaluation import Evaluation, MeanErrors, PairEvaluation
 _NOTHING = "–"
 _Row = PairEvaluation | MeanErrors
 
-# Heading, and the text of a row; of the last two, columns only where a pair has such an error.
+# Heading, and the text of a row; some are columns only where a pair has such an error.
 _COLUMNS: dict[str, Callable[[_Row], str]] = {
     "EPE, px": lambda row: f"{row.errors.endpoint:.3f}" if row.errors else _NOTHING,
     "AAE, °": lambda row: f"{row.errors.angular:.2f}" if row.errors else _NOTHING,
@@ -18,6 +18,7 @@ _COLUMNS: dict[str, Callable[[_Row], str]] = {
     "R1.0, %": lambda row: f"{100 * row.errors.over_one:.2f}" if row.errors else _NOTHING,
     "EPE noc": lambda row: f"{row.visible.endpoint:.3f}" if row.visible else _NOTHING,
     "EPE no sky": lambda row: f"{row.without_sky.endpoint:.3f}" if row.without_sky else _NOTHING,
+    "occ F1, %": lambda row: f"{100 * row.occlusion.f1:.1f}" if row.occlusion else _NOTHING,
     "s": lambda row: f"{row.seconds:.2f}" if row.seconds is not None else _NOTHING,
 }
 
@@ -37,6 +38,7 @@ def evaluation_table(evaluation: Evaluation) -> Table:
     """
     noc = any(pair.visible for pair in evaluation.pairs)
     sky = any(pair.without_sky for pair in evaluation.pairs)
+    occlusion = any(pair.occlusion for pair in evaluation.pairs)
     columns = dict(_COLUMNS)
     notes = [
         "Fl: off by at least 3 px and 5 %; R1.0: by at least 1 px.",
@@ -49,6 +51,10 @@ def evaluation_table(evaluation: Evaluation) -> Table:
         del columns["EPE noc"]
     if not sky:
         del columns["EPE no sky"]
+    if occlusion:
+        notes.insert(-2, "occ F1: of our map of occlusion against the dataset's.")
+    else:
+        del columns["occ F1, %"]
     table = Table(title="Flow against the truth", caption=" ".join(notes))
     table.add_column("", overflow="fold")
     for heading in columns:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.occlusion import leaves_image
 from tisfm.settings import Settings
 
 FORMAT = 1  # of the .npz; raised when a reader of the one before would go wrong
@@ -70,7 +71,10 @@ class Interpretation:
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
     confidence : (H, W) float32
         In [0, 1]: how much the data of a pixel, not its neighbours, determine its image motion.
-        0 where the pixel leaves the image.
+        0 where the pixel is not visible in frame 1.
+    occlusion : (H, W) bool
+        Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
+        `load` of a file older than this map, only what leaves the image.
     frame : (H, W) or (H, W, 3) uint8
         Frame 0, on the 8-bit scale: what a picture of the result is drawn on.
     camera : Camera
@@ -86,6 +90,7 @@ class Interpretation:
     rho: np.ndarray = field(repr=False)
     flow: np.ndarray = field(repr=False)
     confidence: np.ndarray = field(repr=False)
+    occlusion: np.ndarray = field(repr=False)
     frame: np.ndarray = field(repr=False)
     camera: Camera
     settings: Settings
@@ -175,6 +180,8 @@ class Interpretation:
 
     @classmethod
     def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
+        if "occlusion" not in data and "flow" in data:  # a file older than this map
+            data["occlusion"] = leaves_image(np.moveaxis(data["flow"], -1, 0))
         missing = {"about", *_ARRAYS}.difference(data)
         if missing:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
@@ -185,11 +192,17 @@ class Interpretation:
                 f"it was written by tisfm {about['version']}"
             )
         height, width = data["frame"].shape[:2]
-        shapes = {"rho": (6, height, width), "flow": (height, width, 2)}
-        for name, shape in {**shapes, "confidence": (height, width)}.items():
-            if data[name].shape != shape or data[name].dtype != np.float32:
+        expected = {
+            "rho": ((6, height, width), np.float32),
+            "flow": ((height, width, 2), np.float32),
+            "confidence": ((height, width), np.float32),
+            "occlusion": ((height, width), np.bool_),
+        }
+        for name, (shape, kind) in expected.items():
+            if data[name].shape != shape or data[name].dtype != kind:
                 raise ValueError(
-                    f"{name} is {data[name].shape} {data[name].dtype}, expected {shape} float32"
+                    f"{name} is {data[name].shape} {data[name].dtype}, expected {shape} "
+                    f"{np.dtype(kind).name}"
                 )
         camera = about["camera"]
         if camera["center"] is not None:
@@ -209,4 +222,4 @@ class Interpretation:
         )
 
 
-_ARRAYS = ("rho", "flow", "confidence", "frame")
+_ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")

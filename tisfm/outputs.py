@@ -185,6 +185,7 @@ class PairWriter:
                 result.frame,
                 result.inverse_depth,
                 result.flow,
+                occlusion=result.occlusion,
                 baseline_flow=baseline_flow,
                 title=name,
                 depth_limit=limit,

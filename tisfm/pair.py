@@ -60,6 +60,7 @@ def interpret(
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    from tisfm.occlusion import occlusion
     from tisfm.pyramid import coarse_to_fine
 
     solution = coarse_to_fine(
@@ -75,11 +76,13 @@ def interpret(
     rho[: field.components] = field.images()
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
-        trust = confidence(solution.minimiser.evidence(solution.terms), flow)
+        unseen = occlusion(grey0, grey1, flow, settings)
+        trust = confidence(solution.minimiser.evidence(solution.terms), unseen)
     return Interpretation(
         rho=rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
         confidence=trust,
+        occlusion=unseen,
         frame=eight_bit(frame0, frame1),
         camera=camera,
         settings=settings,

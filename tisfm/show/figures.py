@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "frame": "Frame",
+    "occlusion": "Frame (red: not visible in the next)",
     "depth": "Recovered depth (near is bright)",
     "truth_depth": "True depth (near is bright)",
     "flow": "Recovered flow (eq. 25)",
@@ -35,6 +36,7 @@ _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
 # Without these a file states when it was made, and two runs never make the same file.
 _UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 _PLEASANT_RATIO = 1.6
+_OCCLUDED = (255, 0, 60)
 
 
 def comparison_figure(
@@ -42,6 +44,7 @@ def comparison_figure(
     inverse_depth: ArrayLike,
     flow: ArrayLike,
     *,
+    occlusion: ArrayLike | None = None,
     baseline_flow: ArrayLike | None = None,
     truth_flow: ArrayLike | None = None,
     truth_inverse_depth: ArrayLike | None = None,
@@ -64,6 +67,8 @@ def comparison_figure(
         Recovered inverse depth in any unit.
     flow : (H, W, 2) array_like
         Recovered flow (eq. 25), px/frame.
+    occlusion : (H, W) array_like, optional
+        Nonzero where a pixel is not visible in the next frame: red in the first panel.
     baseline_flow, truth_flow : (H, W, 2) array_like, optional
         Flow of the Horn-Schunck method, and true flow, px/frame. Unknown are NaN and values
         beyond 1e9.
@@ -72,7 +77,8 @@ def comparison_figure(
     title : str, optional
         Heading of the figure.
     names : mapping, optional
-        Other titles of panels, for any of the keys "frame", "depth", "truth_depth", "flow",
+        Other titles of panels, for any of the keys "frame", "occlusion" (of the frame where
+        occlusion is given), "depth", "truth_depth", "flow",
         "baseline" and "truth".
     depth_limit : float, optional
         Recovered inverse depth shown as white, by default its 95th percentile.
@@ -109,7 +115,9 @@ def comparison_figure(
         flows["baseline_flow"] = as_flow("baseline_flow", baseline_flow)
     if truth_flow is not None:
         flows["truth_flow"] = as_flow("truth_flow", truth_flow)
-    for name, array in (*depths.items(), *flows.items()):
+    hidden = None if occlusion is None else np.asarray(occlusion, bool)
+    masks = {} if hidden is None else {"occlusion": hidden}
+    for name, array in (*depths.items(), *flows.items(), *masks.items()):
         require_same_size(name, array, "frame", picture)
     if flow_limit is None:
         limit = usual_length(flows.get("truth_flow", flows["flow"]))
@@ -118,7 +126,7 @@ def comparison_figure(
 
     (shown,) = as_uint8(picture)
     first = [
-        (labels["frame"], shown),
+        (labels["frame"], shown) if hidden is None else (labels["occlusion"], _tint(shown, hidden)),
         (labels["depth"], depth_grey(depths["inverse_depth"], limit=depth_limit)),
     ]
     if "truth_inverse_depth" in depths:
@@ -210,6 +218,14 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
         raise ValueError(f"dpi is {dpi!r}, expected a finite positive number")
     with atomic_write(path) as file:
         figure.savefig(file, format=suffix[1:], dpi=dpi, metadata=_UNDATED.get(suffix))
+
+
+def _tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return a picture in colour, red where the mask is set, with a third of itself kept."""
+    tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
+    red = (tinted[mask].astype(np.uint16) + 2 * np.array(_OCCLUDED, np.uint16)) // 3
+    tinted[mask] = red.astype(np.uint8)
+    return tinted
 
 
 def _labels(names: Mapping[str, str] | None) -> dict[str, str]:

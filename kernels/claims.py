@@ -1,0 +1,118 @@
+"""Which pixels of frame 0 go to the same place of frame 1, and which of them is not seen there."""
+
+import taichi as ti
+
+from tisfm.kernels.lanes import check_array
+
+
+def splat(flow, residual, claims) -> None:
+    """Add every pixel, bilinearly, to the four pixels of frame 1 around the place it goes to.
+
+    Parameters
+    ----------
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    residual : (H, W) float32
+    claims : (H, W, 4) float32
+        Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
+        A pixel whose flow leaves the image, or is NaN, adds nothing.
+    """
+    _check(flow, residual, claims)
+    _splat(flow, residual, claims)
+
+
+def defeated(flow, residual, claims, out, *, density: float, apart: float) -> None:
+    """Mark the pixels that share their place in frame 1 with others that fit better.
+
+    Parameters
+    ----------
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    residual : (H, W) float32
+    claims : (H, W, 4) float32
+        Of `splat`.
+    out : (H, W) uint8
+        1 where more than `density` pixels go to the pixel's place, their mean flow is more than
+        `apart` from the pixel's, and their mean residual is less than the pixel's; else 0.
+    density : float
+        Pixels of frame 0 per pixel of frame 1.
+    apart : float
+        px/frame.
+    """
+    _check(flow, residual, claims)
+    check_array(out, residual.shape, "out", dtype="uint8", aligned=False)
+    _defeated(flow, residual, claims, density, apart, out)
+
+
+def _check(flow, residual, claims) -> None:
+    size = residual.shape
+    check_array(residual, size[:2], "residual", aligned=False)
+    check_array(flow, (2, *size), "flow", aligned=False)
+    check_array(claims, (*size, 4), "claims", aligned=False)
+
+
+_Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once
+
+
+@ti.kernel
+def _splat(
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(claims.shape[0], claims.shape[1]):
+        claims[y, x] = _Claims(0.0)
+    # One thread: sums whose order, and so whose bits, are always the same.
+    ti.loop_config(serialize=True)
+    for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
+        u, v = flow[0, y, x], flow[1, y, x]
+        target_x, target_y = x + u, y + v
+        if _is_inside(target_x, target_y, residual):
+            column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
+            across, down = target_x - column, target_y - row
+            # The last row and column have no neighbour beyond them, nor any weight for it.
+            below = ti.min(row + 1, residual.shape[0] - 1)
+            right = ti.min(column + 1, residual.shape[1] - 1)
+            claim = _Claims(1.0, residual[y, x], u, v)
+            upper, lower = (1.0 - down) * claim, down * claim
+            # Not +=, which Taichi makes an atomic addition: several times the time.
+            claims[row, column] = claims[row, column] + (1.0 - across) * upper
+            claims[row, right] = claims[row, right] + across * upper
+            claims[below, column] = claims[below, column] + (1.0 - across) * lower
+            claims[below, right] = claims[below, right] + across * lower
+
+
+@ti.kernel
+def _defeated(
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+    density: ti.f32,
+    apart: ti.f32,
+    out: ti.types.ndarray(dtype=ti.u8, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
+        u, v = flow[0, y, x], flow[1, y, x]
+        target_x, target_y = x + u, y + v
+        loses = 0
+        if _is_inside(target_x, target_y, residual):
+            column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
+            across, down = target_x - column, target_y - row
+            below = ti.min(row + 1, residual.shape[0] - 1)
+            right = ti.min(column + 1, residual.shape[1] - 1)
+            upper = (1.0 - across) * claims[row, column] + across * claims[row, right]
+            lower = (1.0 - across) * claims[below, column] + across * claims[below, right]
+            total = (1.0 - down) * upper + down * lower
+            du, dv = total[2] / total[0] - u, total[3] / total[0] - v
+            worse = residual[y, x] * total[0] > total[1]
+            if total[0] > density and du * du + dv * dv > apart * apart and worse:
+                loses = 1
+        out[y, x] = ti.cast(loses, ti.u8)
+
+
+@ti.func
+def _is_inside(x, y, image: ti.template()):
+    """Return whether a place lies between the pixels of the border; NaN does not."""
+    across = x >= 0 and x <= image.shape[1] - 1
+    down = y >= 0 and y <= image.shape[0] - 1
+    return across and down

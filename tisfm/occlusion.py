@@ -1,0 +1,92 @@
+"""Which pixels of frame 0 are not visible in frame 1."""
+
+import cv2
+import numpy as np
+
+from tisfm.settings import Settings
+
+DENSITY = 1.2  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
+APART = 0.1  # px/frame: what moves alike is one surface, seen at a smaller scale
+MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
+WINDOW = 3  # px: residuals are means over it
+_FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
+
+
+def occlusion(
+    grey0: np.ndarray, grey1: np.ndarray, flow: np.ndarray, settings: Settings
+) -> np.ndarray:
+    """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
+
+    Only one surface is seen at a place of frame 1. Where the flow takes two of them there, the
+    one whose data constraints are met worse is hidden. No flow backward in time is needed: the
+    usual check of forward against backward flow costs another interpretation, and found less on
+    scenes with exact truth.
+
+    Parameters
+    ----------
+    grey0, grey1 : (H, W) float32
+        Grey levels on the 8-bit scale.
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    settings : Settings
+        For the weights of the data constraints.
+
+    Returns
+    -------
+    (H, W) bool
+
+    References
+    ----------
+    The idea is that of Xu, Jia, Matsushita, "Motion detail preserving optical flow estimation",
+    PAMI 34 (2012), 1744, who count how often a place is taken; who loses it is decided here.
+    """
+    from tisfm.kernels.claims import defeated, splat  # load Taichi
+
+    residual = _residual(grey0, grey1, flow, settings)
+    claims = np.empty((*residual.shape, 4), np.float32)
+    hidden = np.empty(residual.shape, np.uint8)
+    splat(flow, residual, claims)
+    defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
+    return hidden.view(bool) | leaves_image(flow)
+
+
+def leaves_image(flow: np.ndarray) -> np.ndarray:
+    """Return where a flow, (2, H, W), ends outside the image; (H, W) bool, True for NaN."""
+    height, width = flow.shape[1:]
+    x, y = _targets(flow)
+    across = (x >= -MARGIN) & (x <= width - 1 + MARGIN)
+    return ~(across & (y >= -MARGIN) & (y <= height - 1 + MARGIN))
+
+
+def _residual(
+    grey0: np.ndarray, grey1: np.ndarray, flow: np.ndarray, settings: Settings
+) -> np.ndarray:
+    """Return how badly brightness and its gradient are kept around every pixel, in grey levels.
+
+    Not normalised by the image's gradient, unlike in the energy: that finds fewer occlusions.
+    """
+    from tisfm.pyramid import smooth  # loads Taichi
+
+    x, y = _targets(flow)
+    for target, side in ((x, grey0.shape[1]), (y, grey0.shape[0])):
+        # Outside, where it does not matter, positions may be too large for OpenCV, or NaN.
+        np.nan_to_num(target, copy=False)
+        np.clip(target, -1, side, out=target)
+    grey0, grey1 = (smooth(grey, settings.presmoothing) for grey in (grey0, grey1))
+    change = cv2.remap(grey1, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    change -= grey0
+    residual = settings.brightness * change**2
+    if settings.gradient > 0:
+        for taps in (_FIVE_TAP, _FIVE_TAP.T):
+            slope = cv2.filter2D(change, -1, taps, borderType=cv2.BORDER_REFLECT_101)
+            residual += settings.gradient * slope**2
+    np.sqrt(residual, out=residual)
+    return cv2.blur(residual, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
+
+
+def _targets(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places (x, y) of frame 1 that pixels go to."""
+    height, width = flow.shape[1:]
+    x = flow[0] + np.arange(width, dtype=np.float32)
+    y = flow[1] + np.arange(height, dtype=np.float32)[:, None]
+    return x, y
