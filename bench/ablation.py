@@ -39,6 +39,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "translation model": {"model": "translation"},
     "pyramid factor 0.5": {"pyramid_factor": 0.5},
     "one warp": {"warps": 1},
+    "no more iterations on coarser levels": {"coarse_iterations": 1},
     "five warps": {"warps": 5},
     "half the smoothness": {"smoothness": 10.0},
     "twice the smoothness": {"smoothness": 40.0},

@@ -16,7 +16,7 @@ import tisfm
 from tisfm.settings import PAPER_SMOOTHNESS, Preset
 
 PRESETS = get_args(Preset)
-COUNTS = ("pyramid_levels", "warps", "outer_iterations", "sweeps")
+COUNTS = ("pyramid_levels", "warps", "outer_iterations", "coarse_iterations", "sweeps")
 NUMBERS = (
     "smoothness",
     "beta",

@@ -135,14 +135,15 @@ def coarse_to_fine(
             normalization=settings.normalization,
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
+        outer_iterations, tolerance = settings.iterations_at(level)
         minimiser = HalfQuadratic(
             field,
             alpha=settings.alpha,
             contrast=contrast,
-            outer_iterations=settings.outer_iterations,
+            outer_iterations=outer_iterations,
             sweeps=settings.sweeps,
             relaxation=settings.relaxation,
-            tolerance=settings.tolerance,
+            tolerance=tolerance,
             solver=settings.solver,
             scales=data_term.scales,
             stiffness=settings.stiffness[:components],

@@ -509,6 +509,7 @@ def coarse_to_fine(
             joint=settings.joint_edges,
             edges=image_edges(frame0, settings.image_edges) if settings.image_edges > 0 else None,
         )
+        outer_iterations, tolerance = settings.iterations_at(level)
         for _ in range(settings.warps):
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)
@@ -527,10 +528,10 @@ def coarse_to_fine(
                 alpha=settings.alpha,
                 smoothness=smoothness,
                 scales=scales,
-                outer_iterations=settings.outer_iterations,
+                outer_iterations=outer_iterations,
                 sweeps=settings.sweeps,
                 relaxation=settings.relaxation,
-                tolerance=settings.tolerance,
+                tolerance=tolerance,
             )
     if rho is None:
         raise ValueError("pyramids are empty: expected at least one level")

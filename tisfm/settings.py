@@ -13,7 +13,7 @@ Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
-_COUNTS = ("pyramid_levels", "warps", "outer_iterations", "sweeps")
+_COUNTS = ("pyramid_levels", "warps", "outer_iterations", "coarse_iterations", "sweeps")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +71,10 @@ class Settings:
         Linearisations per level.
     outer_iterations : int
         Most half-quadratic iterations per warp.
+    coarse_iterations : int
+        A level with a k-th of the pixels may take k times the iterations, up to this factor, and
+        stops at a tolerance so many times lower. There, untextured parts are small and soon
+        filled, for little time. 1 for the same at every level.
     sweeps : int
         Red–black sweeps per half-quadratic iteration.
     relaxation : float
@@ -104,6 +108,7 @@ class Settings:
     pyramid_levels: int | None = None
     warps: int = 3
     outer_iterations: int = 10
+    coarse_iterations: int = 2
     sweeps: int = 8
     relaxation: float = 1.9
     tolerance: float = 2e-2
@@ -183,6 +188,11 @@ class Settings:
     def alpha(self) -> float:
         """α = λ̂β of eq. 16 and 23."""
         return self.smoothness * self.beta
+
+    def iterations_at(self, level: int) -> tuple[int, float]:
+        """Return the most iterations per warp and their tolerance; level 0 is the finest."""
+        more = min(self.pyramid_factor ** (-2 * level), self.coarse_iterations)
+        return int(self.outer_iterations * more), self.tolerance / more
 
     def contrast_for(self, focal: float) -> float:
         """Return δ, px/frame, for a focal length in px."""
@@ -273,6 +283,11 @@ _PRESETS: dict[str, Settings] = {
     "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
     "accurate": Settings(
-        pyramid_factor=0.75, warps=3, outer_iterations=15, sweeps=10, tolerance=1e-2
+        pyramid_factor=0.75,
+        warps=3,
+        outer_iterations=15,
+        coarse_iterations=1,
+        sweeps=10,
+        tolerance=1e-2,
     ),
 }
