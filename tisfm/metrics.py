@@ -57,10 +57,8 @@ def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None 
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------
@@ -86,10 +84,8 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------
@@ -126,10 +122,8 @@ def outlier_rate(
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
     pixels : float, default 3
         An outlier is off by at least this, px,
     fraction : float, default 0.05
@@ -189,10 +183,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------
