@@ -1,16 +1,14 @@
 """Pairs of frames with a true flow, from a folder of sequences or from rendered scenes."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm import scenes
-from tisfm.formats import read_flo, read_image
+from tisfm.datasets import LAYOUTS, Layout
 
 MIDDLEBURY = ("RubberWhale", "Grove2", "Urban2", "Venus")
 
@@ -26,7 +24,7 @@ class FlowPair:
     frame0, frame1 : (H, W) or (H, W, 3) uint8
         Grey or RGB.
     truth : (H, W, 2) float
-        Flow from frame 0 to frame 1, px; NaN or above 1e9 where it is unknown.
+        Flow from frame 0 to frame 1, px; NaN where it is unknown.
     note : str
         What to know about the truth.
     """
@@ -56,17 +54,14 @@ class FlowPair:
         )
 
 
-Reader = Callable[[Path], FlowPair]
-
-
 def find_pairs(data: Path) -> tuple[list[FlowPair], dict[str, str]]:
     """Return the pairs found in a folder, and why the others are missing, by name."""
     pairs, missing = [], {}
-    for name, read in READERS.items():
+    for name, source in SOURCES.items():
         try:
-            pairs.append(read(data))
+            pairs.append(_read(data, name, source))
         except FileNotFoundError as error:
-            missing[name] = f"no file {error.filename or error}"
+            missing[name] = f"no file {error.filename}" if error.filename else str(error)
     return pairs, missing
 
 
@@ -92,101 +87,79 @@ def scene_pairs(height: int, width: int) -> list[FlowPair]:
     ]
 
 
-def _middlebury(data: Path, name: str) -> FlowPair:
-    folder = data / "middlebury" / name
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Where a pair lies in the folder of sequences.
+
+    Attributes
+    ----------
+    folder, layout : str
+        Path below it, and one of `tisfm.datasets.LAYOUTS`.
+    group : str
+    name : str
+        Of the pair in its dataset, where the folder has several.
+    note : str
+    """
+
+    folder: str
+    layout: Layout
+    group: str
+    name: str = ""
+    note: str = ""
+
+
+def _read(data: Path, name: str, source: Source) -> FlowPair:
+    rule = LAYOUTS[source.layout]
+    folder = data / source.folder
+    found = [pair for pair in rule.find(folder) if source.name in ("", pair.name)]
+    if not found:
+        raise FileNotFoundError(f"no pair in {folder}: expected {rule.expected}")
+    pair = found[0].load()
     return FlowPair(
         name=name,
-        group="middlebury",
-        frame0=read_image(folder / "frame10.png"),
-        frame1=read_image(folder / "frame11.png"),
-        truth=read_flo(folder / "flow10.flo"),
+        group=source.group,
+        frame0=pair.frame0,
+        frame1=pair.frame1,
+        truth=pair.flow,
+        note=source.note,
     )
 
 
-def _yosemite_clouds(data: Path) -> FlowPair:
-    folder = data / "yosemite_clouds"
-    return FlowPair(
-        name="yosemite_clouds",
+_STEREO_NOTE = "left to right; occluded pixels count"
+SOURCES: dict[str, Source] = {
+    **{
+        name: Source(folder=f"middlebury/{name}", layout="middlebury", group="middlebury")
+        for name in MIDDLEBURY
+    },
+    "yosemite_clouds": Source(
+        folder="yosemite_clouds",
+        layout="yosemite",
         group="yosemite_clouds",
-        frame0=read_image(folder / "yos9.tif"),
-        frame1=read_image(folder / "yos10.tif"),
-        truth=read_flo(folder / "flow09_derived.flo"),
         note="frames 9 and 10, sky included",
-    )
-
-
-def _yosemite_cloudless(data: Path) -> FlowPair:
-    folder = data / "yosemite_cloudless"
-    return FlowPair(
-        name="yosemite_cloudless",
+    ),
+    "yosemite_cloudless": Source(
+        folder="yosemite_cloudless",
+        layout="yosemite",
         group="yosemite_cloudless",
-        frame0=read_image(folder / "yoscloudless_009.png"),
-        frame1=read_image(folder / "yoscloudless_010.png"),
-        truth=read_flo(folder / "flow09_derived_sky_unknown.flo"),
         note="frames 9 and 10; the sky, 26% of the pixels, does not count",
-    )
-
-
-def _sintel_alley(data: Path) -> FlowPair:
-    folder = data / "sintel_alley"
-    truth = read_flo(folder / "gt" / "frame_0002.flo").astype(np.float32)
-    truth[read_image(folder / "gt" / "invalid" / "frame_0002.png") > 0] = np.nan
-    return FlowPair(
-        name="sintel_alley",
+    ),
+    "sintel_alley": Source(
+        folder="sintel_alley",
+        layout="sintel",
         group="sintel_alley",
-        frame0=read_image(folder / "frame_0002.png"),
-        frame1=read_image(folder / "frame_0003.png"),
-        truth=truth,
+        name="frame_0002",
         note="alley_1, clean, frames 2 and 3; occluded pixels count, invalid ones do not",
-    )
-
-
-def _motorcycle(data: Path) -> FlowPair:
-    folder = data / "stereo"
-    with np.load(folder / "motorcycle_disp.npz") as stored:
-        disparity = stored["arr_0"]
-    return _stereo("motorcycle", "stereo", folder, "motorcycle_", disparity)
-
-
-def _cones(data: Path) -> FlowPair:
-    folder = data / "stereo"
-    disparity = read_image(folder / "cones_gt.png").astype(np.float32)
-    return _stereo("cones", "stereo", folder, "cones_", np.where(disparity > 0, disparity, np.nan))
-
-
-def _kitti(data: Path) -> FlowPair:
-    folder = data / "kitti"
-    disparity = read_image(folder / "disparity.png").astype(np.float32)
-    note = "left to right; the truth is a block matcher's disparity, not a laser's"
-    return _stereo("kitti", "kitti", folder, "", disparity, note=note)
-
-
-def _stereo(
-    name: str,
-    group: str,
-    folder: Path,
-    prefix: str,
-    disparity: NDArray,
-    *,
-    note: str = "left to right; occluded pixels count",
-) -> FlowPair:
-    disparity = np.where(np.isfinite(disparity), disparity, np.nan)
-    return FlowPair(
-        name=name,
-        group=group,
-        frame0=read_image(folder / f"{prefix}left.png"),
-        frame1=read_image(folder / f"{prefix}right.png"),
-        truth=np.stack([-disparity, np.zeros_like(disparity)], axis=-1),
-        note=note,
-    )
-
-
-READERS: dict[str, Reader] = {
-    **{name: partial(_middlebury, name=name) for name in MIDDLEBURY},
-    "yosemite_clouds": _yosemite_clouds,
-    "yosemite_cloudless": _yosemite_cloudless,
-    "sintel_alley": _sintel_alley,
-    "motorcycle": _motorcycle,
-    "cones": _cones,
-    "kitti": _kitti,
+    ),
+    "motorcycle": Source(
+        folder="stereo", layout="stereo", group="stereo", name="motorcycle", note=_STEREO_NOTE
+    ),
+    "cones": Source(
+        folder="stereo", layout="stereo", group="stereo", name="cones", note=_STEREO_NOTE
+    ),
+    "kitti": Source(
+        folder="kitti",
+        layout="stereo",
+        group="kitti",
+        note="left to right; the truth is a block matcher's disparity, not a laser's",
+    ),
 }

@@ -18,6 +18,10 @@ def warp(grid: LaneGrid, image, flow, out, mask) -> None:
     Keys' kernel with a = −½ (doi 10.1109/TASSP.1981.1163711), third-order accurate and exact at
     pixels. Beyond its border the image repeats.
 
+    The mask tells of the pixel itself, not of its neighbours, whose repeated values derivatives
+    see near the border. Leaving out every pixel of which one tap lies outside was tried: what is
+    lost there is worth more than what is wrong (README).
+
     Parameters
     ----------
     grid : LaneGrid

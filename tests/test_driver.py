@@ -14,7 +14,7 @@ from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
 from tisfm.pyramid import COARSEST_SIDE, coarse_to_fine, gaussian_pyramid, level_count, smooth
-from tisfm.scenes import static_scene, two_blocks
+from tisfm.scenes import bare_patches, static_scene, two_blocks
 
 
 @pytest.fixture(scope="module")
@@ -401,6 +401,54 @@ def test_confidence_is_the_share_of_the_data(make_problem):
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
     result = confidence(evidence, np.zeros((40, 40), bool))
     np.testing.assert_allclose(result, expected, rtol=1e-5)
+
+
+# --- Untextured parts (the paper's remark (a)) --------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def bare(request):
+    """A scene with bare parts, and what is more than 8 px inside them."""
+    pair = bare_patches(seed=request.param)
+    boundary = np.zeros(pair.labels.shape, bool)
+    boundary[:, 1:] = np.diff(pair.labels, axis=1) != 0
+    plain = (~pair.textured & ~boundary).astype(np.uint8)
+    return pair, cv2.distanceTransform(plain, cv2.DIST_L2, 5) > 8
+
+
+@pytest.mark.parametrize("preset", ["balanced", "accurate"])
+def test_motion_is_carried_into_untextured_parts_but_not_across_their_boundary(bare, preset):
+    pair, inside = bare
+    result = tisfm.interpret(
+        pair.frame0, pair.frame1, camera=pair.camera, settings=tisfm.Settings.preset(preset)
+    )
+    error = np.linalg.norm(result.flow - pair.flow, axis=-1)
+    on_block = inside & (pair.labels == 1)
+    # The bare wall beside it moves 1.9 px less.
+    assert error[on_block].mean() < 2 * error[pair.textured].mean()
+    in_wall = inside & (pair.labels == 0)
+    left = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
+    assert error[in_wall & left].mean() < 0.3
+    # Behind the block, its own edge is all that is seen on one side.
+    assert error[in_wall & ~left].mean() < 0.7
+
+
+def test_confidence_says_where_there_was_no_texture(bare):
+    pair, inside = bare
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera)
+    assert (result.confidence[inside] < 0.3).mean() > 0.99
+    seen = pair.textured & pair.visible
+    assert (result.confidence[seen] >= 0.3).mean() > 0.95
+
+
+def test_coarser_levels_carry_motion_farther_into_untextured_parts(bare):
+    pair, inside = bare
+    mean = {}
+    for warps in (1, 8):
+        settings = tisfm.Settings(coarse_warps=warps)
+        result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
+        mean[warps] = np.linalg.norm(result.flow - pair.flow, axis=-1)[inside].mean()
+    assert mean[8] < 0.9 * mean[1]
 
 
 # --- Pyramid ----------------------------------------------------------------------------------

@@ -12,9 +12,11 @@ from tisfm.camera import Camera
 from tisfm.scenes import (
     STATIC_KINDS,
     Box,
+    Patch,
     Plane,
     Scene,
     Texture,
+    bare_patches,
     rigid_motion,
     static_scene,
     two_blocks,
@@ -470,6 +472,9 @@ def test_any_plane_is_hit_where_it_is(normal, distance):
         (lambda: static_scene("orbit"), "kind is 'orbit': expected one of 'sideways'"),
         (lambda: rigid_motion((0, 0, 0, 0, 0, math.nan)), "motion .*nan.*finite"),
         (lambda: Texture(wavelength=0.0), "wavelength is 0.0"),
+        (lambda: Patch(center=(0, math.nan), size=(1, 1), grey=9), "center is .*finite"),
+        (lambda: Patch(center=(0, 0), size=(1, 0), grey=9), "size is .*positive"),
+        (lambda: Patch(center=(0, 0), size=(1, 1), grey=256), "grey is 256"),
         (lambda: Texture(wavelength=1.0, octaves=0), "octaves is 0"),
         (lambda: Texture(wavelength=1.0, mean=200, contrast=60), "200 ± 60"),
         (lambda: Texture(wavelength=1.0, seed=-1), "seed is -1"),
@@ -508,3 +513,36 @@ def test_errors_say_what_came(call, words):
 def test_objects_must_be_shapes():
     with pytest.raises(TypeError, match=r"objects\[1\] is a str: expected a Plane or a Box"):
         Scene(objects=[Plane(texture=PAINT), "box"], camera=Camera(), height=2, width=2)
+
+
+# --- Parts without texture --------------------------------------------------------------------
+
+
+def test_bare_parts_are_of_one_grey_level_and_the_rest_is_not():
+    pair = bare_patches(samples=1)
+    bare = ~pair.textured
+    assert 0.15 < bare.mean() < 0.35
+    for label, greys in ((0, {105, 128}), (1, {172})):  # the block's front is shaded by 0.98
+        assert set(np.unique(pair.frame0[bare & (pair.labels == label)])) == greys
+        texture = pair.frame0[pair.textured & (pair.labels == label)]
+        assert texture.std() > 10
+
+
+def test_a_patch_covers_its_rectangle_on_planes_and_faces():
+    patch = Patch(center=(0.5, -0.25), size=(1.0, 0.5), grey=200)
+    paint = Texture(wavelength=0.1, mean=100, contrast=50, patches=(patch,))
+    camera = Camera(focal=40.0)
+    plane = Plane(texture=paint, point=(0, 0, 4), normal=(0, 0, 1))
+    box = Box(texture=paint, center=(0, 0, 4.05), size=(9, 9, 0.1))
+    for item in (plane, box):
+        pair = Scene(objects=[item], camera=camera, height=31, width=41).render(samples=1)
+        x, y = (ray * pair.depth for ray in rays_of(pair))
+        expected = (x >= 0) & (x <= 1) & (y >= -0.5) & (y <= 0)
+        np.testing.assert_array_equal(~pair.textured, expected)
+        assert set(np.unique(pair.frame0[expected])) == {200 if item is plane else 196}
+
+
+def test_a_texture_without_contrast_is_bare_everywhere():
+    flat = Plane(texture=Texture(wavelength=0.1, contrast=0))
+    pair = Scene(objects=[flat], camera=Camera(), height=8, width=9).render()
+    assert not pair.textured.any()

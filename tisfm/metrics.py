@@ -59,10 +59,8 @@ def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None 
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------
@@ -88,10 +86,8 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------
@@ -128,10 +124,8 @@ def outlier_rate(
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
     pixels : float, default 3
         An outlier is off by at least this, px,
     fraction : float, default 0.05
@@ -191,10 +185,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
 
     Parameters
     ----------
-    flow, truth : array_like, shape (H, W, 2)
-        Estimated and true (u, v), px.
-    mask : array_like, shape (H, W), optional
-        Nonzero where pixels count.
+    flow, truth, mask
+        As in `endpoint_error_map`.
 
     Returns
     -------

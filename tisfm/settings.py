@@ -71,7 +71,7 @@ class Settings:
         Linearisations on the finest level.
     coarse_warps : int
         Linearisations on each of the others. They cost little there, and what a coarse level gets
-        wrong no finer one mends.
+        wrong no finer one mends; untextured parts are small there, and soon filled.
     outer_iterations : int
         Most half-quadratic iterations per warp.
     sweeps : int

@@ -12,9 +12,9 @@ from tisfm.camera import Camera
 from tisfm.datasets.calibration import read_camera
 from tisfm.datasets.disparity import read_disparity
 from tisfm.formats import read_flo, read_image, read_kitti_flow
+from tisfm.metrics import UNKNOWN
 
 TruthFormat = Literal["flo", "kitti", "disparity"]
-UNKNOWN = 1e9  # px: flow beyond it is Middlebury's mark of unknown flow
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

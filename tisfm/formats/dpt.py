@@ -5,7 +5,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.formats.tagged import LARGEST_SIDE, as_real, fits, read_tagged, write_tagged
+from tisfm.formats.tagged import read_tagged, write_tagged
 
 
 def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -56,9 +56,4 @@ def write_dpt(path: str | os.PathLike[str], depth: ArrayLike) -> None:
     OSError
         If the file cannot be written.
     """
-    values = as_real("depth", depth)
-    if values.ndim != 2 or not fits(values):
-        raise ValueError(
-            f"depth is {values.shape}, expected (H, W) with H and W from 1 to {LARGEST_SIDE}"
-        )
-    write_tagged(path, values)
+    write_tagged(path, "depth", depth, channels=1)

@@ -5,7 +5,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.formats.tagged import LARGEST_SIDE, as_real, fits, read_tagged, write_tagged
+from tisfm.formats.tagged import read_tagged, write_tagged
 
 
 def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -56,9 +56,4 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     OSError
         If the file cannot be written.
     """
-    values = as_real("flow", flow)
-    if values.ndim != 3 or values.shape[2] != 2 or not fits(values):
-        raise ValueError(
-            f"flow is {values.shape}, expected (H, W, 2) with H and W from 1 to {LARGEST_SIDE}"
-        )
-    write_tagged(path, values)
+    write_tagged(path, "flow", flow, channels=2)

@@ -68,25 +68,43 @@ def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> 
     return values.astype(np.float32).reshape(height, width, channels)
 
 
-def write_tagged(path: str | os.PathLike[str], values: NDArray[np.generic]) -> None:
+def write_tagged(
+    path: str | os.PathLike[str], name: str, values: ArrayLike, *, channels: int
+) -> None:
     """Write what `read_tagged` reads, whole or not at all.
 
     Parameters
     ----------
     path : str or os.PathLike
         File to write.
-    values : (H, W) or (H, W, channels) ndarray of real numbers
+    name : str
+        What the values are called in errors.
+    values : (H, W) or, of several channels, (H, W, channels) array_like of real numbers
         Values, stored as float32.
+    channels : int
+        Values per pixel.
 
     Raises
     ------
+    ValueError
+        If the shape is another, or a side is not from 1 to 99999.
+    TypeError
+        If `values` does not hold real numbers.
     OSError
         If the file cannot be written.
     """
-    height, width = values.shape[:2]
+    array = as_real(name, values)
+    inner = (channels,) if channels > 1 else ()
+    possible = all(1 <= side <= LARGEST_SIDE for side in array.shape[:2])
+    if array.ndim != 2 + len(inner) or array.shape[2:] != inner or not possible:
+        shape = f"(H, W, {channels})" if inner else "(H, W)"
+        raise ValueError(
+            f"{name} is {array.shape}, expected {shape} with H and W from 1 to {LARGEST_SIDE}"
+        )
+    height, width = array.shape[:2]
     with atomic_write(path) as file:
         file.write(_HEADER.pack(_TAG, width, height))
-        file.write(values.astype("<f4").tobytes())
+        file.write(array.astype("<f4").tobytes())
 
 
 def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
@@ -95,8 +113,3 @@ def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
     if array.dtype.kind not in "iuf":
         raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers, such as float32")
     return array
-
-
-def fits(array: NDArray[np.generic]) -> bool:
-    """Return whether both sides of an (H, W, ...) array are such that a file can state them."""
-    return array.ndim >= 2 and all(1 <= side <= LARGEST_SIDE for side in array.shape[:2])

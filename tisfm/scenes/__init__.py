@@ -12,18 +12,20 @@ The ready scenes add shorter waves to larger pictures, unless told how many.
 """
 
 from .geometry import Box, Plane
-from .ready import STATIC_KINDS, static_scene, two_blocks
+from .ready import STATIC_KINDS, bare_patches, static_scene, two_blocks
 from .render import Scene, SyntheticPair
 from .rigid import rigid_motion
-from .texture import Texture
+from .texture import Patch, Texture
 
 __all__ = [
     "STATIC_KINDS",
     "Box",
+    "Patch",
     "Plane",
     "Scene",
     "SyntheticPair",
     "Texture",
+    "bare_patches",
     "rigid_motion",
     "static_scene",
     "two_blocks",

@@ -62,6 +62,9 @@ class Plane:
     def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
         return self.texture._grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))
 
+    def _plain(self, at: Floats) -> NDArray[np.bool_]:
+        return self.texture._plain(at[0], at[1])
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
@@ -114,8 +117,7 @@ class Box:
         return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
     def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
-        relative = at / (self.size / 2)[:, None]
-        axis = np.argmax(np.abs(relative), axis=0)
+        relative, axis = self._faces(at)
         grey = np.empty(at.shape[1], np.float32)
         for face, shade in enumerate(FACE_SHADES):
             normal, sign = face // 2, 2 * (face % 2) - 1
@@ -125,6 +127,16 @@ class Box:
                 patch = footprint[on] / np.sqrt(np.abs(ray[normal, on]))
                 grey[on] = shade * self.texture._grey(s, t, patch, face)
         return np.clip(grey, 0, 255)
+
+    def _plain(self, at: Floats) -> NDArray[np.bool_]:
+        _, axis = self._faces(at)
+        s, t = np.where(axis == 0, at[1], at[0]), np.where(axis == 2, at[1], at[2])
+        return self.texture._plain(s, t)
+
+    def _faces(self, at: Floats) -> tuple[Floats, NDArray[np.intp]]:
+        """Return points relative to the half lengths, and the axis that their face is normal to."""
+        relative = at / (self.size / 2)[:, None]
+        return relative, np.argmax(np.abs(relative), axis=0)
 
 
 class View:
@@ -148,6 +160,10 @@ class View:
         """Return the grey level, float32, where rays meet the object; focal length in px."""
         ray = self._turned(rays)
         return self.item._grey(ray * depth + self.origin[:, None], ray, depth / focal)
+
+    def plain(self, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
+        """Return whether the surface has a single grey level where rays meet the object."""
+        return self.item._plain(self._turned(rays) * depth + self.origin[:, None])
 
     def _turned(self, rays: Floats) -> Floats:
         # A component of exactly zero would divide by zero where slabs are met.

@@ -11,7 +11,7 @@ from .checks import Floats, finite, whole
 from .geometry import Box, Plane
 from .render import Scene, SyntheticPair
 from .rigid import rigid_motion
-from .texture import Texture
+from .texture import Patch, Texture
 
 # (V, Ω) of the camera in its own axes. The turn adds to the sideways flow.
 _STATIC_MOTIONS = {
@@ -137,6 +137,81 @@ def static_scene(
     own, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
     scene = _room(_THREE_BLOCKS, own, motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
+
+
+def bare_patches(
+    height: int = 240,
+    width: int = 320,
+    *,
+    seed: int = 0,
+    focal: float | None = None,
+    camera_motion: ArrayLike = (0.05, 0.015, 0.0, 0.0, 0.0, 0.0),
+    samples: int = 3,
+    dtype: str = "uint8",
+) -> SyntheticPair:
+    """Render a block before a wall, both with large parts of a single grey level.
+
+    What the paper leaves open (its remark (a)): motion is not seen in such a part, only around
+    it. One lies within the texture of the wall. The one on the block reaches the block's right
+    edge, behind which the wall is bare too: there, only a step of grey tells them apart. Shapes
+    scale with the size; at the default one the parts are 70 to 110 px wide, and displacements are
+    about 2 px on the wall and 4 px on the block.
+
+    Parameters
+    ----------
+    height, width, seed, focal
+        As in `two_blocks`.
+    camera_motion : array_like, shape (6,)
+        (V, Ω) of the camera in its own axes, length/frame and rad/frame. The block is at a depth
+        of about 4.2, the wall at about 8.
+    samples, dtype
+        As in `Scene.render`.
+
+    Returns
+    -------
+    SyntheticPair
+        Labels are 0 for the wall, 1 for the block; `textured` is False in the bare parts.
+
+    Raises
+    ------
+    ValueError
+        If an option is impossible.
+    """
+    whole(1, height=height, width=width)
+    motion = -finite(camera_motion, (6,), "camera_motion")
+    octaves = max(0, round(math.log2(width / _WIDTH)))
+
+    def paint(depth: float, number: int, mean: float, patches: tuple[Patch, ...]) -> Texture:
+        return Texture(
+            wavelength=_FINEST * depth / _WIDTH,
+            detail=octaves,
+            mean=mean,
+            contrast=50,
+            seed=seed + number,
+            patches=patches,
+        )
+
+    in_texture = Patch(center=(-2.3, 0.1), size=(2.0, 2.6), grey=105)
+    behind_block = Patch(center=(2.1, 0.1), size=(2.4, 2.8), grey=128)
+    on_block = Patch(center=(0.4, 0.0), size=(1.0, 0.9), grey=175)
+    slant, _ = rigid_motion((0, 0, 0, 0, math.radians(8), 0))
+    wall = Plane(
+        texture=paint(8.0, 0, 110, (in_texture, behind_block)),
+        point=(0, 0, 8),
+        normal=(0.1, 0.1, -1),
+        motion=motion,
+    )
+    block = Box(
+        texture=paint(4.2, 1, 130, (on_block,)),
+        center=(0.05, 0.0, 4.5),
+        size=(1.4, 1.6, 0.5),
+        axes=slant,
+        motion=motion,
+    )
+    camera = Camera(focal=float(width) if focal is None else focal)
+    return Scene(objects=[wall, block], camera=camera, height=height, width=width).render(
+        samples=samples, dtype=dtype
+    )
 
 
 def _room(

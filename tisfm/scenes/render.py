@@ -42,6 +42,8 @@ class SyntheticPair:
     visible : ndarray, shape (H, W), bool
         Whether the same point is seen in frame 1: it projects between the centres of the border
         pixels and nothing hides it.
+    textured : ndarray, shape (H, W), bool
+        Whether the surface is textured there, rather than of a single grey level.
     """
 
     frame0: NDArray
@@ -54,6 +56,7 @@ class SyntheticPair:
     labels: NDArray[np.int32]
     motions: Floats
     visible: NDArray[np.bool_]
+    textured: NDArray[np.bool_]
 
     @property
     def inverse_depth(self) -> Floats:
@@ -126,8 +129,8 @@ class Scene:
         frames = [self._frame(views, samples) for views in (before, after)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
-        bands = [self._truth(after, band) for band in self._bands(before, np.zeros((1, 2)))]
-        depth, labels, u, v, visible = (
+        bands = [self._truth(before, after, band) for band in self._bands(before, np.zeros((1, 2)))]
+        depth, labels, u, v, visible, textured = (
             np.concatenate(part).reshape(self.height, self.width)
             for part in zip(*bands, strict=True)
         )
@@ -144,6 +147,7 @@ class Scene:
             labels=labels,
             motions=motions,
             visible=visible,
+            textured=textured,
         )
 
     def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
@@ -176,12 +180,14 @@ class Scene:
             bands.append(grey.reshape(samples**2, -1, self.width).mean(axis=0))
         return np.concatenate(bands)
 
-    def _truth(self, after: list[View], band: Band) -> tuple[NDArray, ...]:
-        """Follow points seen in frame 0; return depth, labels, u, v and whether they are seen."""
+    def _truth(self, before: list[View], after: list[View], band: Band) -> tuple[NDArray, ...]:
+        """Follow points of frame 0; return depth, labels, u, v, whether seen, and textured."""
         rays, depth, labels = band
         moved = np.empty_like(rays)
+        textured = np.empty(labels.shape, bool)
         for label, view in enumerate(after):
             on = labels == label
+            textured[on] = ~before[label].plain(rays[:, on], depth[on])
             moved[:, on] = view.rotation @ (rays[:, on] * depth[on]) + view.translation[:, None]
         in_front = moved[2] > 0
         new_rays = moved / np.where(in_front, moved[2], np.nan)
@@ -191,7 +197,8 @@ class Scene:
         inside = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
         nearest, _ = _nearest(after, np.where(inside, new_rays, rays))
         # The point itself is met at its own depth, up to rounding.
-        return depth, labels, u, v, inside & (nearest > moved[2] * (1 - 1e-6))
+        visible = inside & (nearest > moved[2] * (1 - 1e-6))
+        return depth, labels, u, v, visible, textured
 
 
 def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import Floats, whole
+from .checks import Floats, finite, whole
 
 # The noise tile holds TILE / SAMPLES_PER_WAVE waves a side; octaves are turned and shifted copies.
 TILE = 512
@@ -16,6 +16,42 @@ SAMPLES_PER_WAVE = 16
 STRENGTHS = (0.09, 0.16, 0.55, 0.85)
 # Of an octave of detail, where it frays the edges of blotches and where it is seen inside them.
 DETAIL_EDGE, DETAIL_INSIDE = 0.09, 0.045
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patch:
+    """A rectangle of one grey level painted over a texture.
+
+    Parameters
+    ----------
+    center : (float, float)
+        In the coordinates of the surface, in the scene's unit of length.
+    size : (float, float)
+        Edge lengths, in the same unit.
+    grey : float
+        Grey level before shading.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, a length is not positive or the grey level not in [0, 255].
+    """
+
+    center: tuple[float, float]
+    size: tuple[float, float]
+    grey: float
+
+    def __post_init__(self) -> None:
+        finite(self.center, (2,), "center")
+        if not (finite(self.size, (2,), "size") > 0).all():
+            raise ValueError(f"size is {self.size}: expected positive edge lengths")
+        if not 0 <= self.grey <= 255:
+            raise ValueError(f"grey is {self.grey}: expected a grey level in [0, 255]")
+
+    def covers(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
+        """Return whether points of the surface, (n,) each, lie on it."""
+        across, down = np.abs(s - self.center[0]), np.abs(t - self.center[1])
+        return (across <= self.size[0] / 2) & (down <= self.size[1] / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +70,8 @@ class Texture:
         Grey levels lie within mean ± contrast before shading. Detail may go somewhat beyond.
     seed : int, default 0
         Another seed gives another pattern.
+    patches : tuple of Patch
+        Parts without texture, later ones over earlier ones; a box has them on every face.
 
     Raises
     ------
@@ -47,6 +85,7 @@ class Texture:
     mean: float = 124.0
     contrast: float = 76.0
     seed: int = 0
+    patches: tuple[Patch, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.wavelength) and self.wavelength > 0):
@@ -83,7 +122,17 @@ class Texture:
             fine += wave((s, t), -1 - octave)
         # The soft limit flattens the inside of the blotches and bounds the range.
         level = np.tanh(blotches + DETAIL_EDGE * fine) + DETAIL_INSIDE * fine
-        return np.clip(np.float32(self.mean) + np.float32(self.contrast) * level, 0, 255)
+        grey = np.clip(np.float32(self.mean) + np.float32(self.contrast) * level, 0, 255)
+        for patch in self.patches:
+            grey[patch.covers(s, t)] = patch.grey
+        return grey
+
+    def _plain(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
+        """Return whether points, (n,) each, have a single grey level around them."""
+        plain = np.full(s.shape, self.contrast == 0)
+        for patch in self.patches:
+            plain |= patch.covers(s, t)
+        return plain
 
 
 def _noise(s: Floats, t: Floats, wavelength: float, random: np.random.Generator) -> NDArray:

@@ -1,0 +1,93 @@
+"""The method in plain NumPy float64, to be read beside the paper and tested against.
+
+Nothing here is fast: every function is the equation it cites, on arrays of shape (…, H, W).
+ρ̂ = f·ρ is in px/frame and coordinates are normalised, x̂ = x/f, so that eq. 2 becomes
+(u, v)ᵀ = G ρ̂ and the paper's λ becomes λ̂ = λ/f².
+
+Departures from the paper, beyond that scaling:
+
+- eq. 10 on edges: b belongs to the difference of two neighbours, as in eq. 14, so that the
+  iteration majorises and minimises one energy exactly;
+- a contrast δ in eq. 10: Φ_δ(s) = 2δ²(√(1 + s²/δ²) − 1); the paper has δ = 1 in the units of τ;
+- robust weights of the data, gradient constancy, normalised constraints, image-driven edges and
+  a stiffness of each component, all as `tisfm.Settings` describes them, none in the paper;
+- a warp: frame 1 is brought to frame 0 by the current flow before derivatives are taken;
+- occlusion, which the paper does not look for.
+
+Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
+the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)
+has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
+"""
+
+from tisfm.reference.data import (
+    brightness_tensor,
+    constancy_tensors,
+    data_energy,
+    flow,
+    motion_matrix,
+    residual,
+    robust_energy,
+    robust_tensor,
+)
+from tisfm.reference.energies import (
+    energy,
+    half_quadratic_energy,
+)
+from tisfm.reference.images import (
+    derivatives,
+    warp,
+)
+from tisfm.reference.linear_system import (
+    local_matrices,
+    local_right_sides,
+    sweep_lexicographic,
+    sweep_red_black,
+)
+from tisfm.reference.minimisation import (
+    Minimisation,
+    minimise,
+)
+from tisfm.reference.pyramid import (
+    coarse_to_fine,
+    prolong,
+)
+from tisfm.reference.smoothness import (
+    Smoothness,
+    aubert,
+    differences,
+    edge_weights,
+    image_edges,
+    smoothness_energy,
+)
+from tisfm.reference.uniqueness import claims, defeated
+
+__all__ = [
+    "Minimisation",
+    "Smoothness",
+    "aubert",
+    "brightness_tensor",
+    "claims",
+    "coarse_to_fine",
+    "constancy_tensors",
+    "data_energy",
+    "defeated",
+    "derivatives",
+    "differences",
+    "edge_weights",
+    "energy",
+    "flow",
+    "half_quadratic_energy",
+    "image_edges",
+    "local_matrices",
+    "local_right_sides",
+    "minimise",
+    "motion_matrix",
+    "prolong",
+    "residual",
+    "robust_energy",
+    "robust_tensor",
+    "smoothness_energy",
+    "sweep_lexicographic",
+    "sweep_red_black",
+    "warp",
+]

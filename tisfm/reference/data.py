@@ -1,0 +1,126 @@
+"""The data term: image motion, motion tensors and their robust weights."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tisfm.camera import Camera
+
+
+def motion_matrix(camera: Camera, height: int, width: int, components: int) -> np.ndarray:
+    """Return G, (2, components, H, W): eq. 2 in scaled unknowns.
+
+    6 components are rigid motion, 3 translation, 2 the image motion itself.
+    """
+    cx, cy = camera.center_for(height, width)
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    x, y = (columns - cx) / camera.focal, (rows - cy) / camera.focal
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rigid = np.array(
+        [
+            [one, zero, -x, -x * y, 1 + x * x, -y],
+            [zero, one, -y, -(1 + y * y), x * y, x],
+        ]
+    )
+    return rigid[:, :components]
+
+
+def flow(motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return (u, v), (2, H, W): eq. 25, Gρ̂."""
+    return np.einsum("ckyx,kyx->cyx", motion, rho)
+
+
+def brightness_tensor(
+    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
+    flow0: np.ndarray,
+    mask: np.ndarray,
+) -> np.ndarray:
+    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, in the whole flow.
+
+    `flow0`, (2, H, W), is the flow that the gradients' frame 1 was warped by.
+    """
+    ix, iy, it = gradients
+    c = it - ix * flow0[0] - iy * flow0[1]
+    return mask * np.array([ix * ix, ix * iy, iy * iy, c * ix, c * iy, c * c])
+
+
+def constancy_tensors(
+    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
+    flow0: np.ndarray,
+    mask: np.ndarray,
+    *,
+    brightness: float,
+    gradient: float,
+    normalization: float | None,
+) -> list[np.ndarray]:
+    """Return the tensors, (6, H, W), of brightness and gradient constancy whose weight is not 0.
+
+    `gradients` have a halo of 2 px. Normalised, each constraint is divided by |∇I|² + ζ².
+    """
+
+    def constraint(ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:
+        tensor = brightness_tensor((ix, iy, it), flow0, mask)
+        if normalization is None:
+            return tensor
+        return tensor / (ix**2 + iy**2 + normalization**2 + 1e-12)
+
+    ix, iy, it = gradients
+    terms = []
+    if brightness > 0:
+        inner = np.s_[2:-2, 2:-2]
+        terms.append(brightness * constraint(ix[inner], iy[inner], it[inner]))
+    if gradient > 0:
+        of_x = constraint(_five_tap(ix, 1), _five_tap(iy, 1), _five_tap(it, 1))
+        of_y = constraint(_five_tap(iy, 1), _five_tap(iy, 0), _five_tap(it, 0))
+        terms.append(gradient * (of_x + of_y))
+    return terms
+
+
+def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
+    """Return the derivative along an axis by (1, −8, 0, 8, −1)/12, without the halo of 2 px."""
+    near = np.roll(image, -1, axis) - np.roll(image, 1, axis)
+    far = np.roll(image, -2, axis) - np.roll(image, 2, axis)
+    return (8 * near - far)[2:-2, 2:-2] / 12
+
+
+def robust_tensor(
+    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
+) -> np.ndarray:
+    """Return Σ w J, (6, H, W), with w = 1/√(1 + q/s), q the quadratic form and s the scale of J.
+
+    Its J_tt includes the penalty s(w + 1/w − 2), so that its quadratic form is the half-quadratic
+    data term.
+    """
+    total = np.zeros_like(terms[0])
+    for term, scale in zip(terms, scales, strict=True):
+        weight = 1 / np.sqrt(1 + residual(term, motion, rho) / scale)
+        total += weight * term
+        if np.isfinite(scale):
+            total[5] += scale * (1 - weight) ** 2 / weight
+    return total
+
+
+def robust_energy(
+    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
+) -> float:
+    """Return Σ 2s(√(1 + q/s) − 1) over pixels and terms (Charbonnier)."""
+    total = 0.0
+    for term, scale in zip(terms, scales, strict=True):
+        q = residual(term, motion, rho)
+        total += float((2 * q / (1 + np.sqrt(1 + q / scale))).sum())
+    return total
+
+
+def residual(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt, (H, W): a square, so at least 0."""
+    u, v = flow(motion, rho)
+    j11, j12, j22, j1, j2, jtt = tensor
+    q = j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt
+    return np.maximum(q, 0)
+
+
+def data_energy(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> float:
+    """Return Σ (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt."""
+    u, v = flow(motion, rho)
+    j11, j12, j22, j1, j2, jtt = tensor
+    return float((j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt).sum())

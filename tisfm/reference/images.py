@@ -1,0 +1,66 @@
+"""Derivatives of frames, and frame 1 brought to frame 0."""
+
+import numpy as np
+
+
+def derivatives(
+    frame0: np.ndarray, frame1: np.ndarray, scheme: str, halo: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (I_x, I_y, I_t), each (H + 2·halo, W + 2·halo); images repeat beyond their border.
+
+    ``"cube"``: Horn and Schunck's 2×2×2 cube. ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of
+    both frames, and their difference.
+    """
+    height, width = frame0.shape[0] + 2 * halo, frame0.shape[1] + 2 * halo
+    a = np.pad(np.asarray(frame0, np.float64), 2 + halo, mode="edge")
+    b = np.pad(np.asarray(frame1, np.float64), 2 + halo, mode="edge")
+
+    def at(image: np.ndarray, dy: int, dx: int) -> np.ndarray:
+        return image[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
+
+    if scheme == "five_tap":
+        mean = (a + b) / 2
+        ix = (at(mean, 0, -2) - 8 * at(mean, 0, -1) + 8 * at(mean, 0, 1) - at(mean, 0, 2)) / 12
+        iy = (at(mean, -2, 0) - 8 * at(mean, -1, 0) + 8 * at(mean, 1, 0) - at(mean, 2, 0)) / 12
+        return ix, iy, at(b, 0, 0) - at(a, 0, 0)
+    both, step = a + b, b - a
+    ix = (at(both, 0, 1) + at(both, 1, 1) - at(both, 0, 0) - at(both, 1, 0)) / 4
+    iy = (at(both, 1, 0) + at(both, 1, 1) - at(both, 0, 0) - at(both, 0, 1)) / 4
+    it = (at(step, 0, 0) + at(step, 0, 1) + at(step, 1, 0) + at(step, 1, 1)) / 4
+    return ix, iy, it
+
+
+def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sample an image at x + flow by Keys' bicubic convolution (a = −½).
+
+    Parameters
+    ----------
+    image : (H, W)
+    flow : (2, H, W)
+        px/frame.
+
+    Returns
+    -------
+    warped, mask : (H, W)
+        The mask is 1 where the target lies inside the image.
+    """
+    height, width = image.shape
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    x, y = columns + flow[0], rows + flow[1]
+    mask = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = np.clip(x, -2, width + 1), np.clip(y, -2, height + 1)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    warped = np.zeros((height, width))
+    for i in range(-1, 3):
+        for j in range(-1, 3):
+            weight = _keys(x - (left + i)) * _keys(y - (top + j))
+            tap = image[np.clip(top + j, 0, height - 1), np.clip(left + i, 0, width - 1)]
+            warped += weight * tap
+    return warped, mask.astype(np.float64)
+
+
+def _keys(distance: np.ndarray) -> np.ndarray:
+    d = np.abs(distance)
+    near = 1.5 * d**3 - 2.5 * d**2 + 1
+    far = -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2
+    return np.where(d <= 1, near, np.where(d < 2, far, 0.0))

@@ -1,0 +1,80 @@
+"""Coarse to fine: every level starts from the one before."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reference.data import constancy_tensors, flow, motion_matrix
+from tisfm.reference.images import derivatives, warp
+from tisfm.reference.minimisation import minimise
+from tisfm.reference.smoothness import Smoothness, image_edges
+from tisfm.settings import Settings
+
+
+def prolong(coarse: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
+    """Return ρ̂ of a coarser level, (n, h, w), on a finer grid of `shape`, bilinearly.
+
+    Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse one, and ρ̂, in pixels of its
+    level, is divided by `ratio`.
+    """
+
+    def positions(count: int, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        x = np.clip((np.arange(count) + 0.5) * ratio - 0.5, 0, size - 1)
+        first = np.minimum(x.astype(int), max(size - 2, 0))
+        return first, np.minimum(first + 1, size - 1), x - first
+
+    top, bottom, down = positions(shape[0], coarse.shape[1])
+    left, right, across = positions(shape[1], coarse.shape[2])
+    columns = coarse[:, :, left] * (1 - across) + coarse[:, :, right] * across
+    down = down[:, None]
+    return (columns[:, top] * (1 - down) + columns[:, bottom] * down) / ratio
+
+
+def coarse_to_fine(
+    pyramid0: list[np.ndarray], pyramid1: list[np.ndarray], camera: Camera, settings: Settings
+) -> np.ndarray:
+    """Return ρ̂, (n, H, W), of the finest of the given levels, the finest first.
+
+    `camera` is that of the finest level; of the settings, the pyramid is the one given.
+    """
+    n, factor = settings.components, settings.pyramid_factor
+    height, width = pyramid0[0].shape
+    epsilon = np.inf if settings.data_contrast is None else settings.data_contrast
+    scales = [m * epsilon**2 for m in (settings.brightness, settings.gradient) if m > 0]
+    rho: np.ndarray | None = None
+    for level in reversed(range(len(pyramid0))):
+        frame0, frame1 = pyramid0[level], pyramid1[level]
+        shape = frame0.shape
+        rho = np.zeros((n, *shape)) if rho is None else prolong(rho, shape, factor)
+        motion = motion_matrix(camera.scaled(factor**level, height, width), shape[0], shape[1], n)
+        smoothness = Smoothness(
+            contrast=settings.contrast_for(camera.focal),
+            stiffness=np.array(settings.stiffness[:n]),
+            joint=settings.joint_edges,
+            edges=image_edges(frame0, settings.image_edges) if settings.image_edges > 0 else None,
+        )
+        for _ in range(settings.warps_on(level)):
+            flow0 = flow(motion, rho)
+            warped, mask = warp(frame1, flow0)
+            gradients = derivatives(frame0, warped, settings.derivatives, halo=2)
+            minimise(
+                constancy_tensors(
+                    gradients,
+                    flow0,
+                    mask,
+                    brightness=settings.brightness,
+                    gradient=settings.gradient,
+                    normalization=settings.normalization,
+                ),
+                motion,
+                rho,
+                alpha=settings.alpha,
+                smoothness=smoothness,
+                scales=scales,
+                outer_iterations=settings.outer_iterations,
+                sweeps=settings.sweeps,
+                relaxation=settings.relaxation,
+                tolerance=settings.tolerance,
+            )
+    if rho is None:
+        raise ValueError("pyramids are empty: expected at least one level")
+    return rho

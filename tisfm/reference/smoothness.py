@@ -1,0 +1,85 @@
+"""The smoothness term: which differences of neighbours count, and how much."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+def aubert(difference: np.ndarray, contrast: float) -> np.ndarray:
+    """Return Φ_δ(s) = 2δ²(√(1 + s²/δ²) − 1), written without its cancellation."""
+    square = difference**2
+    return 2 * square / (1 + np.sqrt(1 + square / contrast**2))
+
+
+def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eastern and southern differences (eq. 13), (n, H, W), 0 across the border."""
+    east, south = np.zeros_like(rho), np.zeros_like(rho)
+    east[:, :, :-1] = np.diff(rho, axis=2)
+    south[:, :-1] = np.diff(rho, axis=1)
+    return east, south
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smoothness:
+    """Which differences count as edges, and how much.
+
+    Attributes
+    ----------
+    contrast : float
+        δ, px/frame.
+    stiffness : (n,) array or None
+        s_k; None for 1.
+    joint : bool
+        Whether an edge is one for all components.
+    edges : (2, H, W) array or None
+        g of the eastern and southern edges; None for 1.
+    """
+
+    contrast: float
+    stiffness: np.ndarray | None = None
+    joint: bool = False
+    edges: np.ndarray | None = None
+
+    def squares(self, rho: np.ndarray) -> np.ndarray:
+        """Return s_kΔ², or, joint, their sum over k for every k: (2, n, H, W)."""
+        squares = np.stack(differences(rho)) ** 2 * self.stiffnesses(len(rho))
+        if self.joint:
+            squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
+        return squares
+
+    def stiffnesses(self, components: int) -> np.ndarray:
+        """Return s_k, (n, 1, 1)."""
+        values = np.ones(components) if self.stiffness is None else np.asarray(self.stiffness)
+        return values[:, None, None]
+
+    def open(self, height: int, width: int) -> np.ndarray:
+        """Return g, 0 across the border: (2, 1, H, W)."""
+        edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
+        edges[0, :, -1] = edges[1, -1] = 0
+        return edges[:, None]
+
+
+def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
+    """Return g = c/(1 + κ|ΔI|/m), (2, H, W): m the mean of |ΔI|, c such that the mean of g is 1."""
+    steps = np.abs(np.stack(differences(frame[None].astype(np.float64))))[:, 0]
+    inside = np.ones(steps.shape, bool)
+    inside[0, :, -1] = inside[1, -1] = False
+    if not inside.any():
+        return np.zeros(steps.shape)
+    edges = inside / (1 + strength * steps / max(steps[inside].mean(), 1e-5))
+    return edges / edges[inside].mean()
+
+
+def edge_weights(rho: np.ndarray, smoothness: Smoothness) -> np.ndarray:
+    """Return s_k g b (eq. 10, 14), (2n, H, W): n eastern edges, n southern ones."""
+    b = 1 / np.sqrt(1 + smoothness.squares(rho) / smoothness.contrast**2)
+    weights = smoothness.stiffnesses(len(rho)) * smoothness.open(*rho.shape[1:]) * b
+    return weights.reshape(-1, *rho.shape[1:])
+
+
+def smoothness_energy(rho: np.ndarray, smoothness: Smoothness) -> float:
+    """Return Σ_edges g Σ_k Φ_δ(√s_k Δρ̂_k), or, joint, g Φ_δ of the vector's length."""
+    penalty = aubert(np.sqrt(smoothness.squares(rho)), smoothness.contrast)
+    if smoothness.joint:
+        penalty = penalty[:, :1]
+    return float((smoothness.open(*rho.shape[1:]) * penalty).sum())
