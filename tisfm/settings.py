@@ -106,7 +106,7 @@ class Settings:
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
     warps: int = 3
-    coarse_warps: int = 8
+    coarse_warps: int = 6
     outer_iterations: int = 10
     sweeps: int = 8
     relaxation: float = 1.9
@@ -279,9 +279,7 @@ _PRESETS: dict[str, Settings] = {
         sweeps=20,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=2, coarse_warps=6, outer_iterations=8, sweeps=5, tolerance=4e-2),
+    "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
-    "accurate": Settings(
-        pyramid_factor=0.7, coarse_warps=6, outer_iterations=15, sweeps=10, tolerance=1e-2
-    ),
+    "accurate": Settings(pyramid_factor=0.7, outer_iterations=15, sweeps=10, tolerance=1e-2),
 }
