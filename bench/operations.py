@@ -7,6 +7,7 @@ import numpy as np
 
 from bench.problems import ALPHA, CONSTRAINTS, CONTRAST, RATIO, RELAXATION, SCALES, Problem
 from tisfm.field import Field
+from tisfm.interpolation import spline_coefficients
 from tisfm.kernels import (
     derivatives,
     diffusivity,
@@ -70,9 +71,10 @@ class Operations:
 
     def warp(self) -> Timed:
         image = self.problem.frames[1].astype(np.float32)
+        spline = spline_coefficients(image)
         motion, out, mask = self.lay(self.problem.flow), np.empty_like(image), self.grid.allocate(1)
         return (
-            lambda: warp.warp(self.grid, image, motion, out, mask),
+            lambda: warp.warp(self.grid, image, spline, motion, out, mask),
             lambda _: np.stack([out, self.read(mask)[0]]),
         )
 

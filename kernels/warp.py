@@ -12,20 +12,18 @@ from tisfm.kernels.lanes import (
 )
 
 
-def warp(grid: LaneGrid, image, flow, out, mask) -> None:
-    """Sample an image at x + flow by bicubic convolution.
+def warp(grid: LaneGrid, image, spline, flow, out, mask) -> None:
+    """Sample an image at x + flow by its cubic B-spline.
 
-    Keys' kernel with a = −½ (doi 10.1109/TASSP.1981.1163711), third-order accurate and exact at
-    pixels. Beyond its border the image repeats.
-
-    The mask tells of the pixel itself, not of its neighbours, whose repeated values derivatives
-    see near the border. Leaving out every pixel of which one tap lies outside was tried: what is
-    lost there is worth more than what is wrong (README).
+    Fourth-order accurate, smooth, and exact at pixels, where the image itself is taken: no motion
+    leaves it as it is, to the last bit. Beyond its border the image repeats.
 
     Parameters
     ----------
     grid : LaneGrid
     image : (H, W) float32
+    spline : (H, W) float32
+        Coefficients of its spline, mirrored at the centres of the border pixels.
     flow : lane array, 2 components
         (u, v), px/frame.
     out : (H, W) float32
@@ -34,15 +32,17 @@ def warp(grid: LaneGrid, image, flow, out, mask) -> None:
         1 where the pixel lands inside the image, 0 where it leaves it and in the padding.
     """
     grid.check_image(image, "image")
+    grid.check_image(spline, "spline")
     grid.check(flow, 2, "flow")
     grid.check_image(out, "out")
     grid.check(mask, 1, "mask")
-    _warp[grid.lanes](image, flow, out, mask)
+    _warp[grid.lanes](image, spline, flow, out, mask)
 
 
 @lane_kernel
 def _warp(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    spline: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     flow: LaneArray(3),  # (2, H+2, S+2)
     out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     mask: LaneArray(3),  # (1, H+2, S+2)
@@ -62,39 +62,49 @@ def _warp(
                 down = target_y >= 0 and target_y <= height - 1
                 if across and down:
                     inside = 1.0
-                out[y, x] = _bicubic(image, target_x, target_y)
+                out[y, x] = _sample(image, spline, target_x, target_y)
             store_lane(mask, 0, y + 1, s + 1, lane, inside)
 
 
 @ti.func
-def _bicubic(image: ti.template(), x, y):
+def _sample(image: ti.template(), spline: ti.template(), x, y):
     height, width = image.shape[0], image.shape[1]
-    # Far outside, the position itself would overflow an index: any such pixel sees the border.
-    x = ti.max(-2.0, ti.min(x, width + 1.0))
-    y = ti.max(-2.0, ti.min(y, height + 1.0))
+    x = ti.max(0.0, ti.min(x, width - 1.0))
+    y = ti.max(0.0, ti.min(y, height - 1.0))
     left, top = ti.floor(x), ti.floor(y)
-    weight_x = _keys(x - left)
-    weight_y = _keys(y - top)
     column, row = ti.cast(left, ti.i32), ti.cast(top, ti.i32)
-    total = 0.0
-    for j in ti.static(range(4)):
-        yy = ti.max(0, ti.min(row + j - 1, height - 1))
-        line = 0.0
-        for i in ti.static(range(4)):
-            xx = ti.max(0, ti.min(column + i - 1, width - 1))
-            line += weight_x[i] * image[yy, xx]
-        total += weight_y[j] * line
-    return total
+    value = 0.0
+    if x == left and y == top:
+        value = image[row, column]
+    else:
+        weight_x = _weights(x - left)
+        weight_y = _weights(y - top)
+        for j in ti.static(range(4)):
+            yy = _mirror(row + j - 1, height)
+            line = 0.0
+            for i in ti.static(range(4)):
+                line += weight_x[i] * spline[yy, _mirror(column + i - 1, width)]
+            value += weight_y[j] * line
+    return value
 
 
 @ti.func
-def _keys(t):
-    """Return the four weights for a sample a fraction t past the second of four pixels."""
+def _mirror(index, size):
+    """Return an index at most two beyond the border, mirrored at the border pixel's centre."""
+    index = ti.select(index < 0, -index, index)
+    index = ti.select(index > size - 1, 2 * (size - 1) - index, index)
+    return ti.max(index, 0)
+
+
+@ti.func
+def _weights(t):
+    """Return the four values of the cubic B-spline for a sample a fraction t past the second."""
+    s = 1.0 - t
     return ti.Vector(
         [
-            t * (-0.5 + t * (1.0 - 0.5 * t)),
-            1.0 + t * t * (1.5 * t - 2.5),
-            t * (0.5 + t * (2.0 - 1.5 * t)),
-            t * t * (0.5 * t - 0.5),
+            s * s * s / 6.0,
+            2.0 / 3.0 - t * t * (1.0 - 0.5 * t),
+            2.0 / 3.0 - s * s * (1.0 - 0.5 * s),
+            t * t * t / 6.0,
         ]
     )

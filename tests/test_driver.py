@@ -424,8 +424,8 @@ def test_motion_is_carried_into_untextured_parts_but_not_across_their_boundary(b
     )
     error = np.linalg.norm(result.flow - pair.flow, axis=-1)
     on_block = inside & (pair.labels == 1)
-    # The bare wall beside it moves 1.9 px less.
-    assert error[on_block].mean() < 2 * error[pair.textured].mean()
+    # The bare wall beside it moves 1.9 px less: at most 4% of that gets in.
+    assert error[on_block].mean() < 0.04 * 1.9
     in_wall = inside & (pair.labels == 0)
     left = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
     assert error[in_wall & left].mean() < 0.3
@@ -436,9 +436,10 @@ def test_motion_is_carried_into_untextured_parts_but_not_across_their_boundary(b
 def test_confidence_says_where_there_was_no_texture(bare):
     pair, inside = bare
     result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera)
-    assert (result.confidence[inside] < 0.3).mean() > 0.99
     seen = pair.textured & pair.visible
-    assert (result.confidence[seen] >= 0.3).mean() > 0.95
+    bare_most = np.quantile(result.confidence[inside], 0.99)
+    assert bare_most < 0.3
+    assert bare_most < np.quantile(result.confidence[seen], 0.05)
 
 
 def test_coarser_levels_carry_motion_farther_into_untextured_parts(bare):

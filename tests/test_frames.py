@@ -322,13 +322,32 @@ def test_frames_far_off_the_scale_are_said_to_diverge(scale):
     assert "8-bit scale" in status.message
 
 
-@pytest.mark.parametrize("scale", [1e-3, 100.0, 1e12])
-def test_the_range_of_float_frames_does_not_matter(scale):
-    """Constraints are normalised: only the noise that ζ stands for has a scale."""
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(1e-3, 0.0), (1 / 255, -0.5), (1e-4, 10.0), (100.0, 0.0), (1e12, 0.0)]
+)
+def test_the_range_of_float_frames_does_not_matter(scale, offset):
+    """Nothing but `paper` has a scale of grey levels."""
     frame0, frame1 = textured_pair()
     expected = tisfm.interpret(frame0, frame1).flow
-    flow = tisfm.interpret(frame0 * scale, frame1 * scale).flow
-    assert np.abs(flow - expected).max() < 2e-3
+    flow = tisfm.interpret(frame0 * scale + offset, frame1 * scale + offset).flow
+    # What float32 leaves of 255 · 1e-4 on 10 is 15 bits.
+    assert np.abs(flow - expected).max() < (0.02 if offset == 10.0 else 2e-3)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+def test_uint16_frames_may_use_any_of_their_bits(bits):
+    frames = [frame.astype(np.uint8) for frame in textured_pair()]
+    expected = tisfm.interpret(*frames).flow
+    deep = [frame.astype(np.uint16) * 2 ** (bits - 8) for frame in frames]
+    assert np.abs(tisfm.interpret(*deep).flow - expected).max() < 2e-3
+
+
+def test_one_outlying_pixel_does_not_change_the_scale():
+    """A pixel beyond 1 makes a float frame count as grey levels, and changes nothing else."""
+    frame0, frame1 = (frame / 255 for frame in textured_pair())
+    frame0[2, 2] = 1.02
+    expected = tisfm.interpret(frame0 * 255, frame1 * 255).flow
+    assert np.abs(tisfm.interpret(frame0, frame1).flow - expected).max() < 2e-3
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 100.0])

@@ -3,6 +3,7 @@
 import numpy as np
 
 from tisfm.field import Field
+from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
@@ -53,6 +54,7 @@ class DataTerm:
             "normalization": normalization,
         }
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
+        self._spline1 = spline_coefficients(frame1)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
         self._warped = np.empty_like(frame1)
@@ -72,7 +74,7 @@ class DataTerm:
         """
         grid = self._grid
         field.flow(self._flow)
-        warp(grid, self._frame1, self._flow, self._warped, self._mask)
+        warp(grid, self._frame1, self._spline1, self._flow, self._warped, self._mask)
         image_to_lanes(grid, self._warped, self._lanes1)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
         constancy_tensors(

@@ -6,6 +6,13 @@ from tisfm.kernels.images import image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
 
 
+def mean_step(frame: np.ndarray) -> float:
+    """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast."""
+    steps = [np.abs(np.diff(frame, axis=axis)) for axis in (0, 1)]
+    count = max(sum(step.size for step in steps), 1)
+    return sum(float(step.sum(dtype=np.float64)) for step in steps) / count
+
+
 def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
     """Return g = c/(1 + κ|ΔI|/m) of every edge, m the mean of |ΔI|, c such that the mean of g is 1.
 
@@ -31,9 +38,8 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
     inside = np.ones(steps.shape, bool)
     inside[0, :, -1] = inside[1, -1] = False
     count = max(int(inside.sum()), 1)
-    mean = float(steps.sum(dtype=np.float64)) / count
     # A uniform frame has no edges; what float32 tells apart is about 1e-5 grey levels.
-    edges = np.float32(1) / (1 + np.float32(strength / max(mean, 1e-5)) * steps)
+    edges = np.float32(1) / (1 + np.float32(strength / max(mean_step(frame), 1e-5)) * steps)
     edges *= inside
     edges /= np.float32(max(float(edges.sum(dtype=np.float64)) / count, 1e-12))
     return edges

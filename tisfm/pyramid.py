@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
-from tisfm.image_edges import image_edges_in_lanes
+from tisfm.image_edges import image_edges_in_lanes, mean_step
 from tisfm.kernels.lanes import LaneGrid
 from tisfm.runtime import lanes
 from tisfm.settings import Settings
@@ -115,6 +115,9 @@ def coarse_to_fine(
     factor = settings.pyramid_factor
     pyramid0 = gaussian_pyramid(smooth(grey0, settings.presmoothing), factor, levels)
     pyramid1 = gaussian_pyramid(smooth(grey1, settings.presmoothing), factor, levels)
+    normalization = settings.normalization
+    if normalization is not None:
+        normalization *= mean_step(pyramid0[0])
     history: list[tuple[int, int, Iteration]] = []
     coarse: np.ndarray | None = None
     for level in reversed(range(levels)):
@@ -132,7 +135,7 @@ def coarse_to_fine(
             scheme=settings.derivatives,
             brightness=settings.brightness,
             gradient=settings.gradient,
-            normalization=settings.normalization,
+            normalization=normalization,
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
         minimiser = HalfQuadratic(

@@ -51,8 +51,9 @@ class Settings:
         Weights of the constancy of brightness (eq. 4) and of its gradient, which changes of
         illumination leave alone. At least one is above 0; 1 and 0 in the paper.
     normalization : float or None
-        ζ, grey levels per px: every constraint is divided by |∇I|² + ζ², so that it is a distance
-        in px whatever the contrast. None for constraints as they are: the paper's.
+        ζ, as a share of the mean |ΔI| between neighbours in frame 0: every constraint is divided
+        by |∇I|² + ζ², so that it is a distance in px whatever the contrast and the scale of grey
+        levels. None for constraints as they are: the paper's.
     data_contrast : float or None
         ε, px/frame (grey levels without `normalization`): residuals beyond it count in proportion
         rather than squared (Charbonnier). None for squares: the paper's.
@@ -91,7 +92,7 @@ class Settings:
 
     model: Model = "rigid"
     motion: Motion = "field"
-    smoothness: float = 20.0
+    smoothness: float = 26.0
     beta: float = 1.0
     contrast: float | None = 0.02
     joint_edges: bool = True
@@ -99,7 +100,7 @@ class Settings:
     image_edges: float = 2.0
     brightness: float = 0.3
     gradient: float = 1.0
-    normalization: float | None = 0.1
+    normalization: float | None = 0.02
     data_contrast: float | None = 0.1
     derivatives: Derivatives = "five_tap"
     presmoothing: float = 0.6

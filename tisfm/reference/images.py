@@ -30,8 +30,26 @@ def derivatives(
     return ix, iy, it
 
 
+def spline_coefficients(image: np.ndarray) -> np.ndarray:
+    """Return the coefficients of the cubic B-spline through all pixels, (H, W).
+
+    By solving (c[i−1] + 4 c[i] + c[i+1])/6 = I[i] along columns and rows, with c mirrored at the
+    centres of the border pixels.
+    """
+    coefficients = np.asarray(image, np.float64)
+    for _ in range(2):
+        size = coefficients.shape[0]
+        if size == 1:  # constant
+            coefficients = coefficients.T
+            continue
+        system = (np.diag(np.full(size, 4.0)) + np.eye(size, k=1) + np.eye(size, k=-1)) / 6
+        system[0, 1] = system[-1, -2] = 2 / 6
+        coefficients = np.linalg.solve(system, coefficients).T
+    return coefficients
+
+
 def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample an image at x + flow by Keys' bicubic convolution (a = −½).
+    """Sample an image at x + flow by its cubic B-spline; beyond its border it repeats.
 
     Parameters
     ----------
@@ -45,22 +63,23 @@ def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         The mask is 1 where the target lies inside the image.
     """
     height, width = image.shape
+    coefficients = np.pad(spline_coefficients(image), 2, mode="reflect")
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
     x, y = columns + flow[0], rows + flow[1]
     mask = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    x, y = np.clip(x, -2, width + 1), np.clip(y, -2, height + 1)
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)
     warped = np.zeros((height, width))
     for i in range(-1, 3):
         for j in range(-1, 3):
-            weight = _keys(x - (left + i)) * _keys(y - (top + j))
-            tap = image[np.clip(top + j, 0, height - 1), np.clip(left + i, 0, width - 1)]
-            warped += weight * tap
+            weight = _b_spline(x - (left + i)) * _b_spline(y - (top + j))
+            warped += weight * coefficients[top + j + 2, left + i + 2]
     return warped, mask.astype(np.float64)
 
 
-def _keys(distance: np.ndarray) -> np.ndarray:
+def _b_spline(distance: np.ndarray) -> np.ndarray:
+    """Return the cubic B-spline at a distance in px."""
     d = np.abs(distance)
-    near = 1.5 * d**3 - 2.5 * d**2 + 1
-    far = -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2
+    near = 2 / 3 - d**2 + d**3 / 2
+    far = (2 - d) ** 3 / 6
     return np.where(d <= 1, near, np.where(d < 2, far, 0.0))

@@ -6,7 +6,7 @@ from tisfm.camera import Camera
 from tisfm.reference.data import constancy_tensors, flow, motion_matrix
 from tisfm.reference.images import derivatives, warp
 from tisfm.reference.minimisation import minimise
-from tisfm.reference.smoothness import Smoothness, image_edges
+from tisfm.reference.smoothness import Smoothness, image_edges, mean_step
 from tisfm.settings import Settings
 
 
@@ -40,6 +40,9 @@ def coarse_to_fine(
     height, width = pyramid0[0].shape
     epsilon = np.inf if settings.data_contrast is None else settings.data_contrast
     scales = [m * epsilon**2 for m in (settings.brightness, settings.gradient) if m > 0]
+    normalization = settings.normalization
+    if normalization is not None:
+        normalization *= mean_step(pyramid0[0])
     rho: np.ndarray | None = None
     for level in reversed(range(len(pyramid0))):
         frame0, frame1 = pyramid0[level], pyramid1[level]
@@ -63,7 +66,7 @@ def coarse_to_fine(
                     mask,
                     brightness=settings.brightness,
                     gradient=settings.gradient,
-                    normalization=settings.normalization,
+                    normalization=normalization,
                 ),
                 motion,
                 rho,

@@ -59,6 +59,12 @@ class Smoothness:
         return edges[:, None]
 
 
+def mean_step(frame: np.ndarray) -> float:
+    """Return the mean |ΔI| between neighbours: the contrast of a frame."""
+    steps = [np.abs(np.diff(np.asarray(frame, np.float64), axis=axis)).ravel() for axis in (0, 1)]
+    return float(np.concatenate(steps).mean())
+
+
 def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
     """Return g = c/(1 + κ|ΔI|/m), (2, H, W): m the mean of |ΔI|, c such that the mean of g is 1."""
     steps = np.abs(np.stack(differences(frame[None].astype(np.float64))))[:, 0]
@@ -66,7 +72,7 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
     inside[0, :, -1] = inside[1, -1] = False
     if not inside.any():
         return np.zeros(steps.shape)
-    edges = inside / (1 + strength * steps / max(steps[inside].mean(), 1e-5))
+    edges = inside / (1 + strength * steps / max(mean_step(frame), 1e-5))
     return edges / edges[inside].mean()
 
 
