@@ -34,6 +34,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "no image-driven edges": {"image_edges": 0.0},
     "edges per component": {"joint_edges": False},
     "one stiffness": {"stiffness": (1, 1, 1, 1, 1, 1)},
+    "a stiffer τ3": {"stiffness": (1, 1, 1, 10, 10, 0.3)},
     "quadratic smoothness": {"contrast": None},
     "no presmoothing": {"presmoothing": 0.0},
     "cube derivatives": {"derivatives": "cube"},
@@ -42,10 +43,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     "pyramid factor 0.8": {"pyramid_factor": 0.8},
     "one warp": {"warps": 1},
     "five warps": {"warps": 5},
-    "as few on coarse levels": {"coarse_warps": 3},
-    "twice as many on coarse levels": {"coarse_warps": 12},
-    "half the smoothness": {"smoothness": 10.0},
-    "twice the smoothness": {"smoothness": 40.0},
+    "as few warps on coarse levels": {"coarse_warps": 3},
+    "twice the warps on coarse levels": {"coarse_warps": 12},
+    "half the smoothness": {"smoothness": 11.0},
+    "twice the smoothness": {"smoothness": 44.0},
     # On the scale of grey levels, λ̂ and ε are other numbers: λ̂ is the best of 200, 1000, 3000.
     "not normalised": {"normalization": None, "data_contrast": 1.0, "smoothness": 1000.0},
 }

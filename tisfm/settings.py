@@ -41,9 +41,9 @@ class Settings:
         every component has edges of its own, as in the paper.
     stiffness : tuple of 6 floats
         s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. ω1 and
-        ω2 look like τ2 and τ1, so they had better not change; ω3, about the optical axis, may. A
-        soft τ3 (0.1) gives better flow on slanted surfaces, and worse depth by eq. 24. All 1 in
-        the paper. The translation model uses the first three.
+        ω2 look like τ2 and τ1, so they had better not change; ω3, about the optical axis, may. The
+        softer τ3, the better the flow on slanted surfaces, and the worse depth by eq. 24. All 1
+        in the paper. The translation model uses the first three.
     image_edges : float
         κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|, and
         its mean is kept. 0 in the paper.
@@ -92,11 +92,11 @@ class Settings:
 
     model: Model = "rigid"
     motion: Motion = "field"
-    smoothness: float = 26.0
+    smoothness: float = 22.0
     beta: float = 1.0
     contrast: float | None = 0.02
     joint_edges: bool = True
-    stiffness: tuple[float, float, float, float, float, float] = (1, 1, 1, 10, 10, 0.1)
+    stiffness: tuple[float, float, float, float, float, float] = (1, 1, 0.5, 10, 10, 0.3)
     image_edges: float = 2.0
     brightness: float = 0.3
     gradient: float = 1.0
