@@ -388,6 +388,21 @@ def test_confidence_follows_texture_and_ends_at_the_border():
     assert not confidence[:, -5:].any()  # leaves the image
 
 
+@pytest.mark.parametrize("level", [0, 37, 128])
+def test_confidence_in_textured_parts_does_not_depend_on_how_much_is_uniform(level):
+    pair = two_blocks(120, 160, seed=0)
+    medians = []
+    for width in (0, 96, 128):  # none, 60 % and 80 %
+        frames = pair.frame0.copy(), pair.frame1.copy()
+        for frame in frames:
+            frame[:, :width] = level
+        confidence = tisfm.interpret(*frames, camera=pair.camera).confidence
+        medians.append(np.median(confidence[:, 136:]))
+        if width:
+            assert np.median(confidence[:, : width - 16]) < 0.05
+    assert min(medians) > 0.7 * medians[0] > 0.3
+
+
 def test_confidence_is_the_share_of_the_data(make_problem):
     """½ tr[J M (I + J M)⁻¹], by dense inverses, on a constant patch."""
     from tisfm.confidence import confidence
