@@ -6,10 +6,10 @@ import numpy as np
 from tisfm import runtime
 from tisfm.settings import Settings
 
-DENSITY = 1.2  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
+DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
 # px/frame from the mean of all that go to a place, the pixel itself included: two pixels that move
-# by 0.2 px/frame relative to each other. What moves alike is one surface, seen at a smaller scale.
-APART = 0.1
+# by 0.14 px/frame relative to each other. What moves alike is one surface, seen at a smaller scale.
+APART = 0.07
 MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
 WINDOW = 3  # px: residuals are means over it
 FAR = 1e7  # px/frame: outside any image
