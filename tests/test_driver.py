@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -224,6 +225,46 @@ def test_iteration_limit_is_a_status_with_advice(blocks):
     result = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings)
     assert result.status == "iteration_limit"
     assert "outer_iterations" in result.status.message
+
+
+def test_runaway_flow_has_diverged():
+    """Frames of noise without relation, and next to nothing that holds the flow together."""
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (2, 120, 160), dtype=np.uint8)
+    result = tisfm.interpret(*frames, settings=tisfm.Settings(data_contrast=None, smoothness=1.0))
+    assert np.isfinite(result.flow).all()
+    assert result.status == "diverged"
+    assert "data_contrast" in result.status.message
+
+
+def status_of(flow):
+    """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
+    from tisfm.pair import _status
+
+    solution = SimpleNamespace(
+        history=[(0, 0, SimpleNamespace(change=1e-3))],
+        minimiser=SimpleNamespace(tensor=np.ones((6, 2, 2))),
+        field=SimpleNamespace(rho=np.ones((6, 2, 2))),
+        converged=True,
+    )
+    return _status(solution, flow.astype(np.float32), tisfm.Settings())
+
+
+@pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
+def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged(move, code):
+    """Towards the corner: 15 px leave 56 % of the pixels, 19 px leave 47 %."""
+    status = status_of(np.full((2, 60, 60), move))
+    assert status == code
+    if code == "diverged":
+        assert "leave the image" in status.message and "closer in time" in status.message
+
+
+@pytest.mark.parametrize(("length", "code"), [(29, "converged"), (31, "diverged"), (np.nan, None)])
+def test_one_pixel_that_moves_by_half_the_image_will_do(length, code):
+    flow = np.zeros((2, 60, 40))
+    flow[:, 30, 20] = 0.6 * length, 0.8 * length
+    status = status_of(flow)
+    assert status == (code or "diverged")
 
 
 def test_stops_when_the_variables_cease_to_evolve(blocks):

@@ -21,8 +21,9 @@ class Status(str):
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use, because the
-    frames or the settings are far from any usual scale.
+    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use: somewhere the
+    image motion grew beyond half of the image's longer side, or more than half of the pixels leave
+    the image.
     """
 
     message: str
