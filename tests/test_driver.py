@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench.untextured import bare_parts
 from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
@@ -466,10 +467,7 @@ def test_confidence_is_the_share_of_the_data(make_problem):
 def bare(request):
     """A scene with bare parts, and what is more than 8 px inside them."""
     pair = bare_patches(seed=request.param)
-    boundary = np.zeros(pair.labels.shape, bool)
-    boundary[:, 1:] = np.diff(pair.labels, axis=1) != 0
-    plain = (~pair.textured & ~boundary).astype(np.uint8)
-    return pair, cv2.distanceTransform(plain, cv2.DIST_L2, 5) > 8
+    return pair, bare_parts(pair)
 
 
 @pytest.mark.parametrize("preset", ["balanced", "accurate"])
