@@ -149,9 +149,9 @@ def main(arguments: list[str] | None = None) -> int:
     heading = "# Parts without texture\n\n"
     heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
     notes = (
-        f"\nBare: more than {MARGIN} px from texture and from the block's outline. Depth by eq. 24, in "
-        "the scale of the textured pixels. Noise is Gaussian, independent in both frames, none "
-        "but that of 8-bit rounding where none is named.\n"
+        f"\nBare: more than {MARGIN} px from texture and from the block's outline. Depth by "
+        "eq. 24, in the scale of the textured pixels. Noise is Gaussian, independent in both "
+        "frames, and none but that of 8-bit rounding where none is named.\n"
     )
     (options.output / "untextured.md").write_text(heading + "\n" + text + notes, encoding="utf-8")
     record = {**conditions, "size": [options.height, options.width], "found": found}
