@@ -5,10 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from bench.problems import ALPHA, CONSTRAINTS, CONTRAST, RATIO, RELAXATION, SCALES, Problem
+from bench.problems import (
+    ALPHA,
+    CONSTRAINTS,
+    CONTRAST,
+    RATIO,
+    RELAXATION,
+    SCALES,
+    UNIQUENESS,
+    Problem,
+)
+from bench.references import mask_moments
 from tisfm.field import Field
 from tisfm.interpolation import spline_coefficients
 from tisfm.kernels import (
+    claims,
     derivatives,
     diffusivity,
     evidence,
@@ -21,7 +32,7 @@ from tisfm.kernels import (
     transfer,
     warp,
 )
-from tisfm.kernels.lanes import LaneGrid
+from tisfm.kernels.lanes import LaneGrid, aligned_zeros
 
 Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
 
@@ -151,6 +162,24 @@ class Operations:
         field, out = self.field, self.grid.allocate(7)
         arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho, out)
         return lambda: evidence.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
+
+    def splat(self) -> Timed:
+        arguments = self._arrivals()
+        return lambda: claims.splat(*arguments), lambda _: np.moveaxis(arguments[-1], -1, 0)
+
+    def defeated(self) -> Timed:
+        arguments = self._arrivals()
+        claims.splat(*arguments)
+        out = np.empty((self.problem.height, self.problem.width), np.uint8)
+        return (
+            lambda: claims.defeated(*arguments, out, **UNIQUENESS),
+            lambda _: mask_moments(out),
+        )
+
+    def _arrivals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        p = self.problem
+        flow_images, residual = (array.astype(np.float32) for array in (p.flow, p.residual))
+        return flow_images, residual, aligned_zeros((p.height, p.width, 4))
 
     def _system(self) -> tuple[np.ndarray, np.ndarray]:
         return self.lay(self.problem.tensor), self.lay(self.problem.weights(self.n))

@@ -12,6 +12,7 @@ SMOOTHNESS = reference.Smoothness(contrast=CONTRAST)
 RELAXATION = 1.9
 CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
 SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
+UNIQUENESS = {"density": 1.23, "apart": 0.07}  # pixels per pixel; px/frame
 RATIO = 0.7  # coarse over fine sampling density
 NOISE = 0.1  # px/frame, on ρ̂: no weight of an edge is all but 0 or 1
 
@@ -55,6 +56,11 @@ class Problem:
     def mask(self) -> np.ndarray:
         """1 where the flow stays inside the image, (H, W)."""
         return reference.warp(self.frames[1], self.flow)[1]
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """How badly each pixel's constraints are met, in grey levels; random, (H, W)."""
+        return single(np.random.default_rng(1).uniform(0, 5, (self.height, self.width)))
 
     @cached_property
     def tensor(self) -> np.ndarray:

@@ -4,7 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.problems import ALPHA, CONSTRAINTS, RATIO, RELAXATION, SCALES, SMOOTHNESS, Problem
+from bench.problems import (
+    ALPHA,
+    CONSTRAINTS,
+    RATIO,
+    RELAXATION,
+    SCALES,
+    SMOOTHNESS,
+    UNIQUENESS,
+    Problem,
+)
 from tisfm import reference
 
 Run = Callable[[], np.ndarray]
@@ -106,3 +115,63 @@ class References:
             return np.array([j11, j12, j22, residual, m11, m12, m22])
 
         return run
+
+    def splat(self) -> Run:
+        # Not tisfm.reference.claims, which is a plain loop.
+        return lambda: _claims(self.problem.flow, self.problem.residual)
+
+    def defeated(self) -> Run:
+        flow, residual = self.problem.flow, self.problem.residual
+        found = _claims(flow, residual)
+
+        def run() -> np.ndarray:
+            inside, corners = _arrivals(flow)
+            sums = sum(w * found[:, row, column] for row, column, w in corners)
+            total, badness, u, v = np.split(sums, [1, 2, 3])
+            apart = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
+            loses = total > UNIQUENESS["density"]
+            loses &= apart > UNIQUENESS["apart"] * total
+            loses &= residual[inside] * total > badness
+            out = np.zeros(residual.shape, bool)
+            out[inside] = loses[0]
+            return mask_moments(out)
+
+        return run
+
+
+def mask_moments(mask: np.ndarray) -> np.ndarray:
+    """Return how many pixels a mask has and the sums of their rows and columns, (3, 1).
+
+    A threshold that rounding decides moves them by little.
+    """
+    rows, columns = np.nonzero(mask)
+    return np.array([[len(rows)], [rows.sum()], [columns.sum()]], np.float64)
+
+
+def _arrivals(
+    flow: np.ndarray,
+) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Return which pixels stay inside, and rows, columns and weights around their places."""
+    height, width = flow.shape[1:]
+    x, y = flow[0] + np.arange(width), flow[1] + np.arange(height)[:, None]
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = x[inside], y[inside]
+    left, top = x.astype(int), y.astype(int)
+    across, down = x - left, y - top
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    return inside, [
+        (top, left, (1 - down) * (1 - across)),
+        (top, right, (1 - down) * across),
+        (below, left, down * (1 - across)),
+        (below, right, down * across),
+    ]
+
+
+def _claims(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel."""
+    inside, corners = _arrivals(flow)
+    values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]
+    places = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])
+    weights = np.concatenate([values * weight for *_, weight in corners], axis=1)
+    sums = [np.bincount(places, weight, minlength=residual.size) for weight in weights]
+    return np.stack(sums).reshape(4, *residual.shape)

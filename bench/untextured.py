@@ -1,11 +1,13 @@
 """Flow, depth and confidence in parts without texture: ``python -m bench.untextured``.
 
-Scenes are `tisfm.scenes.bare_patches`. A bare pixel is more than `MARGIN` px from texture and from
+Scenes are `tisfm.scenes.bare_patches`, rounded to 8 bits and, in some rows, with Gaussian noise
+before, on both frames. A bare pixel is more than `MARGIN` px from texture and from
 the block's outline.
 """
 
 import argparse
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -13,12 +15,15 @@ import numpy as np
 
 import tisfm
 from bench.contest import machine
+from tisfm import runtime
 from tisfm.horn_schunck import horn_schunck
 from tisfm.scenes import SyntheticPair, bare_patches
+from tisfm.settings import Preset
 
 MARGIN = 8  # px
 LOW = 0.3  # confidence
 SEEDS = (0, 1, 2)
+NOISE = (2, 5)  # grey levels
 COLUMNS = {
     "textured": "EPE textured, px",
     "wall_left": "bare, within the wall's texture",
@@ -29,6 +34,22 @@ COLUMNS = {
     "low_bare": f"confidence below {LOW}: bare, %",
     "low_textured": "textured, %",
 }
+
+
+@dataclass(frozen=True)
+class Method:
+    """Settings, None for Horn and Schunck; and the noise of the frames, grey levels."""
+
+    settings: tisfm.Settings | None
+    noise: float = 0.0
+
+
+def noisy(pair: SyntheticPair, sigma: float, seed: int) -> SyntheticPair:
+    """Add Gaussian noise to both frames, and round to 8 bits."""
+    rng = np.random.default_rng(seed)
+    frames = (frame + rng.normal(0, sigma, frame.shape) for frame in (pair.frame0, pair.frame1))
+    frame0, frame1 = (np.clip(np.rint(frame), 0, 255).astype(np.uint8) for frame in frames)
+    return replace(pair, frame0=frame0, frame1=frame1)
 
 
 def bare_parts(pair: SyntheticPair) -> np.ndarray:
@@ -68,14 +89,19 @@ def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, f
     return {name: float(value) for name, value in values.items()}
 
 
-def methods() -> dict[str, tisfm.Settings | None]:
-    """Return name → settings."""
+def methods() -> dict[str, Method]:
+    """Return name → method."""
     preset = tisfm.Settings.preset
+    presets: tuple[Preset, ...] = ("paper", "fast", "balanced", "accurate")
     return {
-        **{f"`{name}`": preset(name) for name in ("paper", "fast", "balanced", "accurate")},
-        "`balanced`, `image_edges=0`": preset("balanced", image_edges=0.0),
-        "`balanced`, `coarse_warps=3`": preset("balanced", coarse_warps=3),
-        "Horn–Schunck": None,
+        **{f"`{name}`": Method(preset(name)) for name in presets},
+        "`balanced`, `image_edges=0`": Method(preset("balanced", image_edges=0.0)),
+        "`balanced`, `coarse_warps=3`": Method(preset("balanced", coarse_warps=3)),
+        **{
+            f"`balanced`, noise of {sigma} grey levels": Method(preset("balanced"), noise=sigma)
+            for sigma in NOISE
+        },
+        "Horn–Schunck": Method(None),
     }
 
 
@@ -94,10 +120,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--height", type=int, default=240)
     parser.add_argument("--width", type=int, default=320)
+    parser.add_argument("--threads", type=int, default=2, metavar="N")
     options = parser.parse_args(arguments)
-    scenes = [bare_patches(options.height, options.width, seed=seed) for seed in SEEDS]
+    if options.threads < 1:
+        parser.error(f"--threads is {options.threads}: expected at least 1")
+    runtime.start(threads=options.threads)
+    scenes = {seed: bare_patches(options.height, options.width, seed=seed) for seed in SEEDS}
     found = {
-        name: [measure(scene, settings) for scene in scenes] for name, settings in methods().items()
+        name: [
+            measure(noisy(scene, method.noise, seed) if method.noise else scene, method.settings)
+            for seed, scene in scenes.items()
+        ]
+        for name, method in methods().items()
     }
     means = {
         name: {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
@@ -106,14 +140,21 @@ def main(arguments: list[str] | None = None) -> int:
     text = table(means)
     print(text)
     options.output.mkdir(parents=True, exist_ok=True)
-    heading = (
-        f"# Parts without texture\n\n`tisfm.scenes.bare_patches`, {options.height}×"
-        f"{options.width}, means of {len(SEEDS)} seeds. Bare: more than {MARGIN} px "
-        "from texture and from the block's outline. Depth by eq. 24, in the scale of the textured "
-        "pixels.\n\n"
+    conditions = {
+        "scenes": f"`tisfm.scenes.bare_patches`, {options.height}×{options.width}, means of "
+        f"{len(SEEDS)} seeds",
+        "threads": options.threads,
+        **machine(),
+    }
+    heading = "# Parts without texture\n\n"
+    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
+    notes = (
+        f"\nBare: more than {MARGIN} px from texture and from the block's outline. Depth by "
+        "eq. 24, in the scale of the textured pixels. Noise is Gaussian, independent in both "
+        "frames, and none but that of 8-bit rounding where none is named.\n"
     )
-    (options.output / "untextured.md").write_text(heading + text, encoding="utf-8")
-    record = {"machine": machine(), "size": [options.height, options.width], "scenes": found}
+    (options.output / "untextured.md").write_text(heading + "\n" + text + notes, encoding="utf-8")
+    record = {**conditions, "size": [options.height, options.width], "found": found}
     (options.output / "untextured.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
     return 0
 

@@ -15,7 +15,11 @@ def splat(flow, residual, claims) -> None:
     residual : (H, W) float32
     claims : (H, W, 4) float32
         Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
-        A pixel whose flow leaves the image, or is NaN, adds nothing.
+        A pixel whose flow leaves the image adds nothing. Allocated by `aligned_zeros`.
+
+    Notes
+    -----
+    Flow and residual must be finite: under fast arithmetic, comparisons with NaN prove nothing.
     """
     _check(flow, residual, claims)
     _splat(flow, residual, claims)
@@ -33,11 +37,13 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
         Of `splat`.
     out : (H, W) uint8
         1 where more than `density` pixels go to the pixel's place, their mean flow is more than
-        `apart` from the pixel's, and their mean residual is less than the pixel's; else 0.
+        `apart` from the pixel's, and their mean residual is less than the pixel's; else 0. The
+        means include the pixel itself.
     density : float
         Pixels of frame 0 per pixel of frame 1.
     apart : float
-        px/frame.
+        px/frame, from a mean that includes the pixel itself: of two pixels with equal weights,
+        one moves by 2·apart relative to the other.
     """
     _check(flow, residual, claims)
     check_array(out, residual.shape, "out", dtype="uint8", aligned=False)
@@ -48,10 +54,10 @@ def _check(flow, residual, claims) -> None:
     size = residual.shape
     check_array(residual, size[:2], "residual", aligned=False)
     check_array(flow, (2, *size), "flow", aligned=False)
-    check_array(claims, (*size, 4), "claims", aligned=False)
+    check_array(claims, (*size, 4), "claims")
 
 
-_Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once
+_Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be aligned
 
 
 @ti.kernel
@@ -112,7 +118,7 @@ def _defeated(
 
 @ti.func
 def _is_inside(x, y, image: ti.template()):
-    """Return whether a place lies between the pixels of the border; NaN does not."""
+    """Return whether a place lies between the pixels of the border."""
     across = x >= 0 and x <= image.shape[1] - 1
     down = y >= 0 and y <= image.shape[0] - 1
     return across and down

@@ -211,4 +211,7 @@ def check_array(
     if not (array.flags.c_contiguous and array.flags.writeable):
         raise ValueError(f"{name} must be C-contiguous and writable")
     if aligned and array.ctypes.data % 32:
-        raise ValueError(f"{name} must be aligned to 32 bytes: allocate it with LaneGrid.allocate")
+        raise ValueError(
+            f"{name} must be aligned to 32 bytes: allocate it with "
+            "LaneGrid.allocate or aligned_zeros"
+        )

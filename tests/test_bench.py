@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import ablation, contest_report, peers
+from bench import ablation, contest_report, peers, untextured
 from bench.agreement import check, check_quantile, disagreement
 from bench.bars import bars
 from bench.columns import cores, present, ratio, standard_time
@@ -22,6 +22,9 @@ from bench.peer_process import WORKER, Peer, survey
 from bench.report import HEAD, collect, write_markdown
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.traffic import TRAFFIC
+from bench.untextured import Method
+from tisfm.scenes import bare_patches
+from tisfm.settings import Settings
 
 PIXELS = 480 * 640
 
@@ -312,6 +315,32 @@ def test_smoke_of_the_changes(tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert "missing: none: the same as the preset" in printed
     assert "one warp: warps = 1" in (tmp_path / "smoke-ablation.md").read_text(encoding="utf-8")
+
+
+def test_parts_without_texture(tmp_path, monkeypatch, capsys):
+    fast = Settings.preset("fast", outer_iterations=2)
+    methods = {"a": Method(fast), "b": Method(fast, noise=5), "c": Method(None)}
+    monkeypatch.setattr(untextured, "methods", lambda: methods)
+    monkeypatch.setattr(untextured, "SEEDS", (0, 1))
+    threads = str(os.cpu_count())
+    size = ["--height", "90", "--width", "120"]
+    assert untextured.main(["-o", str(tmp_path), *size, "--threads", threads]) == 0
+    text = (tmp_path / "untextured.md").read_text(encoding="utf-8")
+    assert capsys.readouterr().out.strip() in text
+    assert f"- threads: {threads}" in text and "- NumPy: " in text
+    record = json.loads((tmp_path / "untextured.json").read_text(encoding="utf-8"))
+    assert {name: len(rows) for name, rows in record["found"].items()} == {"a": 2, "b": 2, "c": 2}
+    assert set(record["found"]["a"][0]) == set(untextured.COLUMNS)
+    assert all(np.isfinite(v) for rows in record["found"].values() for v in rows[0].values())
+    assert record["found"]["a"] != record["found"]["b"]
+    assert "depth_bare" not in record["found"]["c"][0]
+
+
+def test_the_noise_is_what_it_says():
+    pair = bare_patches(90, 120)
+    noise = untextured.noisy(pair, 5, seed=0).frame1 - pair.frame1.astype(float)
+    assert noise.std() == pytest.approx(5, rel=0.05)
+    assert {method.noise for method in untextured.methods().values()} == {0, 2, 5}
 
 
 def test_the_changes_are_possible_and_an_impossible_one_is_named():

@@ -4,12 +4,14 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 import tisfm
+from bench.untextured import bare_parts
 from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
@@ -226,6 +228,46 @@ def test_iteration_limit_is_a_status_with_advice(blocks):
     assert "outer_iterations" in result.status.message
 
 
+def test_runaway_flow_has_diverged():
+    """Frames of noise without relation, and next to nothing that holds the flow together."""
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (2, 120, 160), dtype=np.uint8)
+    result = tisfm.interpret(*frames, settings=tisfm.Settings(data_contrast=None, smoothness=1.0))
+    assert np.isfinite(result.flow).all()
+    assert result.status == "diverged"
+    assert "data_contrast" in result.status.message
+
+
+def status_of(flow):
+    """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
+    from tisfm.pair import _status
+
+    solution = SimpleNamespace(
+        history=[(0, 0, SimpleNamespace(change=1e-3))],
+        minimiser=SimpleNamespace(tensor=np.ones((6, 2, 2))),
+        field=SimpleNamespace(rho=np.ones((6, 2, 2))),
+        converged=True,
+    )
+    return _status(solution, flow.astype(np.float32), tisfm.Settings())
+
+
+@pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
+def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged(move, code):
+    """Towards the corner: 15 px leave 56 % of the pixels, 19 px leave 47 %."""
+    status = status_of(np.full((2, 60, 60), move))
+    assert status == code
+    if code == "diverged":
+        assert "leave the image" in status.message and "closer in time" in status.message
+
+
+@pytest.mark.parametrize(("length", "code"), [(29, "converged"), (31, "diverged"), (np.nan, None)])
+def test_one_pixel_that_moves_by_half_the_image_will_do(length, code):
+    flow = np.zeros((2, 60, 40))
+    flow[:, 30, 20] = 0.6 * length, 0.8 * length
+    status = status_of(flow)
+    assert status == (code or "diverged")
+
+
 def test_stops_when_the_variables_cease_to_evolve(blocks):
     settings = tisfm.Settings.preset("paper", tolerance=1e-2)
     history = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings).history
@@ -388,6 +430,21 @@ def test_confidence_follows_texture_and_ends_at_the_border():
     assert not confidence[:, -5:].any()  # leaves the image
 
 
+@pytest.mark.parametrize("level", [0, 37, 128])
+def test_confidence_in_textured_parts_does_not_depend_on_how_much_is_uniform(level):
+    pair = two_blocks(120, 160, seed=0)
+    medians = []
+    for width in (0, 96, 128):  # none, 60 % and 80 %
+        frames = pair.frame0.copy(), pair.frame1.copy()
+        for frame in frames:
+            frame[:, :width] = level
+        confidence = tisfm.interpret(*frames, camera=pair.camera).confidence
+        medians.append(np.median(confidence[:, 136:]))
+        if width:
+            assert np.median(confidence[:, : width - 16]) < 0.05
+    assert min(medians) > 0.7 * medians[0] > 0.3
+
+
 def test_confidence_is_the_share_of_the_data(make_problem):
     """½ tr[J M (I + J M)⁻¹], by dense inverses, on a constant patch."""
     from tisfm.confidence import confidence
@@ -410,10 +467,7 @@ def test_confidence_is_the_share_of_the_data(make_problem):
 def bare(request):
     """A scene with bare parts, and what is more than 8 px inside them."""
     pair = bare_patches(seed=request.param)
-    boundary = np.zeros(pair.labels.shape, bool)
-    boundary[:, 1:] = np.diff(pair.labels, axis=1) != 0
-    plain = (~pair.textured & ~boundary).astype(np.uint8)
-    return pair, cv2.distanceTransform(plain, cv2.DIST_L2, 5) > 8
+    return pair, bare_parts(pair)
 
 
 @pytest.mark.parametrize("preset", ["balanced", "accurate"])

@@ -3,7 +3,7 @@
 import io
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,13 @@ from rich.console import Console
 import tisfm
 from tisfm import evaluation, evaluation_outputs
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import PairEvaluation, evaluate
+from tisfm.evaluation import PairEvaluation, evaluate, mean_errors
 from tisfm.evaluation_outputs import EvaluationWriter
 from tisfm.evaluation_table import evaluation_table
 from tisfm.formats import read_flo, read_image, write_flo, write_kitti_flow, write_png
 from tisfm.metrics import (
     FlowErrors,
+    OcclusionScores,
     angular_error,
     endpoint_error,
     endpoint_error_map,
@@ -185,7 +186,26 @@ def test_occlusion_is_compared_where_the_truth_is_known(data):
     assert found.occlusion == occlusion_scores(ours.occlusion, leaves, mask=known)
     write_kitti_flow(noc.parents[1] / "flow_occ" / noc.name, 0 * loaded.flow)
     write_kitti_flow(noc, 0 * loaded.flow)
-    assert evaluate(find_pairs(data / "road"), settings=FAST).pairs[0].occlusion is None
+    (found,) = evaluate(find_pairs(data / "road"), settings=FAST).pairs
+    assert found.occlusion == occlusion_scores(ours.occlusion, 0 * leaves, mask=known)
+    assert found.occlusion.occluded == found.occlusion.hits == 0 < found.occlusion.marked
+
+
+def test_occlusion_of_a_dataset_counts_false_alarms_where_nothing_is_occluded():
+    def scored(hits, marked, occluded):
+        scores = OcclusionScores.from_counts(
+            hits=hits, marked=marked, occluded=occluded, pixels=1000
+        )
+        errors = FlowErrors(endpoint=1.0, angular=1.0, outliers=0.0, over_one=0.0, pixels=1000)
+        return PairEvaluation(pair=None, seconds=1.0, errors=errors, occlusion=scores)
+
+    found, nothing_there = scored(hits=60, marked=80, occluded=100), scored(0, 40, 0)
+    mean = mean_errors([found, nothing_there]).occlusion
+    assert (mean.hits, mean.marked, mean.occluded, mean.pixels) == (60, 120, 100, 2000)
+    assert mean.precision == 0.5 and mean.recall == 0.6
+    assert mean.f1 == pytest.approx(120 / 220)
+    assert mean.f1 < found.occlusion.f1
+    assert mean_errors([found, replace(nothing_there, occlusion=None)]).occlusion is None
 
 
 def test_a_pair_that_is_all_occluded_has_no_visible_errors(data):

@@ -386,9 +386,18 @@ def test_load_of_arrays_that_do_not_fit(saved, name, array):
     refused(saved, name, str(array.shape), "expected")
 
 
-def test_load_of_a_file_older_than_occlusion(result, saved):
-    rewritten(saved, occlusion=None)
+def as_format_1(path, result, **changes):
+    """Turn a saved file into one of format 1, with other settings if need be."""
+    settings = dataclasses.asdict(result.settings) | changes
+    del settings["coarse_warps"]
+    rewritten(path, occlusion=None)
+    about(path, format=1, version="0.0.9", settings=settings)
+
+
+def test_load_of_format_1(result, saved):
+    as_format_1(saved, result, warps=4)
     older = Interpretation.load(saved)
+    assert older.settings == dataclasses.replace(result.settings, warps=4, coarse_warps=4)
     x = np.arange(W) + result.flow[..., 0]
     y = np.arange(H)[:, None] + result.flow[..., 1]
     leaves = (x < -0.05) | (x > W - 0.95) | (y < -0.05) | (y > H - 0.95)
@@ -396,9 +405,52 @@ def test_load_of_a_file_older_than_occlusion(result, saved):
     assert leaves.any() and result.occlusion[leaves].all()
 
 
+def test_load_of_format_1_that_has_what_it_need_not(result, saved):
+    """As was written for a while before the format was raised."""
+    about(saved, format=1)
+    older = Interpretation.load(saved)
+    assert older.settings == result.settings
+    np.testing.assert_array_equal(older.occlusion, result.occlusion)
+
+
+def test_format_1_is_written_anew_as_the_present_one(result, saved):
+    as_format_1(saved, result)
+    Interpretation.load(saved).save(saved)
+    with np.load(saved, allow_pickle=False) as file:
+        assert json.loads(str(file["about"]))["format"] == FORMAT
+        assert "occlusion" in file.files
+    assert Interpretation.load(saved).settings.coarse_warps == result.settings.warps
+
+
+@pytest.mark.parametrize("name", ["smoothness", "warps", "coarse_warps"])
+@pytest.mark.parametrize("form", [1, FORMAT])
+def test_a_missing_setting_does_not_take_the_default_of_today(result, saved, form, name):
+    settings = dataclasses.asdict(result.settings)
+    if form == 1 and name != "coarse_warps":
+        del settings["coarse_warps"]
+    del settings[name]
+    about(saved, format=form, settings=settings)
+    if (form, name) == (1, "coarse_warps"):
+        assert Interpretation.load(saved).settings.coarse_warps == result.settings.warps
+    else:
+        refused(saved, "its settings lack", name)
+
+
+def test_the_present_format_has_a_map_of_occlusion(saved):
+    rewritten(saved, occlusion=None)
+    refused(saved, "it has no occlusion")
+
+
+@pytest.mark.parametrize("form", [1, FORMAT])
+def test_an_unknown_setting_is_named(result, saved, form):
+    settings = dataclasses.asdict(result.settings) | {"gravity": 9.81}
+    about(saved, format=form, settings=settings)
+    refused(saved, "its settings have the unknown gravity")
+
+
 def test_load_of_a_future_format(saved):
     about(saved, format=FORMAT + 1, version="9.9")
-    refused(saved, f"its format is {FORMAT + 1}", f"reads {FORMAT}", "tisfm 9.9")
+    refused(saved, f"its format is {FORMAT + 1}", f"reads 1 to {FORMAT}", "tisfm 9.9")
 
 
 @pytest.mark.parametrize(

@@ -422,16 +422,18 @@ def test_evidence(size, components, lanes, make_problem):
 @each_size
 def test_claims_and_who_loses_them(size):
     from tisfm.kernels.claims import defeated, splat
+    from tisfm.kernels.lanes import aligned_zeros
 
     rng = np.random.default_rng(3)
-    # Two surfaces that cross, and pixels that leave the image or have no flow at all.
+    # Two surfaces that cross, and pixels that leave the image, also by far.
     flow = rng.normal(0, 0.2, (2, *size)).astype(np.float32)
     flow[0] += np.where(rng.uniform(size=size) < 0.5, 1.5, -1.5)
-    flow[1, 0, 0] = np.nan
+    flow[1, 0, 0] = 1e8
     flow[0, -1, -1] = 0.0
     flow[1, -1, -1] = 0.0  # to the last corner itself
     residual = rng.uniform(0, 5, size).astype(np.float32)
-    claims = np.full((*size, 4), 7, np.float32)
+    claims = aligned_zeros((*size, 4))
+    claims[...] = 7
     splat(flow, residual, claims)
     close(np.moveaxis(claims, -1, 0), reference.claims(flow, residual))
 
@@ -445,14 +447,22 @@ def test_claims_and_who_loses_them(size):
 
 def test_claims_check_their_arrays():
     from tisfm.kernels.claims import defeated, splat
+    from tisfm.kernels.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
-    claims, out = np.zeros((5, 6, 4), np.float32), np.zeros((5, 6), np.uint8)
+    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.uint8)
     with pytest.raises(ValueError, match=r"flow is \(2, 6, 5\): expected \(2, 5, 6\)"):
         splat(np.zeros((2, 6, 5), np.float32), residual, claims)
     with pytest.raises(TypeError, match="residual is float64: expected a NumPy array of float32"):
         splat(flow, residual.astype(np.float64), claims)
     with pytest.raises(ValueError, match="claims must be C-contiguous"):
         splat(flow, residual, np.zeros((5, 4, 6), np.float32).transpose(0, 2, 1))
+    offset = aligned_zeros((5 * 6 * 4 + 1,))[1:].reshape(5, 6, 4)
+    for call in (
+        lambda: splat(flow, residual, offset),
+        lambda: defeated(flow, residual, offset, out, density=1.2, apart=0.1),
+    ):
+        with pytest.raises(ValueError, match="claims must be aligned to 32 bytes"):
+            call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of uint8"):
         defeated(flow, residual, claims, out.view(bool), density=1.2, apart=0.1)

@@ -127,6 +127,25 @@ def test_flow_that_is_no_number_is_marked_and_harms_no_other_pixel():
     np.testing.assert_array_equal(found[far], before[far])
 
 
+def test_a_flow_without_any_number_is_occluded_everywhere():
+    grey = np.zeros((8, 9), np.float32)
+    flow = np.full((2, 8, 9), np.nan, np.float32)
+    assert occlusion(grey, grey, flow, tisfm.Settings()).all()
+
+
+@pytest.mark.parametrize("size", [(16, 40000), (40000, 16)])
+def test_sides_beyond_the_limits_of_16_bits(size):
+    """Noise that moves by whole pixels: what stays inside is seen."""
+    frame = np.random.default_rng(0).uniform(0, 255, size).astype(np.float32)
+    flow = np.zeros((2, *size), np.float32)
+    along = 0 if size[1] > size[0] else 1
+    flow[along] = 3
+    moved = np.roll(frame, 3, axis=1 - along)
+    found = occlusion(frame, moved, flow, tisfm.Settings())
+    np.testing.assert_array_equal(found, leaves_image(flow))
+    assert found.sum() == 3 * 16
+
+
 def test_arguments_are_not_modified():
     pair = passing_block(4)
     grey = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]

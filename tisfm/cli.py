@@ -122,8 +122,8 @@ class Eval:
     Interprets every pair found in the folders and prints one table of errors: end-point (EPE) and
     angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more (R1.0), and,
     where the dataset says what is occluded, EPE without it (noc) and how well it is found (occ F1).
-    Known layouts are those of
-    Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs with a disparity.
+    Known layouts are those of Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs
+    with a disparity.
 
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_error.png (end-point error, on
     one scale for all), NAME_flow.png (recovered beside true flow) and NAME_flow.flo; and eval.json

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 WINDOW = 15  # px: about as far as the regularisation carries data
+ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an image is uniform
 TOLERATED = 4.0  # times the median residual that halves the confidence
 
 
@@ -14,8 +15,8 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
     ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around it and M the
     covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
     is seen (the aperture problem), near 1 at a corner. It is divided by 1 + r/(4·r̃), r the mean
-    squared residual in the window and r̃ its median over the image: where the data
-    constraints are not met, at occlusions above all, texture is no reason for trust.
+    squared residual in the window and r̃ its median over the pixels with a gradient: where the
+    data constraints are not met, at occlusions above all, texture is no reason for trust.
 
     Parameters
     ----------
@@ -29,6 +30,9 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
     (H, W) float32
         In [0, 1]; 0 where occluded.
     """
+    # Without a gradient there is no residual: uniform parts say nothing of what is usual.
+    gradient = evidence[0] + evidence[2]
+    textured = gradient > ROUNDING * gradient.max()
     for k in range(4):
         cv2.boxFilter(evidence[k], -1, (WINDOW, WINDOW), dst=evidence[k], normalize=k == 3)
     j11, j12, j22, residual, m11, m12, m22 = evidence
@@ -40,7 +44,7 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
     trace *= 0.5
     trace += 1
     share = 1 - trace / determinant
-    tolerated = TOLERATED * float(np.median(residual))
+    tolerated = TOLERATED * float(np.median(residual[textured])) if textured.any() else 0.0
     if tolerated > 0:
         share /= 1 + residual / tolerated
     else:

@@ -4,7 +4,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from tisfm.pair import interpret
 from tisfm.settings import Settings, check_settings
 
 _WARM_UP_SIDE = 64  # px
-_Measured = TypeVar("_Measured", FlowErrors, OcclusionScores)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,8 @@ class PairEvaluation:
         The same without the sky, if the dataset says where it is.
     occlusion : OcclusionScores or None
         How well our map of occlusion agrees with that of the dataset and what leaves the image,
-        where the true flow is known; None if the dataset has none, or nothing is occluded.
+        where the true flow is known; None if the dataset has none. Where nothing is occluded, its
+        count of marked pixels is that of false alarms.
     """
 
     pair: DatasetPair
@@ -70,7 +70,7 @@ class PairEvaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class MeanErrors:
-    """Means over pairs, each pair counting the same whatever its size.
+    """Means over pairs, each pair counting the same whatever its size (but see `occlusion`).
 
     Attributes
     ----------
@@ -80,9 +80,12 @@ class MeanErrors:
         Time of an interpretation.
     errors : FlowErrors
         Where the truth is known. Its `pixels` are those of all pairs together.
-    visible, without_sky, occlusion : FlowErrors or OcclusionScores or None
+    visible, without_sky : FlowErrors or None
         As in `PairEvaluation`; None unless every one of the pairs has them, because a mean over
         other pairs could not be compared with that of the column beside it.
+    occlusion : OcclusionScores or None
+        Not a mean: of the pixels of all pairs together, so that a false alarm counts where nothing
+        is occluded. None unless every one of the pairs has them.
     """
 
     pairs: int
@@ -202,7 +205,7 @@ def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
         errors=errors,
         visible=_mean([pair.visible for pair in good]),
         without_sky=_mean([pair.without_sky for pair in good]),
-        occlusion=_mean([pair.occlusion for pair in good]),
+        occlusion=_together([pair.occlusion for pair in good]),
     )
 
 
@@ -253,26 +256,36 @@ def _errors_outside(
 
 
 def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
-    """Compare a map of occlusion with the dataset's, or return None if it has nothing to find."""
+    """Compare a map of occlusion with the dataset's, or return None if it has none."""
     if loaded.occlusion is None:
         return None
     known = np.isfinite(loaded.flow).all(axis=-1)
     # Datasets differ in whether what leaves the image is occluded; to us it is.
     truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
-    return occlusion_scores(occlusion, truth, mask=known) if (truth & known).any() else None
+    return occlusion_scores(occlusion, truth, mask=known)
 
 
-def _mean(errors: Sequence[_Measured | None]) -> _Measured | None:
+def _mean(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
     """Return the mean of every error, or None if one is missing or there are none."""
     present = [error for error in errors if error is not None]
     if not present or len(present) < len(errors):
         return None
     means = {
         field.name: float(np.mean([getattr(error, field.name) for error in present]))
-        for field in fields(present[0])
+        for field in fields(FlowErrors)
         if field.name != "pixels"
     }
-    return type(present[0])(**means, pixels=sum(error.pixels for error in present))
+    return FlowErrors(**means, pixels=sum(error.pixels for error in present))
+
+
+def _together(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:
+    """Return the scores of all maps together, or None if one is missing or there are none."""
+    present = [score for score in scores if score is not None]
+    if not present or len(present) < len(scores):
+        return None
+    names = ("hits", "marked", "occluded", "pixels")
+    counts = {name: sum(getattr(score, name) for score in present) for name in names}
+    return OcclusionScores.from_counts(**counts)
 
 
 def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> None:

@@ -6,6 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tisfm.evaluation import Evaluation, MeanErrors, PairEvaluation
+from tisfm.metrics import OcclusionScores
 
 _NOTHING = "–"
 _Row = PairEvaluation | MeanErrors
@@ -18,9 +19,14 @@ _COLUMNS: dict[str, Callable[[_Row], str]] = {
     "R1.0, %": lambda row: f"{100 * row.errors.over_one:.2f}" if row.errors else _NOTHING,
     "EPE noc": lambda row: f"{row.visible.endpoint:.3f}" if row.visible else _NOTHING,
     "EPE no sky": lambda row: f"{row.without_sky.endpoint:.3f}" if row.without_sky else _NOTHING,
-    "occ F1, %": lambda row: f"{100 * row.occlusion.f1:.1f}" if row.occlusion else _NOTHING,
+    "occ F1, %": lambda row: _f1(row.occlusion),
     "s": lambda row: f"{row.seconds:.2f}" if row.seconds is not None else _NOTHING,
 }
+
+
+def _f1(scores: OcclusionScores | None) -> str:
+    """Return F1 in percent, where there is something to find."""
+    return f"{100 * scores.f1:.1f}" if scores is not None and scores.occluded else _NOTHING
 
 
 def evaluation_table(evaluation: Evaluation) -> Table:
@@ -53,6 +59,9 @@ def evaluation_table(evaluation: Evaluation) -> Table:
         del columns["EPE no sky"]
     if occlusion:
         notes.insert(-2, "occ F1: of our map of occlusion against the dataset's.")
+        notes[notes.index("Means are over pairs.")] = (
+            "Means are over pairs, but occ F1 is over the pixels of all of them."
+        )
     else:
         del columns["occ F1, %"]
     table = Table(title="Flow against the truth", caption=" ".join(notes))

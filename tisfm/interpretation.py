@@ -2,7 +2,7 @@
 
 import io
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tisfm.camera import Camera
 from tisfm.occlusion import leaves_image
 from tisfm.settings import Settings
 
-FORMAT = 1  # of the .npz; raised when a reader of the one before would go wrong
+FORMAT = 2  # of the .npz; raised when a reader of the one before would go wrong
 
 
 class Status(str):
@@ -21,8 +21,9 @@ class Status(str):
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use, because the
-    frames or the settings are far from any usual scale.
+    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use: somewhere the
+    image motion grew beyond half of the image's longer side, or more than half of the pixels leave
+    the image.
     """
 
     message: str
@@ -70,11 +71,11 @@ class Interpretation:
     flow : (H, W, 2) float32
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
     confidence : (H, W) float32
-        In [0, 1]: how much the data of a pixel, not its neighbours, determine its image motion.
-        0 where the pixel is not visible in frame 1.
+        In [0, 1]: how much the data in a window of 15 px around a pixel, not its neighbours'
+        motion, determine its image motion. 0 where the pixel is not visible in frame 1.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
-        `load` of a file older than this map, only what leaves the image.
+        `load` of a file of format 1, which has no such map, only what leaves the image.
     frame : (H, W) or (H, W, 3) uint8
         Frame 0, on the 8-bit scale: what a picture of the result is drawn on.
     camera : Camera
@@ -155,6 +156,9 @@ class Interpretation:
     def load(cls, path: str | Path) -> "Interpretation":
         """Read what `save` wrote.
 
+        Files of format 1 are read as well. They know neither `coarse_warps`, which was that of
+        `warps`, nor what is hidden: `occlusion` then is what leaves the image.
+
         Raises
         ------
         FileNotFoundError, IsADirectoryError, OSError
@@ -180,17 +184,18 @@ class Interpretation:
 
     @classmethod
     def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
-        if "occlusion" not in data and "flow" in data:  # a file older than this map
-            data["occlusion"] = leaves_image(np.moveaxis(data["flow"], -1, 0))
+        about: dict[str, Any] = json.loads(str(data["about"])) if "about" in data else {}
+        if about and about["format"] not in (1, FORMAT):
+            raise ValueError(
+                f"its format is {about['format']} and this version reads 1 to {FORMAT}: "
+                f"it was written by tisfm {about['version']}"
+            )
+        if about and about["format"] == 1:
+            _bring_up_to_date(data, about["settings"])
         missing = {"about", *_ARRAYS}.difference(data)
         if missing:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
-        about: dict[str, Any] = json.loads(str(data["about"]))
-        if about["format"] != FORMAT:
-            raise ValueError(
-                f"its format is {about['format']} and this version reads {FORMAT}: "
-                f"it was written by tisfm {about['version']}"
-            )
+        _check_names(about["settings"])
         height, width = data["frame"].shape[:2]
         expected = {
             "rho": ((6, height, width), np.float32),
@@ -220,6 +225,25 @@ class Interpretation:
             history=History(**history),
             version=about["version"],
         )
+
+
+def _bring_up_to_date(data: dict[str, np.ndarray], settings: dict[str, Any]) -> None:
+    """Add what format 1 lacks to its arrays and settings, in place; it may have some of it."""
+    if "flow" in data:
+        data.setdefault("occlusion", leaves_image(np.moveaxis(data["flow"], -1, 0)))
+    if "warps" in settings:
+        settings.setdefault("coarse_warps", settings["warps"])
+
+
+def _check_names(settings: dict[str, Any]) -> None:
+    """Refuse settings that lack one, which must not take a default of today, or have another."""
+    known = {setting.name for setting in fields(Settings)}
+    for names, fault in (
+        (known.difference(settings), "its settings lack"),
+        (set(settings).difference(known), "its settings have the unknown"),
+    ):
+        if names:
+            raise ValueError(f"{fault} {', '.join(sorted(names))}")
 
 
 _ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")

@@ -324,6 +324,8 @@ class OcclusionScores:
         Share of the occluded pixels that are marked, in [0, 1]; 0 if none is occluded.
     f1 : float
         Their harmonic mean.
+    hits, marked, occluded : int
+        Pixels that are both, that are marked, and that are occluded: of several maps, they add up.
     pixels : int
         Pixels that counted.
     """
@@ -331,7 +333,25 @@ class OcclusionScores:
     precision: float
     recall: float
     f1: float
+    hits: int
+    marked: int
+    occluded: int
     pixels: int
+
+    @classmethod
+    def from_counts(
+        cls, *, hits: int, marked: int, occluded: int, pixels: int
+    ) -> "OcclusionScores":
+        """Return the scores that follow from the counts."""
+        return cls(
+            precision=hits / max(marked, 1),
+            recall=hits / max(occluded, 1),
+            f1=2 * hits / max(marked + occluded, 1),
+            hits=hits,
+            marked=marked,
+            occluded=occluded,
+            pixels=pixels,
+        )
 
 
 def occlusion_scores(
@@ -364,11 +384,8 @@ def occlusion_scores(
     if not counts.any():
         raise ValueError("no pixel counts: the mask leaves none")
     hits, marked, occluded = (int((m & counts).sum()) for m in (found & true, found, true))
-    return OcclusionScores(
-        precision=hits / max(marked, 1),
-        recall=hits / max(occluded, 1),
-        f1=2 * hits / max(marked + occluded, 1),
-        pixels=int(counts.sum()),
+    return OcclusionScores.from_counts(
+        hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())
     )
 
 

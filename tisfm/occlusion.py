@@ -3,12 +3,16 @@
 import cv2
 import numpy as np
 
+from tisfm import runtime
 from tisfm.settings import Settings
 
-DENSITY = 1.2  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
-APART = 0.1  # px/frame: what moves alike is one surface, seen at a smaller scale
+DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
+# px/frame from the mean of all that go to a place, the pixel itself included: two pixels that move
+# by 0.14 px/frame relative to each other. What moves alike is one surface, seen at a smaller scale.
+APART = 0.07
 MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
 WINDOW = 3  # px: residuals are means over it
+FAR = 1e7  # px/frame: outside any image
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 
@@ -19,15 +23,16 @@ def occlusion(
 
     Only one surface is seen at a place of frame 1. Where the flow takes two of them there, the
     one whose data constraints are met worse is hidden. No flow backward in time is needed: the
-    usual check of forward against backward flow costs another interpretation, and found less on
-    scenes with exact truth.
+    usual check of forward against backward flow costs another interpretation. At its usual
+    thresholds its F1 is lower on scenes with exact truth; with looser ones it finds more on some
+    sequences, at less precision (bench/results/tried.md).
 
     Parameters
     ----------
     grey0, grey1 : (H, W) float32
         Grey levels on the 8-bit scale.
     flow : (2, H, W) float32
-        (u, v), px/frame.
+        (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
     settings : Settings
         For the weights of the data constraints.
 
@@ -41,9 +46,13 @@ def occlusion(
     PAMI 34 (2012), 1744, who count how often a place is taken; who loses it is decided here.
     """
     from tisfm.kernels.claims import defeated, splat  # load Taichi
+    from tisfm.kernels.lanes import aligned_zeros
 
+    # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
+    flow = np.nan_to_num(flow, nan=FAR, posinf=FAR, neginf=-FAR)
+    np.clip(flow, -FAR, FAR, out=flow)
     residual = _residual(grey0, grey1, flow, settings)
-    claims = np.empty((*residual.shape, 4), np.float32)
+    claims = aligned_zeros((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.uint8)
     splat(flow, residual, claims)
     defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
@@ -67,14 +76,8 @@ def _residual(
     """
     from tisfm.pyramid import smooth  # loads Taichi
 
-    x, y = _targets(flow)
-    for target, side in ((x, grey0.shape[1]), (y, grey0.shape[0])):
-        # Outside, where it does not matter, positions may be too large for OpenCV, or NaN.
-        np.nan_to_num(target, copy=False)
-        np.clip(target, -1, side, out=target)
     grey0, grey1 = (smooth(grey, settings.presmoothing) for grey in (grey0, grey1))
-    change = cv2.remap(grey1, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    change -= grey0
+    change = _warped(grey1, flow) - grey0
     residual = settings.brightness * change**2
     if settings.gradient > 0:
         for taps in (_FIVE_TAP, _FIVE_TAP.T):
@@ -82,6 +85,20 @@ def _residual(
             residual += settings.gradient * slope**2
     np.sqrt(residual, out=residual)
     return cv2.blur(residual, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
+
+
+def _warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return an image, (H, W), sampled where a flow, (2, H, W), leads; beyond, it repeats."""
+    from tisfm.kernels.images import image_to_lanes
+    from tisfm.kernels.lanes import LaneGrid
+    from tisfm.kernels.warp import warp
+
+    grid = LaneGrid(*image.shape, runtime.lanes())
+    motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
+    for component, values in enumerate(flow):
+        image_to_lanes(grid, values, motion, component=component)
+    warp(grid, image, motion, out, inside)
+    return out
 
 
 def _targets(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

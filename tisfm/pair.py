@@ -10,11 +10,15 @@ from tisfm.camera import Camera, check_camera
 from tisfm.confidence import confidence
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import History, Interpretation, Status
+from tisfm.occlusion import leaves_image
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
 
 if TYPE_CHECKING:  # loading it loads Taichi
     from tisfm.pyramid import Solution
+
+RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
+MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
 
 
 def interpret(
@@ -94,13 +98,20 @@ def interpret(
 
 def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Status:
     last = solution.history[-1][2]
-    # Motion of many times the image's size cannot have been seen; NaN fails the comparison as well.
-    if not np.abs(flow).max() <= 100 * max(flow.shape[1:]):
+    # What moves by half the image is hardly seen twice; NaN fails the comparison as well.
+    if not np.hypot(*flow).max() <= RUNAWAY * max(flow.shape[1:]):
         return Status(
             "diverged",
-            "the numbers grew beyond what single precision can solve: bring the frames to the "
-            "8-bit scale, raise smoothness or contrast, and check the camera's focal length and "
-            "centre",
+            f"image motion grew beyond {100 * RUNAWAY:g}% of the image's longer side: bring the "
+            "frames to the 8-bit scale, give data_contrast a value, raise smoothness or contrast, "
+            "take frames closer in time, and check the camera's focal length and centre",
+        )
+    leaving = float(leaves_image(flow).mean())
+    if leaving > MOST_LEAVING:
+        return Status(
+            "diverged",
+            f"{100 * leaving:.0f}% of the pixels leave the image, so little is left to compare: "
+            "take frames closer in time, check that they are of one scene, or raise smoothness",
         )
     if not solution.minimiser.tensor[:3].any():
         return Status(
