@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm import runtime
+from tisfm.interpolation import spline_coefficients
 from tisfm.settings import Settings
 
 DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
@@ -97,7 +98,7 @@ def _warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)
-    warp(grid, image, motion, out, inside)
+    warp(grid, image, spline_coefficients(image), motion, out, inside)
     return out
 
 
