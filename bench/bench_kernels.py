@@ -21,7 +21,13 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image t
 # hundreds, and where a residual is the difference of much larger numbers. `defeated` decides by
 # thresholds, and some pixels of thousands lie so near one that rounding decides.
 TOLERANCE = 1e-6
-TOLERANCES = {"sweep": 1e-4, "evidence": 1e-4, "robust_tensor": 1e-4, "defeated": 1e-2}
+TOLERANCES = {
+    "constancy_tensors": 1e-5,  # squares of differences of larger numbers
+    "sweep": 1e-4,
+    "evidence": 1e-4,
+    "robust_tensor": 1e-4,
+    "defeated": 1e-2,
+}
 
 
 @dataclass(frozen=True)
