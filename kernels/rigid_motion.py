@@ -1,7 +1,8 @@
 """The motion model (eq. 2): image motion as a linear function of ρ̂, unrolled at compile time.
 
 The number of components names the model: 6 rigid motion (τ, ω), 3 translation (τ), 2 the image
-motion itself (G = identity, for Horn and Schunck).
+motion itself (G = identity, for Horn and Schunck), 1 the motion along a known line (G = (1, 0)ᵀ,
+see `tisfm.kernels.epipolar`).
 """
 
 from tisfm.kernels.small_spd import bind
@@ -12,6 +13,8 @@ def motion_columns(components, x, y):
 
     (u, v)ᵀ = G ρ̂, with ρ̂ = f·(τ1, τ2, τ3, ω1, ω2, ω3) in px/frame and x = x_px/f.
     """
+    if components == 1:
+        return [(1.0, 0.0)]
     if components == 2:
         return [(1.0, 0.0), (0.0, 1.0)]
     translation = [(1.0, 0.0), (0.0, 1.0), (0.0 - x, 0.0 - y)]

@@ -17,8 +17,8 @@ class Field:
     grid : LaneGrid
     camera : Camera
         The camera of this level.
-    components : {6, 3, 2}
-        Rigid motion, translation, or the image motion itself.
+    components : {6, 3, 2, 1}
+        Rigid motion, translation, the image motion itself, or that along a known line.
 
     Attributes
     ----------

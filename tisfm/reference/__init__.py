@@ -33,6 +33,7 @@ from tisfm.reference.energies import (
     energy,
     half_quadratic_energy,
 )
+from tisfm.reference.epipolar import along, displacement
 from tisfm.reference.images import (
     derivatives,
     warp,
@@ -64,6 +65,7 @@ from tisfm.reference.uniqueness import claims, defeated
 __all__ = [
     "Minimisation",
     "Smoothness",
+    "along",
     "aubert",
     "brightness_tensor",
     "claims",
@@ -73,6 +75,7 @@ __all__ = [
     "defeated",
     "derivatives",
     "differences",
+    "displacement",
     "edge_weights",
     "energy",
     "flow",

@@ -10,7 +10,8 @@ from tisfm.camera import Camera
 def motion_matrix(camera: Camera, height: int, width: int, components: int) -> np.ndarray:
     """Return G, (2, components, H, W): eq. 2 in scaled unknowns.
 
-    6 components are rigid motion, 3 translation, 2 the image motion itself.
+    6 components are rigid motion, 3 translation, 2 the image motion itself, 1 the motion along a
+    known line.
     """
     cx, cy = camera.center_for(height, width)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)

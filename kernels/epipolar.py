@@ -1,0 +1,132 @@
+"""One rigid motion of the camera: every pixel moves along a known curve, by its inverse depth.
+
+A pixel at x̂ = (x̂, ŷ, 1) of inverse depth d goes to π(R x̂ + d t), exactly. The unknown of the solver
+is D = f·d, px/frame for ‖t‖ = 1, and about a current D₀ the flow is (u, v) = (u₀, v₀) + (D − D₀) a,
+with a = ∂(u, v)/∂D the direction of the epipolar line. A motion tensor then is a quadratic in D.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_kernel
+
+NEAREST = 0.05  # least depth after the motion over depth before: nothing comes closer to the camera
+
+
+def displacement(
+    grid: LaneGrid, inverse_depth, x_hat, y_hat, flow, direction, *, motion, focal
+) -> None:
+    """Compute the flow of a rigid motion, and how it changes with the inverse depth.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    inverse_depth : lane array, 1 component
+        D, px/frame.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    flow : lane array, 2 components
+        (u, v) = f·(π(R x̂ + d t) − x̂), px/frame.
+    direction : lane array, 2 components
+        a = ∂(u, v)/∂D.
+    motion : (3, 4) array
+        R and t.
+    focal : float
+        px.
+    """
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
+    _displacement[grid.lanes](
+        inverse_depth, x_hat, y_hat, motion_table(motion), focal, flow, direction
+    )
+
+
+def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
+    """Restrict motion tensors to the epipolar line.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    terms : lane array, 6 components for each term
+    flow, direction : lane arrays, 2 components
+        Of `displacement`, at the same D.
+    inverse_depth : lane array, 1 component
+        D₀, px/frame.
+    out : lane array, as many components as `terms`
+        J11 = aᵀJa, j1 = aᵀ(Jc + j) and J_tt = cᵀJc + 2jᵀc + J_tt, with c = (u₀, v₀) − D₀ a: the
+        tensors of a flow (D, 0). J12, J22 and j2 are 0.
+    """
+    count = terms.shape[0] // 6
+    grid.check(terms, 6 * count, "terms")
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check(out, 6 * count, "out")
+    _along[grid.lanes](terms, flow, direction, inverse_depth, count, out)
+
+
+def motion_table(motion) -> np.ndarray:
+    """Return R and t, row by row, as a kernel takes them: (12,) float32."""
+    table = np.ascontiguousarray(motion, np.float32).reshape(-1)
+    if table.shape != (12,) or not np.isfinite(table).all():
+        raise ValueError(f"motion is {motion}: expected a (3, 4) matrix of finite numbers, R and t")
+    return table
+
+
+@ti.func
+def _moved(motion: ti.template(), row: ti.template(), x, y, d):
+    """Return one coordinate of R x̂ + d t."""
+    first = ti.static(4 * row)
+    return motion[first] * x + motion[first + 1] * y + motion[first + 2] + motion[first + 3] * d
+
+
+@lane_kernel
+def _displacement(
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (12,)
+    focal: ti.f32,
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+):
+    for row, position in ti.ndrange(flow.shape[1] - 2, flow.shape[2] - 2):
+        y, s = row + 1, position + 1
+        x_here, y_here = x_hat[s], y_hat[y]
+        d = inverse_depth[0, y, s] / focal
+        nearness = 1.0 / ti.max(_moved(motion, 2, x_here, y_here, d), NEAREST)
+        x_there = nearness * _moved(motion, 0, x_here, y_here, d)
+        y_there = nearness * _moved(motion, 1, x_here, y_here, d)
+        flow[0, y, s] = focal * (x_there - x_here)
+        flow[1, y, s] = focal * (y_there - y_here)
+        direction[0, y, s] = nearness * (motion[3] - x_there * motion[11])
+        direction[1, y, s] = nearness * (motion[7] - y_there * motion[11])
+
+
+@lane_kernel
+def _along(
+    terms: LaneArray(3),  # (6 count, H+2, S+2)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    count: ti.template(),
+    out: LaneArray(3),  # (6 count, H+2, S+2)
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        a, b = direction[0, y, s], direction[1, y, s]
+        d = inverse_depth[0, y, s]
+        u, v = flow[0, y, s] - d * a, flow[1, y, s] - d * b
+        for i in ti.static(range(count)):
+            j11, j12, j22 = terms[6 * i, y, s], terms[6 * i + 1, y, s], terms[6 * i + 2, y, s]
+            j1, j2 = terms[6 * i + 3, y, s], terms[6 * i + 4, y, s]
+            g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
+            out[6 * i, y, s] = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
+            out[6 * i + 1, y, s] = 0.0 * a
+            out[6 * i + 2, y, s] = 0.0 * a
+            out[6 * i + 3, y, s] = a * g1 + b * g2
+            out[6 * i + 4, y, s] = 0.0 * a
+            out[6 * i + 5, y, s] = u * (g1 + j1) + v * (g2 + j2) + terms[6 * i + 5, y, s]
