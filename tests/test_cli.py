@@ -785,7 +785,9 @@ def table_of(out):
     return {cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in rows}
 
 
-def test_eval_prints_a_table(tisfm_run, benchmark_folder, place):
+@pytest.mark.parametrize("columns", ["100", "30"])  # a narrow terminal loses no column
+def test_eval_prints_a_table(tisfm_run, benchmark_folder, place, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", columns)
     before = set(place.rglob("*"))
     code, out, err = tisfm_run("eval", "flows", "flows/Slow")
     assert code == 0 and err == "2 pairs: 2 converged.\n"

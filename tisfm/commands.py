@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -111,7 +112,7 @@ def evaluate(
         evaluation = evaluate_pairs(pairs, camera=camera, settings=settings, on_pair=finish_pair)
     if writer is not None:
         writer.finish(evaluation)
-    Console().print(evaluation_table(evaluation))
+    _print_whole(evaluation_table(evaluation))
     good = [pair for pair in evaluation.pairs if pair.fault is None]
     if good:
         counts = Counter(pair.status for pair in good)
@@ -232,6 +233,13 @@ def _depth_error(depth: np.ndarray, scene: SyntheticPair) -> float:
             errors += found.abs_rel * int(mask.sum())
             pixels += int(mask.sum())
     return errors / pixels
+
+
+def _print_whole(table: Table) -> None:
+    """Print a table with all its columns, were it wider than the terminal."""
+    console = Console()
+    wanted = Measurement.get(console, console.options.update(max_width=1000), table).maximum
+    Console(width=max(console.width, wanted)).print(table)
 
 
 def _progress() -> Progress:
