@@ -32,7 +32,9 @@ def robust_tensor(grid: LaneGrid, terms, x_hat, y_hat, rho, out, *, scales) -> N
     """
     count = _check(grid, terms, x_hat, y_hat, rho, scales)
     grid.check(out, 6, "out")
-    _robust_tensor[grid.lanes](terms, x_hat, y_hat, rho, *_finite(scales), rho.shape[0], count, out)
+    _robust_tensor[grid.lanes](
+        terms, x_hat, y_hat, rho, *finite_scales(scales), rho.shape[0], count, out
+    )
 
 
 def robust_energy(grid: LaneGrid, terms, x_hat, y_hat, rho, *, scales) -> float:
@@ -42,7 +44,7 @@ def robust_energy(grid: LaneGrid, terms, x_hat, y_hat, rho, *, scales) -> float:
     """
     count = _check(grid, terms, x_hat, y_hat, rho, scales)
     partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 1))
-    inverse = _finite(scales)[::2]
+    inverse = finite_scales(scales)[::2]
     _robust_energy[grid.lanes](terms, x_hat, y_hat, rho, *inverse, rho.shape[0], count, partial)
     return float(partial.sum(axis=1).sum(axis=0)[0])
 
@@ -60,7 +62,7 @@ def _check(grid, terms, x_hat, y_hat, rho, scales) -> int:
     return count
 
 
-def _finite(scales) -> tuple[float, ...]:
+def finite_scales(scales) -> tuple[float, ...]:
     """Return 1/scale and scale of two terms; 0 and 0 for a quadratic one, w = 1 without penalty."""
     pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
     return (*pairs[0], *pairs[1])
@@ -84,14 +86,14 @@ def _robust_tensor(
         y, s = row + 1, position + 1
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
         u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
-        w0 = 1.0 / ti.sqrt(1.0 + inverse0 * _quadratic(terms, 0, y, s, u, v))
+        w0 = 1.0 / ti.sqrt(1.0 + inverse0 * quadratic(terms, 0, y, s, u, v))
         penalty = scale0 * (1.0 - w0) * (1.0 - w0) / w0
         if ti.static(count == 1):
             for k in ti.static(range(5)):
                 out[k, y, s] = w0 * terms[k, y, s]
             out[5, y, s] = w0 * terms[5, y, s] + penalty
         else:
-            w1 = 1.0 / ti.sqrt(1.0 + inverse1 * _quadratic(terms, 6, y, s, u, v))
+            w1 = 1.0 / ti.sqrt(1.0 + inverse1 * quadratic(terms, 6, y, s, u, v))
             penalty = penalty + scale1 * (1.0 - w1) * (1.0 - w1) / w1
             for k in ti.static(range(5)):
                 out[k, y, s] = w0 * terms[k, y, s] + w1 * terms[6 + k, y, s]
@@ -120,16 +122,17 @@ def _robust_energy(
             s = position + 1
             columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
             u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
-            q0 = _quadratic(terms, 0, y, s, u, v)
+            q0 = quadratic(terms, 0, y, s, u, v)
             total += 2.0 * q0 / (1.0 + ti.sqrt(1.0 + inverse0 * q0))
             if ti.static(count == 2):
-                q1 = _quadratic(terms, 6, y, s, u, v)
+                q1 = quadratic(terms, 6, y, s, u, v)
                 total += 2.0 * q1 / (1.0 + ti.sqrt(1.0 + inverse1 * q1))
         store_sum(partial, row, block, 0, total, ti.static(lane_count(rho)))
 
 
 @ti.func
-def _quadratic(terms: ti.template(), first: ti.template(), y, s, u, v):
+def quadratic(terms: ti.template(), first: ti.template(), y, s, u, v):
+    """Return the quadratic form of the term that begins at component `first`, at least 0."""
     j12, j1 = terms[first + 1, y, s], terms[first + 3, y, s]
     value = u * (terms[first, y, s] * u + 2.0 * (j12 * v + j1))
     value += v * (terms[first + 2, y, s] * v + 2.0 * terms[first + 4, y, s])

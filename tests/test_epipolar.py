@@ -24,6 +24,20 @@ def test_reference_displacement_is_the_flow_of_a_scene(kind):
     np.testing.assert_allclose(flow, np.moveaxis(scene.flow, -1, 0), atol=1e-9)
 
 
+OTHER_TWIST = (-0.2, 0.5, 0.3, -0.01, 0.03, 0.05)
+
+
+def two_motions():
+    """Return (rotation, translation) of two motions, and both as kernels take them."""
+    poses = [rigid_motion(twist) for twist in (TWIST, OTHER_TWIST)]
+    return poses, np.array([np.column_stack(pose) for pose in poses], np.float32)
+
+
+def chequered(height, width):
+    rows, columns = np.mgrid[:height, :width]
+    return ((rows // 2 + columns // 3) % 2).astype(np.float64)
+
+
 @each_size
 @each_lanes
 def test_displacement_and_direction(size, lanes, make_problem):
@@ -33,15 +47,17 @@ def test_displacement_and_direction(size, lanes, make_problem):
     field = problem.field
     inverse_depth = np.abs(problem.rho) + 1
     field.rho[...] = problem.to_lanes(inverse_depth)
-    rotation, translation = rigid_motion(TWIST)
+    poses, motions = two_motions()
+    labels = chequered(*size)
     flow, direction = problem.grid.allocate(2), problem.grid.allocate(2)
     displacement(
-        problem.grid, field.rho, field.x_hat, field.y_hat, flow, direction,
-        motion=np.column_stack([rotation, translation]), focal=problem.camera.focal,
+        problem.grid, field.rho, problem.to_lanes(labels[None]), field.x_hat, field.y_hat,
+        flow, direction, motions=motions, focal=problem.camera.focal,
     )  # fmt: skip
 
     def exact(values):
-        return reference.displacement(values[0], problem.camera, rotation, translation)
+        each = [reference.displacement(values[0], problem.camera, *pose) for pose in poses]
+        return np.where(labels == 0, *each)
 
     expected = exact(inverse_depth)
     # f·(π(…) − x̂) is a difference of numbers of up to f·x̂.
@@ -49,6 +65,52 @@ def test_displacement_and_direction(size, lanes, make_problem):
     step = 1e-4
     slope = (exact(inverse_depth + step) - exact(inverse_depth - step)) / (2 * step)
     np.testing.assert_allclose(problem.from_lanes(direction), slope, atol=2e-6, rtol=1e-5)
+
+
+@each_size
+@each_lanes
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("label", [0, 1])
+@pytest.mark.parametrize("alpha", [3.0, np.inf])
+def test_motion_system(size, lanes, count, label, alpha, make_problem):
+    from tisfm.kernels.epipolar import displacement
+    from tisfm.kernels.motion_system import motion_system
+
+    problem = make_problem(*size, 1, lanes)
+    grid, field = problem.grid, problem.field
+    terms = [make_problem(*size, 1, lanes, seed=k).tensor for k in range(count)]
+    scales = (2.0, 0.5)[:count]
+    inverse_depth = np.abs(problem.rho) + 1
+    field.rho[...] = problem.to_lanes(inverse_depth)
+    poses, motions = two_motions()
+    labels = problem.to_lanes(chequered(*size)[None])
+    flow, direction = grid.allocate(2), grid.allocate(2)
+    displacement(
+        grid, field.rho, labels, field.x_hat, field.y_hat, flow, direction,
+        motions=motions, focal=problem.camera.focal,
+    )  # fmt: skip
+    rng = np.random.default_rng(7)
+    weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
+    matrix, vector = motion_system(
+        grid, problem.to_lanes(np.concatenate(terms)), field.rho, labels, problem.to_lanes(weights),
+        field.x_hat, field.y_hat, flow, direction, motions=motions, label=label,
+        focal=problem.camera.focal, scales=scales, alpha=alpha,
+    )  # fmt: skip
+    identity = reference.motion_matrix(problem.camera, *size, 2)
+    moved = reference.displacement(inverse_depth[0], problem.camera, *poses[label])
+    tensor = reference.robust_tensor(terms, identity, moved, scales)
+    east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
+    neighbours = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
+    hold = min(alpha, 1e12) * np.maximum(neighbours, 1e-12)
+    mine = chequered(*size) == label
+    expected = reference.motion_system(
+        tensor * mine, inverse_depth[0], hold, problem.camera, *poses[label]
+    )
+    if not mine.any():
+        assert not matrix.any() and not vector.any()
+        return
+    np.testing.assert_allclose(matrix, expected[0], rtol=1e-4, atol=1e-4 * np.abs(matrix).max())
+    np.testing.assert_allclose(vector, expected[1], rtol=1e-3, atol=1e-4 * np.abs(vector).max())
 
 
 @each_size
@@ -82,9 +144,16 @@ def test_along(size, lanes, count, make_problem):
         )
 
 
-@pytest.mark.parametrize("motion", [np.eye(3), np.full((3, 4), np.nan)])
-def test_motion_is_checked(motion):
-    from tisfm.kernels.epipolar import motion_table
+@pytest.mark.parametrize(
+    "motions", [np.eye(3), np.zeros((0, 3, 4), np.float32), np.zeros((1, 4, 4), np.float32), None]
+)
+def test_motions_are_checked(motions, make_problem):
+    from tisfm.kernels.epipolar import displacement
 
-    with pytest.raises(ValueError, match="expected a \\(3, 4\\) matrix"):
-        motion_table(motion)
+    problem = make_problem(5, 7, 1, 1)
+    field, grid = problem.field, problem.grid
+    with pytest.raises((TypeError, ValueError), match="motions is"):
+        displacement(
+            grid, field.rho, grid.allocate(1), field.x_hat, field.y_hat,
+            grid.allocate(2), grid.allocate(2), motions=motions, focal=1.0,
+        )  # fmt: skip

@@ -33,7 +33,7 @@ from tisfm.reference.energies import (
     energy,
     half_quadratic_energy,
 )
-from tisfm.reference.epipolar import along, displacement
+from tisfm.reference.epipolar import along, displacement, motion_system
 from tisfm.reference.images import (
     derivatives,
     warp,
@@ -85,6 +85,7 @@ __all__ = [
     "local_right_sides",
     "minimise",
     "motion_matrix",
+    "motion_system",
     "prolong",
     "residual",
     "robust_energy",

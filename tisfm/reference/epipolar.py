@@ -1,4 +1,4 @@
-"""One rigid motion of the camera: every pixel moves along a line, by its inverse depth."""
+"""Rigid motions: every pixel moves along a line, by its inverse depth."""
 
 import numpy as np
 
@@ -15,10 +15,7 @@ def displacement(
     inverse_depth : (H, W)
         D = f·d, px/frame for ‖t‖ = 1.
     """
-    height, width = inverse_depth.shape
-    cx, cy = camera.center_for(height, width)
-    rows, columns = np.mgrid[:height, :width].astype(np.float64)
-    ray = np.stack([(columns - cx) / camera.focal, (rows - cy) / camera.focal, np.ones_like(rows)])
+    ray = _rays(camera, *inverse_depth.shape)
     moved = np.einsum("ij,jyx->iyx", rotation, ray)
     moved += translation[:, None, None] * inverse_depth / camera.focal
     return camera.focal * (moved[:2] / moved[2] - ray[:2])
@@ -43,3 +40,61 @@ def along(
         constant = (fixed * (gradient + 2 * vector)).sum(axis=0) + jtt
         restricted.append(np.stack([square, zero, zero, linear, zero, constant]))
     return restricted
+
+
+def motion_system(
+    tensor: np.ndarray,
+    inverse_depth: np.ndarray,
+    hold: np.ndarray,
+    camera: Camera,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal equations of a small change (δt, δω) of the motion, D eliminated.
+
+    With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is that of its tensor and
+    `hold`·δD²; it is minimised over δD before pixels are summed.
+
+    Parameters
+    ----------
+    tensor : (6, H, W)
+        Weighted sum of the data terms.
+    inverse_depth : (H, W)
+        D = f·d.
+    hold : (H, W)
+
+    Returns
+    -------
+    matrix, vector : (6, 6) and (6,)
+        The energy is constant + xᵀ matrix x + 2 xᵀ vector.
+    """
+    focal = camera.focal
+    ray = _rays(camera, *inverse_depth.shape)
+    d = inverse_depth / focal
+    point = np.einsum("ij,jyx->iyx", rotation, ray) + translation[:, None, None] * d
+    x, y, z = point
+    zero = np.zeros_like(x)
+    # d(f·x/z) and d(f·y/z) of the point, and the point's own changes: d·δt + δω × P, and δD·t/f.
+    projection = focal * np.array([[1 / z, zero, -x / z**2], [zero, 1 / z, -y / z**2]])
+    cross = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])  # δω × P = cross · δω
+    change = np.concatenate([np.eye(3)[..., None, None] * d, cross], axis=1)
+    b = np.einsum("ckyx,kmyx->cmyx", projection, change)
+    a = np.einsum("ckyx,k->cyx", projection, translation) / focal
+    j11, j12, j22, j1, j2, _ = tensor
+    j = np.array([[j11, j12], [j12, j22]])
+    flow = focal * (point[:2] / z - ray[:2])
+    gradient = np.einsum("abyx,byx->ayx", j, flow) + np.array([j1, j2])
+    full = np.concatenate([b, a[:, None]], axis=1)  # the unknowns (δt, δω, δD)
+    square = np.einsum("akyx,abyx,blyx->klyx", full, j, full)
+    linear = np.einsum("akyx,ayx->kyx", full, gradient)
+    pivot = square[6, 6] + hold
+    matrix = square[:6, :6] - square[:6, 6][:, None] * square[6, :6] / pivot
+    vector = linear[:6] - square[:6, 6] * linear[6] / pivot
+    return matrix.sum(axis=(2, 3)), vector.sum(axis=(1, 2))
+
+
+def _rays(camera: Camera, height: int, width: int) -> np.ndarray:
+    """Return (x̂, ŷ, 1) of every pixel, (3, H, W)."""
+    cx, cy = camera.center_for(height, width)
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    return np.stack([(columns - cx) / camera.focal, (rows - cy) / camera.focal, np.ones_like(rows)])

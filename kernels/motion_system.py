@@ -1,0 +1,186 @@
+"""Normal equations of a rigid motion, every pixel's inverse depth eliminated."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.epipolar import NEAREST, check_geometry
+from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel
+from tisfm.kernels.reductions import BLOCK, store_sum
+from tisfm.kernels.robust import finite_scales, quadratic
+from tisfm.kernels.small_spd import bind
+
+TINY = 1e-12  # in place of a curvature where there is neither data nor a neighbour
+
+
+def motion_system(
+    grid: LaneGrid,
+    terms,
+    inverse_depth,
+    labels,
+    weights,
+    x_hat,
+    y_hat,
+    flow,
+    direction,
+    *,
+    motions,
+    label: int,
+    focal: float,
+    scales,
+    alpha: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum the normal equations of a small change of one motion, inverse depth eliminated.
+
+    A change (δt, δω) takes R x̂ + d t to itself plus d δt + δω × (R x̂ + d t), and the flow by B (δt,
+    δω). Every pixel's D may answer it, held by its neighbours alone; that is the Schur complement
+    BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    terms : lane array, 6 components for each of 1 or 2 terms
+        Motion tensors, as `displacement` made them hold: about `flow`.
+    inverse_depth : lane array, 1 component
+        D.
+    labels : lane array, 1 component
+    weights : lane array, 2 components
+        g·b of every edge of D.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    flow, direction : lane arrays, 2 components
+        Of `displacement` at the current D and motions.
+    motions : (K, 3, 4) float32
+    label : int
+        The motion whose pixels are summed.
+    focal : float
+        px.
+    scales : sequence of float
+        m_i ε² of each term (`tisfm.kernels.robust`).
+    alpha : float
+        Weight of D's regularisation; infinity holds D.
+
+    Returns
+    -------
+    matrix, vector : (6, 6) and (6,) float64
+        The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
+    """
+    count = len(scales)
+    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions)
+    grid.check(terms, 6 * count, "terms")
+    grid.check(weights, 2, "weights")
+    partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 27))
+    _motion_system[grid.lanes](
+        terms,
+        inverse_depth,
+        labels,
+        weights,
+        x_hat,
+        y_hat,
+        flow,
+        direction,
+        np.ascontiguousarray(motions[label]),
+        label,
+        focal,
+        *finite_scales(scales)[::2],
+        min(alpha, 1e12),
+        count,
+        partial,
+    )
+    sums = partial.sum(axis=1).sum(axis=0)
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = sums[:21]
+    return matrix + np.triu(matrix, 1).T, sums[21:]
+
+
+@lane_kernel
+def _motion_system(
+    terms: LaneArray(3),  # (6 count, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    labels: LaneArray(3),  # (1, H+2, S+2)
+    weights: LaneArray(3),  # (2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    label: ti.f32,
+    focal: ti.f32,
+    inverse0: ti.f32,
+    inverse1: ti.f32,
+    alpha: ti.f32,
+    count: ti.template(),
+    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 27)
+):
+    height, strip = flow.shape[1] - 2, flow.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(27)])
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            apart = labels[0, y, s] - label
+            mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
+            u, v = flow[0, y, s], flow[1, y, s]
+            a, b = direction[0, y, s], direction[1, y, s]
+            w0 = mine / ti.sqrt(1.0 + inverse0 * quadratic(terms, 0, y, s, u, v))
+            j11, j12, j22 = w0 * terms[0, y, s], w0 * terms[1, y, s], w0 * terms[2, y, s]
+            j1, j2 = w0 * terms[3, y, s], w0 * terms[4, y, s]
+            if ti.static(count == 2):
+                w1 = mine / ti.sqrt(1.0 + inverse1 * quadratic(terms, 6, y, s, u, v))
+                j11 += w1 * terms[6, y, s]
+                j12 += w1 * terms[7, y, s]
+                j22 += w1 * terms[8, y, s]
+                j1 += w1 * terms[9, y, s]
+                j2 += w1 * terms[10, y, s]
+            g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
+            neighbours = weights[0, y, s] + weights[0, y, s - 1]
+            neighbours += weights[1, y, s] + weights[1, y - 1, s]
+            # The point after the motion, in units of its depth.
+            x, yy = u / focal + x_hat[s], v / focal + y_hat[y]
+            d = inverse_depth[0, y, s] / focal
+            depth = motion[2, 0] * x_hat[s] + motion[2, 1] * y_hat[y] + motion[2, 2]
+            lever = focal * d / ti.max(depth + d * motion[2, 3], NEAREST)
+            columns = ti.static(_motion_columns(x, yy, lever, focal))
+            curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
+            inverse = 1.0 / (curvature + alpha * neighbours + TINY)
+            slope = a * g1 + b * g2
+            pulled = ti.static(_pulled(columns, j11, j12, j22))
+            answers = ti.static(_answers(pulled, a, b))
+            for i in ti.static(range(6)):
+                for j in ti.static(range(i, 6)):
+                    k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
+                    sums[k] += (
+                        columns[i][0] * pulled[j][0]
+                        + columns[i][1] * pulled[j][1]
+                        - inverse * answers[i] * answers[j]
+                    )
+                sums[21 + i] += (
+                    columns[i][0] * g1 + columns[i][1] * g2 - inverse * answers[i] * slope
+                )
+        for k in ti.static(range(27)):
+            store_sum(partial, row, block, k, sums[k], ti.static(lane_count(flow)))
+
+
+def _motion_columns(x, y, lever, focal):
+    """Return the columns of B at a point (x, y, 1) after the motion, lever = f·d/depth there."""
+    zero = bind(0.0 * x)
+    xy = bind(focal * x * y)
+    return [
+        (lever, zero),
+        (zero, lever),
+        (bind(0.0 - lever * x), bind(0.0 - lever * y)),
+        (bind(0.0 - xy), bind(0.0 - focal * (1.0 + y * y))),
+        (bind(focal * (1.0 + x * x)), xy),
+        (bind(0.0 - focal * y), bind(focal * x)),
+    ]
+
+
+def _pulled(columns, j11, j12, j22):
+    """Return the columns of J B."""
+    return [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
+
+
+def _answers(pulled, a, b):
+    """Return aᵀ J B."""
+    return [bind(a * p + b * q) for p, q in pulled]
