@@ -67,7 +67,10 @@ def taichi_run(problem: Problem, settings: Settings):
 
     def run():
         solution = pyramid.coarse_to_fine(
-            *frames, problem.camera, settings, components=settings.components, contrast=contrast
+            pyramid.Pyramid(*frames, problem.camera, settings),
+            settings,
+            components=settings.components,
+            contrast=contrast,
         )
         ti.sync()
         return solution.field

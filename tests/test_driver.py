@@ -15,7 +15,14 @@ from bench.untextured import bare_parts
 from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
-from tisfm.pyramid import COARSEST_SIDE, coarse_to_fine, gaussian_pyramid, level_count, smooth
+from tisfm.pyramid import (
+    COARSEST_SIDE,
+    Pyramid,
+    coarse_to_fine,
+    gaussian_pyramid,
+    level_count,
+    smooth,
+)
 from tisfm.scenes import bare_patches, static_scene, two_blocks
 
 
@@ -44,10 +51,9 @@ def moving_noise(height, width, motion, *, seed=0):
 
 
 def solve(frame0, frame1, settings, camera, components=None):
+    frames = frame0.astype(np.float32), frame1.astype(np.float32)
     return coarse_to_fine(
-        frame0.astype(np.float32),
-        frame1.astype(np.float32),
-        camera,
+        Pyramid(*frames, camera, settings),
         settings,
         components=components or settings.components,
         contrast=settings.contrast_for(camera.focal),

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from tisfm.field import Field
 from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
@@ -60,12 +59,16 @@ class DataTerm:
         self._warped = np.empty_like(frame1)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
         self._mask = grid.allocate(1)
-        self._flow = grid.allocate(2)
         self._terms = grid.allocate(6 * len(self.scales))
         image_to_lanes(grid, frame0, self._lanes0)
 
-    def linearise(self, field: Field) -> np.ndarray:
-        """Warp frame 1 by the field's flow and return the motion tensors there.
+    def linearise(self, flow: np.ndarray) -> np.ndarray:
+        """Warp frame 1 by a flow and return the motion tensors there.
+
+        Parameters
+        ----------
+        flow : lane array, 2 components
+            (u, v), px/frame.
 
         Returns
         -------
@@ -73,11 +76,10 @@ class DataTerm:
             J11, J12, J22, j1, j2, J_tt: overwritten by the next call.
         """
         grid = self._grid
-        field.flow(self._flow)
-        warp(grid, self._frame1, self._spline1, self._flow, self._warped, self._mask)
+        warp(grid, self._frame1, self._spline1, flow, self._warped, self._mask)
         image_to_lanes(grid, self._warped, self._lanes1)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
         constancy_tensors(
-            grid, self._derivatives, self._flow, self._mask, self._terms, **self._constraints
+            grid, self._derivatives, flow, self._mask, self._terms, **self._constraints
         )
         return self._terms

@@ -63,7 +63,8 @@ def horn_schunck(
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()
-    from tisfm.pyramid import coarse_to_fine
+    from tisfm.pyramid import Pyramid, coarse_to_fine
 
-    solution = coarse_to_fine(grey0, grey1, Camera(), settings, components=2, contrast=float("inf"))
+    pyramid = Pyramid(grey0, grey1, Camera(), settings)
+    solution = coarse_to_fine(pyramid, settings, components=2, contrast=float("inf"))
     return np.ascontiguousarray(np.moveaxis(solution.field.images(), 0, -1))

@@ -65,12 +65,10 @@ def interpret(
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.occlusion import occlusion
-    from tisfm.pyramid import coarse_to_fine
+    from tisfm.pyramid import Pyramid, coarse_to_fine
 
     solution = coarse_to_fine(
-        grey0,
-        grey1,
-        camera,
+        Pyramid(grey0, grey1, camera, settings),
         settings,
         components=settings.components,
         contrast=settings.contrast_for(camera.focal),

@@ -1,6 +1,7 @@
 """Coarse to fine: large motions become small ones on a smaller image."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,16 +88,8 @@ def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.n
     return pyramid
 
 
-def coarse_to_fine(
-    grey0: np.ndarray,
-    grey1: np.ndarray,
-    camera: Camera,
-    settings: Settings,
-    *,
-    components: int,
-    contrast: float,
-) -> Solution:
-    """Estimate ρ̂ from the coarsest level to the finest, from zero.
+class Pyramid:
+    """Both frames at every level, 0 the finest.
 
     Parameters
     ----------
@@ -104,43 +97,84 @@ def coarse_to_fine(
         Grey levels on the 8-bit scale.
     camera : Camera
     settings : Settings
-    components : {6, 3, 2}
-        Unknowns per pixel.
+        Presmoothing and the levels.
+
+    Attributes
+    ----------
+    frames0, frames1 : list of (h, w) float32
+        Smoothed beforehand, the finest first.
     contrast : float
-        δ, px/frame of every level.
+        Mean |ΔI| between neighbours of frame 0 at the finest level.
     """
-    height, width = grey0.shape
-    lane_number = lanes()
-    levels = level_count(height, width, settings)
-    factor = settings.pyramid_factor
-    pyramid0 = gaussian_pyramid(smooth(grey0, settings.presmoothing), factor, levels)
-    pyramid1 = gaussian_pyramid(smooth(grey1, settings.presmoothing), factor, levels)
-    normalization = settings.normalization
-    if normalization is not None:
-        normalization *= mean_step(pyramid0[0])
-    history: list[tuple[int, int, Iteration]] = []
-    coarse: np.ndarray | None = None
-    for level in reversed(range(levels)):
-        frame0, frame1 = pyramid0.pop(), pyramid1.pop()
-        grid = LaneGrid(*frame0.shape, lanes=lane_number)
-        field = Field(grid, camera.scaled(factor**level, height, width), components)
+
+    def __init__(
+        self, grey0: np.ndarray, grey1: np.ndarray, camera: Camera, settings: Settings
+    ) -> None:
+        self._camera, self._settings = camera, settings
+        height, width = grey0.shape
+        levels, factor = level_count(height, width, settings), settings.pyramid_factor
+        sigma = settings.presmoothing
+        self.frames0 = gaussian_pyramid(smooth(grey0, sigma), factor, levels)
+        self.frames1 = gaussian_pyramid(smooth(grey1, sigma), factor, levels)
+        self.contrast = mean_step(self.frames0[0])
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return len(self.frames0)
+
+    def scale(self, level: int) -> float:
+        """Return the sampling density of a level relative to the finest."""
+        return self._settings.pyramid_factor**level
+
+    def field(self, level: int, components: int, coarse: np.ndarray | None) -> Field:
+        """Return the unknown of a level, from that of the next coarser one or from zero."""
+        frame0 = self.frames0[level]
+        grid = LaneGrid(*frame0.shape, lanes=lanes())
+        camera = self._camera.scaled(self.scale(level), *self.frames0[0].shape)
+        field = Field(grid, camera, components)
         if coarse is not None:
-            field.start_from(coarse, factor)
-        if settings.image_edges > 0:
-            field.edges = image_edges_in_lanes(grid, frame0, settings.image_edges)
-        data_term = DataTerm(
+            field.start_from(coarse, self._settings.pyramid_factor)
+        if self._settings.image_edges > 0:
+            field.edges = image_edges_in_lanes(grid, frame0, self._settings.image_edges)
+        return field
+
+    def data_term(
+        self,
+        level: int,
+        grid: LaneGrid,
+        *,
+        brightness: float,
+        gradient: float,
+        normalization: float | None,
+    ) -> DataTerm:
+        """Return the data term of a level; `normalization` is a share of the frame's contrast."""
+        settings = self._settings
+        return DataTerm(
             grid,
-            frame0,
-            frame1,
+            self.frames0[level],
+            self.frames1[level],
             scheme=settings.derivatives,
-            brightness=settings.brightness,
-            gradient=settings.gradient,
-            normalization=normalization,
+            brightness=brightness,
+            gradient=gradient,
+            normalization=None if normalization is None else normalization * self.contrast,
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
-        minimiser = HalfQuadratic(
+
+    def minimiser(
+        self,
+        field: Field,
+        data_term: DataTerm,
+        *,
+        alpha: float,
+        contrast: float,
+        stiffness: Sequence[float],
+    ) -> HalfQuadratic:
+        """Return the minimiser of a level's unknown."""
+        settings = self._settings
+        return HalfQuadratic(
             field,
-            alpha=settings.alpha,
+            alpha=alpha,
             contrast=contrast,
             outer_iterations=settings.outer_iterations,
             sweeps=settings.sweeps,
@@ -148,14 +182,51 @@ def coarse_to_fine(
             tolerance=settings.tolerance,
             solver=settings.solver,
             scales=data_term.scales,
-            stiffness=settings.stiffness[:components],
+            stiffness=stiffness,
             joint=settings.joint_edges,
         )
+
+
+def coarse_to_fine(
+    pyramid: Pyramid, settings: Settings, *, components: int, contrast: float, finest: int = 0
+) -> Solution:
+    """Estimate ρ̂ from the coarsest level to the finest, from zero.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    components : {6, 3, 2}
+        Unknowns per pixel.
+    contrast : float
+        δ, px/frame of every level.
+    finest : int
+        The level to end with.
+    """
+    history: list[tuple[int, int, Iteration]] = []
+    coarse: np.ndarray | None = None
+    for level in reversed(range(finest, pyramid.levels)):
+        field = pyramid.field(level, components, coarse)
+        data_term = pyramid.data_term(
+            level,
+            field.grid,
+            brightness=settings.brightness,
+            gradient=settings.gradient,
+            normalization=settings.normalization,
+        )
+        minimiser = pyramid.minimiser(
+            field,
+            data_term,
+            alpha=settings.alpha,
+            contrast=contrast,
+            stiffness=settings.stiffness[:components],
+        )
+        flow = field.grid.allocate(2)
         for warp in range(settings.warps_on(level)):
-            terms = data_term.linearise(field)
+            terms = data_term.linearise(field.flow(flow))
             iterations, converged = minimiser.minimise(terms)
             history += [(level, warp, iteration) for iteration in iterations]
-        if level > 0:
+        if level > finest:
             coarse = field.images()
     return Solution(
         field=field, minimiser=minimiser, terms=terms, history=history, converged=converged
