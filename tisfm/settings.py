@@ -7,7 +7,7 @@ from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 Model = Literal["rigid", "translation"]
-Motion = Literal["field"]
+Motion = Literal["field", "camera"]
 Derivatives = Literal["cube", "five_tap"]
 Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
@@ -24,8 +24,9 @@ class Settings:
     ----------
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
-    motion : {"field"}
-        Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does.
+    motion : {"field", "camera"}
+        Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
+        ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel.
     smoothness : float
         λ̂, weight of the regularisation. Without unit where constraints are normalised; without
         `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
@@ -57,6 +58,14 @@ class Settings:
     data_contrast : float or None
         ε, px/frame (grey levels without `normalization`): residuals beyond it count in proportion
         rather than squared (Charbonnier). None for squares: the paper's.
+    depth_smoothness : float
+        Weight of the regularisation of inverse depth with ``motion="camera"``, in place of
+        `smoothness`.
+    depth_brightness : float
+        Weight of the constancy of brightness there, in place of `brightness`.
+    depth_normalization : float or None
+        ζ there, in place of `normalization`. One motion leaves a pixel little freedom, so that
+        noise is what disturbs it, and weak gradients had better count less than strong ones.
     derivatives : {"cube", "five_tap"}
         Horn and Schunck's 2×2×2 cube, whose estimates belong half a pixel to the south-east of
         the pixel they are given to, or five taps on the mean of both frames.
@@ -102,6 +111,9 @@ class Settings:
     gradient: float = 1.0
     normalization: float | None = 0.02
     data_contrast: float | None = 0.1
+    depth_smoothness: float = 6.0
+    depth_brightness: float = 1.0
+    depth_normalization: float | None = 0.6
     derivatives: Derivatives = "five_tap"
     presmoothing: float = 0.6
     pyramid_factor: float = 0.5
@@ -138,6 +150,14 @@ class Settings:
             _check_real("normalization", self.normalization, least=0, most=1e6)
         if self.data_contrast is not None:
             _check_real("data_contrast", self.data_contrast, least=1e-3, most=1e6)
+        _check_real("depth_smoothness", self.depth_smoothness, above=0)
+        _check_real("depth_brightness", self.depth_brightness, least=0, most=1e6)
+        if not self.depth_brightness + self.gradient > 0:
+            raise ValueError(
+                "depth_brightness and gradient are both 0: give one of them a weight"
+            )
+        if self.depth_normalization is not None:
+            _check_real("depth_normalization", self.depth_normalization, least=0, most=1e6)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
         _check_real("relaxation", self.relaxation, above=0, below=2)

@@ -1,0 +1,261 @@
+"""Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.field import Field
+from tisfm.half_quadratic import HalfQuadratic, Iteration
+from tisfm.kernels.epipolar import along, displacement
+from tisfm.kernels.images import image_to_lanes
+from tisfm.kernels.motion_system import motion_system
+from tisfm.pyramid import Pyramid
+from tisfm.settings import Settings
+
+REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
+REFINEMENTS = 2  # Gauss–Newton steps of the motions after each linearisation
+HELD = 1e-4  # times α, by which a pixel's neighbours hold its depth while its motion changes
+MEDIAN = 5
+SAMPLES = 4000  # pixels by which the length of a translation is set
+
+Refinement = Literal["none", "translation", "motion"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidSolution:
+    """What coarse to fine leaves at the finest level.
+
+    Attributes
+    ----------
+    motions : (K, 3, 4) float64
+        R and t of each motion; t of a length such that D is in px/frame, as an average.
+    inverse_depth : (H, W) float32
+        D = f·d, signed.
+    flow : (H, W, 2) float32
+        The exact displacement, px/frame.
+    minimiser : HalfQuadratic
+    terms : lane array, 6 components for each data term
+        Motion tensors of the last linearisation, restricted to epipolar lines.
+    history : list of (level, warp, Iteration)
+    converged : bool
+    """
+
+    motions: np.ndarray
+    inverse_depth: np.ndarray
+    flow: np.ndarray
+    minimiser: HalfQuadratic
+    terms: np.ndarray
+    history: list[tuple[int, int, Iteration]]
+    converged: bool
+
+
+def rigid_depth(
+    pyramid: Pyramid,
+    settings: Settings,
+    camera: Camera,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    *,
+    refine: Refinement = "motion",
+) -> RigidSolution:
+    """Estimate the inverse depth of every pixel from the coarsest level to the finest, from zero.
+
+    The data are those of `coarse_to_fine`, weighted as `settings.depth_brightness`,
+    `settings.gradient` and `settings.depth_normalization` say and seen along epipolar lines only;
+    displacements are exact. The unknown is in px/frame, whatever the motion, because translations
+    are given a length by which D moves a pixel, on average, by D px/frame. An edge between two
+    labels carries no smoothness.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+        Of the finest level.
+    motions : (K, 3, 4) array
+        R and t of each motion.
+    labels : (H, W) int array
+        Which motion a pixel has.
+    refine : {"none", "translation", "motion"}
+        What of the motions is refined on the finer levels, jointly with depth.
+    """
+    motions = scaled_translations(motions, labels, camera)
+    history: list[tuple[int, int, Iteration]] = []
+    coarse: np.ndarray | None = None
+    for level in reversed(range(pyramid.levels)):
+        field = pyramid.field(level, 1, coarse)
+        focal = camera.focal * pyramid.scale(level)
+        state = _Level(pyramid, level, field, labels, focal, settings)
+        for warp in range(settings.warps_on(level)):
+            restricted = state.linearise(motions)
+            iterations, converged = state.minimiser.minimise(restricted)
+            history += [(level, warp, iteration) for iteration in iterations]
+            state.despeckle()
+            if refine != "none" and pyramid.scale(level) >= REFINED:
+                motions = state.refined(motions, 6 if refine == "motion" else 3)
+        if level > 0:
+            coarse = field.images()
+    state.displace(motions)
+    return RigidSolution(
+        motions=motions,
+        inverse_depth=field.images()[0],
+        flow=np.ascontiguousarray(np.moveaxis(field.to_images(state.flow), 0, -1)),
+        minimiser=state.minimiser,
+        terms=restricted,
+        history=history,
+        converged=converged,
+    )
+
+
+class _Level:
+    """One level of the pyramid: depth, labels and data."""
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        level: int,
+        field: Field,
+        labels: np.ndarray,
+        focal: float,
+        settings: Settings,
+    ) -> None:
+        self._field, self._focal = field, focal
+        grid = field.grid
+        resized = cv2.resize(
+            labels.astype(np.float32), (grid.width, grid.height), interpolation=cv2.INTER_NEAREST
+        )
+        self._labels = grid.allocate(1)
+        image_to_lanes(grid, resized, self._labels)
+        if labels.any():
+            field.edges *= _within(field, resized)
+        self._data_term = pyramid.data_term(
+            level,
+            grid,
+            brightness=settings.depth_brightness,
+            gradient=settings.gradient,
+            normalization=settings.depth_normalization,
+        )
+        self.minimiser = pyramid.minimiser(
+            field,
+            self._data_term,
+            alpha=settings.depth_smoothness,
+            contrast=settings.contrast_for(focal),
+            stiffness=(1.0,),
+        )
+        self.flow, self._direction = grid.allocate(2), grid.allocate(2)
+        self._restricted = grid.allocate(6 * len(self._data_term.scales))
+        self._terms: np.ndarray | None = None
+
+    def displace(self, motions: np.ndarray) -> None:
+        """Compute the flow of the current depth under these motions, and its direction."""
+        field = self._field
+        displacement(
+            field.grid,
+            field.rho,
+            self._labels,
+            field.x_hat,
+            field.y_hat,
+            self.flow,
+            self._direction,
+            motions=motions.astype(np.float32),
+            focal=self._focal,
+        )
+
+    def linearise(self, motions: np.ndarray) -> np.ndarray:
+        """Return the data about the current depth, restricted to epipolar lines."""
+        field = self._field
+        self.displace(motions)
+        self._terms = self._data_term.linearise(self.flow)
+        along(
+            field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted
+        )
+        return self._restricted
+
+    def despeckle(self) -> None:
+        """Replace depth by its median over a small window: single pixels go their own way."""
+        if MEDIAN > 1:
+            image_to_lanes(self._field.grid, cv2.medianBlur(self._field.images()[0], MEDIAN), self._field.rho)
+
+    def refined(self, motions: np.ndarray, unknowns: int) -> np.ndarray:
+        """Return the motions after steps of Gauss–Newton on the last linearisation."""
+        field = self._field
+        motions = motions.copy()
+        for _ in range(REFINEMENTS):
+            self.displace(motions)
+            for label, motion in enumerate(motions):
+                matrix, vector = motion_system(
+                    field.grid,
+                    self._terms,
+                    field.rho,
+                    self._labels,
+                    self.minimiser.weights,
+                    field.x_hat,
+                    field.y_hat,
+                    self.flow,
+                    self._direction,
+                    motions=motions.astype(np.float32),
+                    label=label,
+                    focal=self._focal,
+                    scales=self._data_term.scales,
+                    alpha=HELD * self.minimiser.alpha,
+                )
+                motions[label] = _stepped(motion, matrix, vector, unknowns)
+        return motions
+
+
+def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the motions with translations of a length that makes |∂(u, v)/∂D| 1 on average.
+
+    That is the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the pixels of each label. A
+    translation of zero stays.
+    """
+    height, width = labels.shape
+    cx, cy = camera.center_for(height, width)
+    stride = max(1, int((height * width / SAMPLES) ** 0.5))
+    x = (np.arange(0, width, stride) - cx) / camera.focal
+    y = (np.arange(0, height, stride)[:, None] - cy) / camera.focal
+    seen = labels[::stride, ::stride]
+    scaled = np.array(motions, np.float64)
+    for label, motion in enumerate(scaled):
+        t1, t2, t3 = motion[:, 3]
+        square = (t1 - x * t3) ** 2 + (t2 - y * t3) ** 2
+        mine = seen == label
+        length = float(np.sqrt(square[mine].mean() if mine.any() else square.mean()))
+        if length > 0:
+            motion[:, 3] /= length
+    return scaled
+
+
+def _stepped(
+    motion: np.ndarray, matrix: np.ndarray, vector: np.ndarray, unknowns: int
+) -> np.ndarray:
+    """Return a motion after the step that its normal equations ask for, ‖t‖ kept."""
+    translation = motion[:, 3]
+    length = np.linalg.norm(translation)
+    if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
+        return motion
+    # Along t the scale changes, which nothing tells: hold it. The rest is damped by rounding's size.
+    along_t = np.concatenate([translation / length, np.zeros(3)])
+    matrix = matrix + (np.trace(matrix) + 1e-30) * (
+        np.outer(along_t, along_t) + 1e-9 * np.eye(6)
+    )
+    step = np.zeros(6)
+    step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
+    turn = cv2.Rodrigues(step[3:])[0]
+    moved = turn @ translation + step[:3]
+    return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
+
+
+def _within(field: Field, labels: np.ndarray) -> np.ndarray:
+    """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
+    grid = field.grid
+    same = np.zeros((2, *labels.shape), np.float32)
+    same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
+    same[1, :-1] = labels[1:] == labels[:-1]
+    out = grid.allocate(2)
+    for component, edges in enumerate(same):
+        image_to_lanes(grid, edges, out, component=component)
+    return out
