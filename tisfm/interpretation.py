@@ -77,8 +77,10 @@ class Interpretation:
         Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
         `load` of a file of format 1, which has no such map, only what leaves the image.
     frame : (H, W) or (H, W, 3) uint8
-        Frame 0, on the 8-bit scale: what a picture of the result is drawn on.
+        Frame 0, on the 8-bit scale and without distortion: what a picture of the result is drawn
+        on.
     camera : Camera
+        The pinhole camera that all of this belongs to: without distortion.
     settings : Settings
     status : Status
         A code that compares as text, with ``status.message`` saying what to try.

@@ -186,7 +186,7 @@ def interpret_sequence(
         A folder of images, a glob pattern, a video, a list of image files, or any iterable of
         frames. Two frames are in memory at a time.
     camera, settings
-        As for `tisfm.interpret`.
+        As for `tisfm.interpret`; distortion is removed from every frame first.
     step : int
         Take every `step`-th frame, for slow motion.
 
