@@ -300,6 +300,33 @@ def test_the_baseline_is_of_the_same_frames(tisfm_run, frames, monkeypatch, lens
     np.testing.assert_array_equal(seen, [undistort(frame, camera) for frame in FRAMES[:2]])
 
 
+def test_point_clouds(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures", "--ply")[0] == 0
+    clouds = {f"f{k}.ply" for k in range(3)}
+    assert set(files("out")) == promised("f0", "f1", "f2", figures=False) | clouds
+    load("out", "f1").points().save("expected.ply")
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+    assert b"element vertex 0\n" not in Path("out/f1.ply").read_bytes()
+    assert record("out")["ply"] is True
+    Path("out/f1.ply").unlink()
+    Path("out/f1.npz").unlink()
+    options = ("run", "frames", "-o", "out", "--no-figures", "--resume")
+    assert_one_line(*tisfm_run(*options)[::2], "another camera, other settings or outputs")
+    assert tisfm_run(*options, "--ply")[0] == 0
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_point_clouds_of_pairs_without_depth(tisfm_run, frames):
+    for k in range(2):
+        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
+    source = (frames / "f0.png", frames / "f0.png")
+    assert tisfm_run("run", *source, "-o", "still", "--no-figures", "--ply")[0] == 0
+    assert b"element vertex 0\n" in Path("still/000000_f0.ply").read_bytes()
+    assert tisfm_run("run", "h0.tif", "h1.tif", "-o", "wild", "--no-figures", "--ply")[0] == 0
+    assert Path("wild/h0.ply").read_bytes().startswith(b"ply\n")
+
+
 def with_exif(path, frame, film):
     exif = Image.Exif()
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = film
@@ -760,6 +787,7 @@ def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     assert code == 0
     settings = {"--" + name.replace("_", "-") for name in vars(Settings())}
     expected = {"--output", "--preset", "--step", "--resume", "--figures", "--no-figures"}
+    expected |= {"--ply", "--no-ply"}
     assert options_of(out) >= expected | settings | {
         "--threads",
         "--focal",

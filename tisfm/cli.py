@@ -62,8 +62,8 @@ class Run:
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
     video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
     near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
-    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png and, when all is written,
-    NAME.npz for tisfm.Interpretation.load.
+    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, with --ply NAME.ply and, when all
+    is written, NAME.npz for tisfm.Interpretation.load.
     """
 
     source: Annotated[
@@ -81,6 +81,8 @@ class Run:
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
     """Draw NAME_figure.png, with Horn and Schunck's flow for comparison (the slowest output)."""
+    ply: bool = False
+    """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     threads: int | None = None
     """Most CPU threads; by default all cores. Results do not depend on it."""
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
@@ -104,6 +106,7 @@ class Run:
             step=self.step,
             resume=self.resume,
             figures=self.figures,
+            ply=self.ply,
             threads=self.threads,
         )
 

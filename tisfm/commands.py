@@ -52,6 +52,7 @@ def run(
     step: int = 1,
     resume: bool = False,
     figures: bool = True,
+    ply: bool = False,
     threads: int | None = None,
 ) -> int:
     """Interpret every pair of a source and write the results; return the exit code.
@@ -63,7 +64,9 @@ def run(
     runtime.start(threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
-    writer = PairWriter(output, camera=camera, settings=settings, figures=figures, resume=resume)
+    writer = PairWriter(
+        output, camera=camera, settings=settings, figures=figures, ply=ply, resume=resume
+    )
     try:
         total: int | None = len(pairs)
     except TypeError:
