@@ -329,7 +329,7 @@ def test_point_clouds_of_pairs_without_depth(tisfm_run, frames):
 
 def with_exif(path, frame, film):
     exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = film
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: film}
     Image.fromarray(frame).save(path, exif=exif.tobytes())
 
 

@@ -21,7 +21,7 @@ WIDTH, HEIGHT = ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight
 
 def picture(path, tags, *, height=H, width=W, orientation=None):
     exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.Exif).update(tags)
+    exif[ExifTags.IFD.Exif] = tags
     if orientation is not None:
         exif[ExifTags.Base.Orientation] = orientation
     Image.fromarray(np.zeros((height, width), np.uint8)).save(path, exif=exif.tobytes())
