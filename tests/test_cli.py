@@ -14,11 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 import tisfm
 from tisfm import commands, evaluation, pair
 from tisfm.cli import main
 from tisfm.formats import read_depth_png, read_flo, read_image, write_flo, write_png
+from tisfm.lens import undistort
 from tisfm.settings import Settings
 from tisfm.show import depth_grey
 
@@ -145,7 +147,7 @@ def test_all_files_of_a_run_agree(tisfm_run, frames):
     assert tisfm_run("run", "frames", "-o", "out", "--focal", "50")[0] == 0
     about = record("out")
     assert about["version"] == tisfm.__version__
-    assert about["camera"] == {"focal": 50.0, "center": None}
+    assert about["camera"] == {"focal": 50.0, "center": None, "distortion": None}
     assert Settings(**about["settings"]) == Settings()
     assert list(about["pairs"]) == ["f0", "f1", "f2"]
     scale = about["depth16_values_per_unit"]
@@ -262,6 +264,106 @@ def test_the_camera_reaches_the_result(tisfm_run, frames, options, camera):
     assert not np.array_equal(result.rho, tisfm.interpret(*FRAMES[:2]).rho)
 
 
+@pytest.mark.parametrize(
+    "option",
+    [["--distortion", "-0.3,0.1,0,1e-3"], ["--distortion=-0.3, 0.1, 0, 1e-3"],
+     ["--distortion", "-0.3 0.1 0 1e-3"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_distortion_is_removed(tisfm_run, frames, option):
+    two = [frames / "f0.png", frames / "f1.png"]
+    code, _, _ = tisfm_run("run", "-o", "out", "--focal", "50", *option, *two)
+    assert code == 0 and set(files("out")) == promised("f0")
+    camera = tisfm.Camera(50.0, distortion=(-0.3, 0.1, 0, 1e-3))
+    expected = tisfm.interpret(*FRAMES[:2], camera=camera)
+    result = load("out", "f0")
+    np.testing.assert_array_equal(result.rho, expected.rho)
+    np.testing.assert_array_equal(result.frame, undistort(FRAMES[0], camera))
+    assert record("out")["camera"]["distortion"] == list(camera.distortion)
+    assert result.camera == camera.pinhole()
+
+
+@pytest.mark.parametrize("lens", [None, (-0.3, 0.1, 0.0, 0.0)])
+def test_the_baseline_is_of_the_same_frames(tisfm_run, frames, monkeypatch, lens):
+    seen = []
+
+    def baseline(*frames, **options):
+        seen.extend(frames)
+        return np.zeros((H, W, 2), np.float32)
+
+    monkeypatch.setattr(commands, "horn_schunck", baseline)
+    options = [] if lens is None else ["--distortion", ",".join(map(str, lens))]
+    (frames / "f3.png").unlink()
+    (frames / "f2.png").unlink()
+    assert tisfm_run("run", "frames", "-o", "out", "--focal", "50", *options)[0] == 0
+    camera = tisfm.Camera(50.0, distortion=lens)
+    np.testing.assert_array_equal(seen, [undistort(frame, camera) for frame in FRAMES[:2]])
+
+
+def test_point_clouds(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures", "--ply")[0] == 0
+    clouds = {f"f{k}.ply" for k in range(3)}
+    assert set(files("out")) == promised("f0", "f1", "f2", figures=False) | clouds
+    load("out", "f1").points().save("expected.ply")
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+    assert b"element vertex 0\n" not in Path("out/f1.ply").read_bytes()
+    assert record("out")["ply"] is True
+    Path("out/f1.ply").unlink()
+    Path("out/f1.npz").unlink()
+    options = ("run", "frames", "-o", "out", "--no-figures", "--resume")
+    assert_one_line(*tisfm_run(*options)[::2], "another camera, other settings or outputs")
+    assert tisfm_run(*options, "--ply")[0] == 0
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_point_clouds_of_pairs_without_depth(tisfm_run, frames):
+    for k in range(2):
+        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
+    source = (frames / "f0.png", frames / "f0.png")
+    assert tisfm_run("run", *source, "-o", "still", "--no-figures", "--ply")[0] == 0
+    assert b"element vertex 0\n" in Path("still/000000_f0.ply").read_bytes()
+    assert tisfm_run("run", "h0.tif", "h1.tif", "-o", "wild", "--no-figures", "--ply")[0] == 0
+    assert Path("wild/h0.ply").read_bytes().startswith(b"ply\n")
+
+
+def with_exif(path, frame, film):
+    exif = Image.Exif()
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: film}
+    Image.fromarray(frame).save(path, exif=exif.tobytes())
+
+
+@pytest.mark.parametrize("command", ["run", "figures"])
+@pytest.mark.parametrize("film", [35, None])
+def test_the_focal_length_can_be_guessed(tisfm_run, frames, command, film):
+    if film:
+        with_exif(frames / "f0.png", FRAMES[0], film)
+    two = [frames / "f0.png", frames / "f1.png"]
+    code, out, err = tisfm_run(command, "--focal", "guess", *two, "-o", "out")
+    assert code == 0 and out == ""
+    focal = 35 * np.hypot(H, W) / np.hypot(24, 36) if film else 1.2 * W
+    line, *others = err.splitlines()
+    assert len(others) == 1
+    reason = "35 mm in terms of" if film else "1.2 times the longer side"
+    assert line.startswith(f"focal length guessed: {focal:.0f} px, ")
+    assert reason in line and "give --focal" in line
+    if command == "run":
+        assert load("out", "f0").camera.focal == pytest.approx(focal)
+        assert record("out")["camera"]["focal"] == pytest.approx(focal)
+
+
+def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, place):
+    writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this build of OpenCV cannot write MJPG video")
+    for frame in FRAMES[:3]:
+        writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
+    writer.release()
+    code, _, err = tisfm_run("run", "clip.avi", "-o", "out", "--no-figures", "--focal", "guess")
+    assert code == 0 and err.startswith("focal length guessed: 77 px, ")
+    assert load("out", "clip_000000").camera.focal == pytest.approx(1.2 * 64)
+
+
 def test_without_figures(tisfm_run, frames, monkeypatch):
     monkeypatch.setattr(commands, "horn_schunck", None)  # not needed then
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
@@ -327,7 +429,7 @@ def test_without_resume_all_is_made_again(tisfm_run, frames, monkeypatch):
 @pytest.mark.parametrize(
     "options",
     [["--focal", "50"], ["--preset", "fast"], ["--beta", "0.5"], ["--center", "3", "4"],
-     ["--figures"]],
+     ["--distortion", "0.1,0,0,0"], ["--focal", "guess"], ["--figures"]],
     ids=" ".join,
 )  # fmt: skip
 def test_resume_refuses_other_options(tisfm_run, frames, options):
@@ -335,7 +437,9 @@ def test_resume_refuses_other_options(tisfm_run, frames, options):
     before = files("out")
     arguments = ["run", "frames", "-o", "out", "--resume"]
     code, _, err = tisfm_run(*arguments, *options, *["--no-figures"] * ("--figures" not in options))
-    assert_one_line(code, err, "out holds a run with another camera, other settings", "--resume")
+    *before_it, last = err.splitlines(keepends=True)
+    assert len(before_it) == ("guess" in options)
+    assert_one_line(code, last, "out holds a run with another camera, other settings", "--resume")
     assert files("out") == before
 
 
@@ -597,6 +701,11 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
         (["--focal", "nan"], ["focal is nan", "finite"]),
         (["--focal", "inf"], ["focal is inf", "finite"]),
         (["--center", "nan", "3"], ["center[0] is nan", "finite"]),
+        (["--distortion", "1,2,3"], ["distortion has 3 coefficients", "4, 5, 8, 12 or 14"]),
+        (["--distortion", "1,x,0,0"], ["distortion is '1,x,0,0'", "commas between"]),
+        (["--distortion", ""], ["distortion has 0 coefficients"]),
+        (["--focal", "guess", "--step", "9"], ["has 4 frames"]),
+        (["--focal", "guess", "--warps", "0"], ["warps is 0"]),
         (["--warps", "0"], ["warps is 0", "at least 1"]),
         (["--contrast", "-1"], ["contrast is -1.0", "at least 0.001"]),
         (["--relaxation", "2"], ["relaxation is 2.0", "below 2"]),
@@ -678,7 +787,13 @@ def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     assert code == 0
     settings = {"--" + name.replace("_", "-") for name in vars(Settings())}
     expected = {"--output", "--preset", "--step", "--resume", "--figures", "--no-figures"}
-    assert options_of(out) >= expected | settings | {"--threads", "--focal", "--center"}
+    expected |= {"--ply", "--no-ply"}
+    assert options_of(out) >= expected | settings | {
+        "--threads",
+        "--focal",
+        "--center",
+        "--distortion",
+    }
     assert "SOURCE [SOURCE ...]" in out
     text = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
     assert "(default: balanced)" in text and f"(default: {Settings().smoothness})" in text
@@ -701,7 +816,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
     ("command", "options"),
     [
         ("demo", {"--output", "--height", "--width", "--seed", "--threads", "--help"}),
-        ("figures", {"--output", "--threads", "--focal", "--center", "--help"}),
+        ("figures", {"--output", "--threads", "--focal", "--center", "--distortion", "--help"}),
         (
             "eval",
             {"--output", "--layout", "--preset", "--threads", "--focal", "--center", "--help"}
@@ -834,7 +949,7 @@ def test_options_reach_the_evaluation(tisfm_run, benchmark_folder):
     assert code == 0
     about = evaluated("out")
     assert Settings(**about["settings"]) == Settings.preset("paper", outer_iterations=7)
-    camera = {"focal": 55.0, "center": [3.0, 4.0]}
+    camera = {"focal": 55.0, "center": [3.0, 4.0], "distortion": None}
     assert about["camera"] == camera and {str(p["camera"]) for p in about["pairs"]} == {str(camera)}
     assert "2 iteration_limit" in err and "raise outer_iterations" in err
 

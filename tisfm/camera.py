@@ -1,13 +1,18 @@
-"""The pinhole camera: focal length and principal point, in pixels."""
+"""The camera: focal length and principal point, in pixels, and the distortion of its lens."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from numbers import Real
+
+import numpy as np
+
+COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels and no distortion.
+    """A camera with square pixels: a pinhole, behind a lens that may distort.
 
     Parameters
     ----------
@@ -17,15 +22,22 @@ class Camera:
     center : (float, float), optional
         Principal point (cx, cy), px, in the coordinates of array indices: (0, 0) is the centre
         of the upper left pixel. By default the centre of the image, ((W-1)/2, (H-1)/2).
+    distortion : sequence of 4, 5, 8, 12 or 14 floats, optional
+        Coefficients of OpenCV's model in OpenCV's order: radial k1, k2, tangential p1, p2, radial
+        k3, then k4, k5, k6 of the denominator, s1 to s4 of a thin prism and the tilt τx, τy of the
+        sensor. An array of one row or column, as its calibration returns, will do; its fish-eye
+        model is another one. None, or zeros alone, for a lens that does not distort.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not a number, not finite, or the focal length is not positive.
+        If a value is not a number, not finite, or the focal length is not positive; if there is
+        another number of coefficients.
     """
 
     focal: float = 600.0
     center: tuple[float, float] | None = None
+    distortion: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "focal", _number(self.focal, "focal"))
@@ -40,6 +52,9 @@ class Camera:
                 ) from None
             center = (_number(cx, "center[0]"), _number(cy, "center[1]"))
             object.__setattr__(self, "center", center)
+        if self.distortion is not None:
+            coefficients = _coefficients(self.distortion)
+            object.__setattr__(self, "distortion", coefficients if any(coefficients) else None)
 
     def center_for(self, height: int, width: int) -> tuple[float, float]:
         """Return the principal point (cx, cy), px, for an image of this size."""
@@ -47,8 +62,12 @@ class Camera:
             return self.center
         return (width - 1) / 2, (height - 1) / 2
 
+    def pinhole(self) -> "Camera":
+        """Return the camera without distortion: that of the frames once it is removed."""
+        return replace(self, distortion=None)
+
     def scaled(self, scale: float, height: int, width: int) -> "Camera":
-        """Return the camera of the image resampled by `scale`.
+        """Return the camera of the image resampled by `scale`; its distortion is the same.
 
         Parameters
         ----------
@@ -61,6 +80,7 @@ class Camera:
         return Camera(
             focal=self.focal * scale,
             center=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5),
+            distortion=self.distortion,
         )
 
 
@@ -73,13 +93,42 @@ def check_camera(camera: Camera | None) -> Camera:
     return camera
 
 
-def _number(value: object, name: str) -> float:
+def check_pinhole(camera: Camera, advice: str) -> None:
+    """Refuse a camera with distortion where it would be left out of account.
+
+    Raises
+    ------
+    ValueError
+        With a word of advice.
+    """
+    if camera.distortion is not None:
+        raise ValueError(f"camera has distortion, which does not belong here: {advice}")
+
+
+def _coefficients(value: Iterable[float]) -> tuple[float, ...]:
+    if isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape:
+        value = value.ravel()  # as OpenCV returns them
+    try:
+        items = tuple(value)
+    except TypeError:
+        raise TypeError(
+            f"distortion is {value!r}: give OpenCV's coefficients as (k1, k2, p1, p2[, k3, …])"
+        ) from None
+    if len(items) not in COEFFICIENTS:
+        raise ValueError(
+            f"distortion has {len(items)} coefficient{'s' * (len(items) != 1)}: expected 4, 5, 8, "
+            "12 or 14, in OpenCV's order (k1, k2, p1, p2[, k3, …])"
+        )
+    return tuple(_number(item, f"distortion[{k}]", unit="") for k, item in enumerate(items))
+
+
+def _number(value: object, name: str, *, unit: str = ", in px") -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}: expected a number, in px")
+        raise TypeError(f"{name} is {value!r}: expected a number{unit}")
     try:
         number = float(value)
     except OverflowError:  # of an integer beyond the range of floats
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"{name} is {number}: expected a finite number, in px")
+        raise ValueError(f"{name} is {number}: expected a finite number{unit}")
     return number

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
@@ -23,14 +23,24 @@ INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal,
 class CameraOptions:
     """The camera that took the frames."""
 
-    focal: float = 600.0
-    """Focal length, px. The paper's value, if yours is not known."""
+    focal: float | Literal["guess"] = 600.0
+    """Focal length, px. The default is the paper's; 'guess' takes the first image's EXIF data, or
+    else its size."""
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
+    distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
+    """OpenCV's coefficients of the lens, 4, 5, 8, 12 or 14 with commas between; removed first."""
+
+    @property
+    def guess(self) -> bool:
+        """Whether the focal length is to be guessed."""
+        return self.focal == "guess"
 
     def camera(self) -> Camera:
-        """Return the camera."""
-        return Camera(focal=self.focal, center=self.center)
+        """Return the camera, with a focal length of 600 px if it is yet to be guessed."""
+        focal = 600.0 if isinstance(self.focal, str) else self.focal
+        distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
+        return Camera(focal=focal, center=self.center, distortion=distortion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +62,8 @@ class Run:
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
     video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
     near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
-    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png and, when all is written,
-    NAME.npz for tisfm.Interpretation.load.
+    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, with --ply NAME.ply and, when all
+    is written, NAME.npz for tisfm.Interpretation.load.
     """
 
     source: Annotated[
@@ -71,6 +81,8 @@ class Run:
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
     """Draw NAME_figure.png, with Horn and Schunck's flow for comparison (the slowest output)."""
+    ply: bool = False
+    """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     threads: int | None = None
     """Most CPU threads; by default all cores. Results do not depend on it."""
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
@@ -89,10 +101,12 @@ class Run:
             self.source[0] if len(self.source) == 1 else self.source,
             self.output,
             camera=self.camera.camera(),
+            guess=self.camera.guess,
             settings=self.settings.settings(),
             step=self.step,
             resume=self.resume,
             figures=self.figures,
+            ply=self.ply,
             threads=self.threads,
         )
 
@@ -214,7 +228,13 @@ class Figures:
         """Run the command and return the exit code."""
         from tisfm.commands import figures
 
-        return figures(self.frames, self.output, camera=self.camera.camera(), threads=self.threads)
+        return figures(
+            self.frames,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess,
+            threads=self.threads,
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -246,6 +266,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, TypeError, ValueError, RuntimeError) as error:
         print(f"tisfm: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
+
+
+def _numbers(text: str, name: str) -> tuple[float, ...]:
+    """Read numbers with commas or spaces between."""
+    try:
+        return tuple(map(float, text.replace(",", " ").split()))
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
 
 
 def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:

@@ -4,6 +4,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +27,16 @@ from tisfm.evaluation import PairEvaluation
 from tisfm.evaluation import evaluate as evaluate_pairs
 from tisfm.evaluation_outputs import EVALUATION_RECORD, EvaluationWriter
 from tisfm.evaluation_table import evaluation_table
+from tisfm.focal_guess import guess_focal
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
+from tisfm.lens import undistort
 from tisfm.metrics import angular_error, depth_errors, endpoint_error
 from tisfm.outputs import RECORD, PairWriter
 from tisfm.pair import interpret
 from tisfm.paper_figures import write_paper_figures
 from tisfm.scenes import SyntheticPair, two_blocks
-from tisfm.sequence import FrameSource, Source
+from tisfm.sequence import FramePair, FrameSource, Source
 from tisfm.settings import Settings
 
 MOST_PIXELS = 10_000_000  # of the demo scene: its ray casting takes about 5 s a million
@@ -44,17 +47,26 @@ def run(
     output: Path,
     *,
     camera: Camera,
+    guess: bool = False,
     settings: Settings,
     step: int = 1,
     resume: bool = False,
     figures: bool = True,
+    ply: bool = False,
     threads: int | None = None,
 ) -> int:
-    """Interpret every pair of a source and write the results; return the exit code."""
+    """Interpret every pair of a source and write the results; return the exit code.
+
+    With `guess` the first frame decides on the focal length, whatever that of the camera.
+    """
     _refuse_mixing(source, output)
     pairs = FrameSource(source, step=step)
     runtime.start(threads=threads)
-    writer = PairWriter(output, camera=camera, settings=settings, figures=figures, resume=resume)
+    if guess:
+        camera = _guessed(camera, pairs)
+    writer = PairWriter(
+        output, camera=camera, settings=settings, figures=figures, ply=ply, resume=resume
+    )
     try:
         total: int | None = len(pairs)
     except TypeError:
@@ -69,9 +81,7 @@ def run(
                 begin = time.perf_counter()
                 result = pair.interpret(camera=camera, settings=settings)
                 seconds.append(time.perf_counter() - begin)
-                baseline = (
-                    horn_schunck(pair.frame0, pair.frame1, settings=settings) if figures else None
-                )
+                baseline = _baseline(pair, camera, settings) if figures else None
                 writer.write(pair.name0, result, digest=digest, baseline_flow=baseline)
             progress.advance(task)
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
@@ -198,10 +208,20 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     return 0
 
 
-def figures(frames: Sequence[str], output: Path, *, camera: Camera, threads: int | None) -> int:
-    """Draw the paper's comparisons of settings for two image files."""
+def figures(
+    frames: Sequence[str],
+    output: Path,
+    *,
+    camera: Camera,
+    guess: bool = False,
+    threads: int | None,
+) -> int:
+    """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
+    pairs = FrameSource(tuple(frames))
     runtime.start(threads=threads)
-    for pair in FrameSource(tuple(frames)):
+    if guess:
+        camera = _guessed(camera, pairs)
+    for pair in pairs:
         written = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera)
         _tell("wrote " + ", ".join(map(str, written)))
     return 0
@@ -216,6 +236,20 @@ def _refuse_mixing(source: Source, output: Path) -> None:
                 f"the results would lie among the frames in {output}, and count as frames the "
                 "next time: give another folder with -o"
             )
+
+
+def _guessed(camera: Camera, pairs: FrameSource) -> Camera:
+    """Return the camera with a focal length guessed by the first frame, and say so."""
+    first = pairs.first_file
+    guess = guess_focal(next(iter(pairs)).frame0.shape if first is None else first)
+    _tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
+    return replace(camera, focal=guess.focal)
+
+
+def _baseline(pair: FramePair, camera: Camera, settings: Settings) -> np.ndarray:
+    """Return Horn and Schunck's flow of the frames without distortion."""
+    frames = (undistort(frame, camera) for frame in (pair.frame0, pair.frame1))
+    return horn_schunck(*frames, settings=settings)
 
 
 def _tell(line: str) -> None:

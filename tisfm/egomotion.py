@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_pinhole
 
 SAMPLES = 20_000  # pixels that take part: more hardly help, and all of them are neighbours
 CONFIDENT = 0.1  # least confidence of those that the essential matrix is drawn from
@@ -57,6 +57,7 @@ def camera_motion(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> C
     confidence : (H, W) float32
         In [0, 1]; pixels of confidence 0 take no part.
     camera : Camera
+        Without distortion: that of the result which the flow is from.
 
     Returns
     -------
@@ -65,7 +66,7 @@ def camera_motion(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> C
     Raises
     ------
     ValueError
-        If too few pixels are trusted.
+        If too few pixels are trusted, or the camera has distortion.
 
     References
     ----------
@@ -73,6 +74,7 @@ def camera_motion(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> C
     doi 10.1109/TPAMI.2012.257; Nistér, "An efficient solution to the five-point relative pose
     problem", PAMI 2004, doi 10.1109/TPAMI.2004.17.
     """
+    check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
     before, after, trust = _correspondences(flow, confidence, camera)
     focal = camera.focal
     few = slice(None, None, max(1, len(trust) // FEW))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_pinhole
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import FlowErrors, OcclusionScores, flow_errors, occlusion_scores
@@ -168,9 +168,13 @@ def evaluate(
     ------
     TypeError
         If `camera` or `settings` is not of its type.
+    ValueError
+        If `camera` has distortion: the true flow is that of the frames as they are.
     """
-    if camera is not None and not isinstance(camera, Camera):
-        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
+    if camera is not None:
+        if not isinstance(camera, Camera):
+            raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
+        check_pinhole(camera, "the true flow is that of the frames as they are")
     settings = check_settings(settings)
     compiled: set[Any] = set()
     done = []

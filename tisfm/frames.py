@@ -32,7 +32,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     ValueError
         If shapes differ, a side is shorter than 4 px, or a pixel is NaN or infinite.
     """
-    first, second = _check_frame(frame0, "frame0"), _check_frame(frame1, "frame1")
+    first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:
         raise ValueError(
             f"frame1 is {second.shape} but frame0 is {first.shape}: "
@@ -47,7 +47,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     return _grey(first, factor), _grey(second, factor)
 
 
-def _check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
+def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     """Return the frame as an array of native byte order, or raise as `grey_pair` does."""
     if isinstance(frame, (str, os.PathLike)):
         raise TypeError(
@@ -84,7 +84,7 @@ def _check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
 
 def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> np.ndarray:
     """Return frame 0 of a pair as uint8, for display, by the factor that `grey_pair` takes."""
-    first, second = _check_frame(frame0, "frame0"), _check_frame(frame1, "frame1")
+    first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.dtype == np.uint8:
         return first.copy()
     scaled = first.astype(np.float32, order="C") * np.float32(_factor(first, second))

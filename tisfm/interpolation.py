@@ -5,6 +5,8 @@ import math
 import cv2
 import numpy as np
 
+from tisfm import runtime
+
 _POLE = math.sqrt(3) - 2
 _REACH = 14  # px: what lies farther has a weight below 1e-8
 # The inverse of the filter (1, 4, 1)/6, by which coefficients give values at pixels.
@@ -29,3 +31,29 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
     Magazine 16 (1999) 22–38, doi 10.1109/79.799930.
     """
     return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
+
+
+def sample(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return an image sampled where a flow leads, by its cubic spline; beyond, it repeats.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    flow : (2, H, W) float32
+        (u, v), px; finite.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    lanes = runtime.lanes()  # before kernels are imported: it starts Taichi
+    from tisfm.kernels.images import image_to_lanes
+    from tisfm.kernels.lanes import LaneGrid
+    from tisfm.kernels.warp import warp
+
+    grid = LaneGrid(*image.shape, lanes)
+    motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
+    for component, values in enumerate(flow):
+        image_to_lanes(grid, values, motion, component=component)
+    warp(grid, image, spline_coefficients(image), motion, out, inside)
+    return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.occlusion import leaves_image
+from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
 
 FORMAT = 2  # of the .npz; raised when a reader of the one before would go wrong
@@ -77,8 +78,10 @@ class Interpretation:
         Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
         `load` of a file of format 1, which has no such map, only what leaves the image.
     frame : (H, W) or (H, W, 3) uint8
-        Frame 0, on the 8-bit scale: what a picture of the result is drawn on.
+        Frame 0, on the 8-bit scale and without distortion: what a picture of the result is drawn
+        on.
     camera : Camera
+        The pinhole camera that all of this belongs to: without distortion.
     settings : Settings
     status : Status
         A code that compares as text, with ``status.message`` saying what to try.
@@ -123,6 +126,49 @@ class Interpretation:
         depth = np.full_like(self.inverse_depth, np.nan)
         np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
         return depth
+
+    def points(
+        self,
+        *,
+        min_confidence: float = 0.0,
+        max_depth: float | None = FARTHEST,
+        occluded: bool = False,
+    ) -> PointCloud:
+        """Return the scene as coloured points, one for every pixel with a depth.
+
+        Parameters
+        ----------
+        min_confidence : float
+            In [0, 1]: pixels of less confidence are left out.
+        max_depth : float or None
+            Pixels farther than so many median depths (of the other pixels that are taken) are
+            left out: where the inverse depth is nearly 0 the depth is a guess. None for no limit.
+        occluded : bool
+            Whether to take pixels that are not visible in frame 1 as well: their depth is that of
+            their neighbours.
+
+        Returns
+        -------
+        PointCloud
+            Used as an array it is (N, 3) float32: X right, Y down, Z forward, in the axes of the
+            camera at frame 0 and the relative scale of `depth`. With ``colors``, ``confidence``,
+            and ``save(path)`` for a PLY file. It may have no points.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `min_confidence` is not in [0, 1], or `max_depth` not positive.
+        """
+        return point_cloud(
+            self.depth,
+            self.camera,
+            frame=self.frame,
+            confidence=self.confidence,
+            occlusion=self.occlusion,
+            min_confidence=min_confidence,
+            max_depth=max_depth,
+            occluded=occluded,
+        )
 
     def save(self, path: str | Path) -> None:
         """Write everything to a compressed ``.npz`` without pickles, whole or not at all.

@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 
-from tisfm import runtime
-from tisfm.interpolation import spline_coefficients
+from tisfm.interpolation import sample
 from tisfm.settings import Settings
 
 DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
@@ -78,7 +77,7 @@ def _residual(
     from tisfm.pyramid import smooth  # loads Taichi
 
     grey0, grey1 = (smooth(grey, settings.presmoothing) for grey in (grey0, grey1))
-    change = _warped(grey1, flow) - grey0
+    change = sample(grey1, flow) - grey0
     residual = settings.brightness * change**2
     if settings.gradient > 0:
         for taps in (_FIVE_TAP, _FIVE_TAP.T):
@@ -86,20 +85,6 @@ def _residual(
             residual += settings.gradient * slope**2
     np.sqrt(residual, out=residual)
     return cv2.blur(residual, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
-
-
-def _warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return an image, (H, W), sampled where a flow, (2, H, W), leads; beyond, it repeats."""
-    from tisfm.kernels.images import image_to_lanes
-    from tisfm.kernels.lanes import LaneGrid
-    from tisfm.kernels.warp import warp
-
-    grid = LaneGrid(*image.shape, runtime.lanes())
-    motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
-    for component, values in enumerate(flow):
-        image_to_lanes(grid, values, motion, component=component)
-    warp(grid, image, spline_coefficients(image), motion, out, inside)
-    return out
 
 
 def _targets(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,9 +55,9 @@ class PairWriter:
 
     For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
     and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
-    ``name_anaglyph.png``, ``name_figure.png``, and last ``name.npz``, which therefore marks a
-    complete pair. The record, ``run.json``, holds settings, camera, ranges, and of every finished
-    pair its status and a hash of its frames. It is renewed after each.
+    ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, and last ``name.npz``, which therefore
+    marks a complete pair. The record, ``run.json``, holds settings, camera, ranges, and of every
+    finished pair its status and a hash of its frames. It is renewed after each.
 
     Parameters
     ----------
@@ -67,6 +67,8 @@ class PairWriter:
     settings : Settings
     figures : bool
         Whether to draw the figure, with Horn and Schunck's flow beside ours.
+    ply : bool
+        Whether to write the point cloud.
     resume : bool
         Continue a run that was interrupted: keep its ranges and the pairs it finished.
 
@@ -85,6 +87,7 @@ class PairWriter:
         camera: Camera,
         settings: Settings,
         figures: bool = True,
+        ply: bool = False,
         resume: bool = False,
     ) -> None:
         self.folder = make_folder(folder)
@@ -93,6 +96,7 @@ class PairWriter:
             "camera": asdict(camera),
             "settings": asdict(settings),
             "figures": figures,
+            "ply": ply,
             "depth16_values_per_unit": None,
             "depth_range": None,
             "flow_limit": None,
@@ -194,6 +198,8 @@ class PairWriter:
                 truth_inverse_depth=truth_inverse_depth,
             )
             save_figure(f"{path}_figure.png", figure)
+        if record["ply"]:
+            result.points().save(f"{path}.ply")
         result.save(f"{path}.npz")
         record["pairs"][name] = {
             "status": str(result.status),
@@ -224,14 +230,14 @@ class PairWriter:
             before = json.loads(path.read_text(encoding="utf-8"))
             same = all(
                 before[key] == json.loads(json.dumps(self._record[key]))
-                for key in ("version", "camera", "settings", "figures")
+                for key in ("version", "camera", "settings", "figures", "ply")
             )
             missing = set(self._record) - set(before)
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} is damaged ({error}): run without --resume") from error
         if missing or not same:
             raise ValueError(
-                f"{self.folder} holds a run with another camera, other settings or figures, or "
+                f"{self.folder} holds a run with another camera, other settings or outputs, or "
                 "of another version: repeat its options, or run without --resume to start again"
             )
         self._record = before

@@ -10,6 +10,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.confidence import confidence
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import History, Interpretation, Status
+from tisfm.lens import Undistortion
 from tisfm.occlusion import leaves_image
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
@@ -36,7 +37,9 @@ def interpret(
     frame0, frame1 : (H, W) or (H, W, 3) array
         Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
     camera : Camera, optional
-        By default a focal length of 600 px, as in the paper, and the image's centre.
+        By default a focal length of 600 px, as in the paper, and the image's centre. If it has
+        distortion, that is removed from both frames first, and the result is that of frame 0
+        without distortion, of the same size, focal length and centre.
     settings : Settings, optional
         By default the preset ``"balanced"``.
     pose : array, optional
@@ -46,12 +49,14 @@ def interpret(
     Returns
     -------
     Interpretation
+        Its `camera` is a pinhole. Where the frames without distortion have no data, confidence is
+        0 and `occlusion` True.
 
     Raises
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN or infinite; if `pose` is given.
+        NaN or infinite; if `pose` is given; if distortion leaves next to nothing of the frames.
 
     References
     ----------
@@ -62,11 +67,16 @@ def interpret(
     if pose is not None:
         raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
     grey0, grey1 = grey_pair(frame0, frame1)
+    frame = eight_bit(frame0, frame1)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.occlusion import occlusion
     from tisfm.pyramid import Pyramid, coarse_to_fine
 
+    lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
+    if lens is not None:
+        grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
+        camera = camera.pinhole()
     solution = coarse_to_fine(
         Pyramid(grey0, grey1, camera, settings),
         settings,
@@ -79,13 +89,15 @@ def interpret(
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         unseen = occlusion(grey0, grey1, flow, settings)
+        if lens is not None:
+            unseen |= lens.missing(flow)
         trust = confidence(solution.minimiser.evidence(solution.terms), unseen)
     return Interpretation(
         rho=rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
         confidence=trust,
         occlusion=unseen,
-        frame=eight_bit(frame0, frame1),
+        frame=frame,
         camera=camera,
         settings=settings,
         status=_status(solution, flow, settings),

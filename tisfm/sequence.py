@@ -62,6 +62,11 @@ class FrameSource:
     step : int
         Take every `step`-th frame.
 
+    Attributes
+    ----------
+    first_file : Path or None
+        The image file of the first frame, where frames have files of their own.
+
     Raises
     ------
     FileNotFoundError
@@ -77,6 +82,7 @@ class FrameSource:
             raise ValueError(f"step is {step!r}: expected a positive integer")
         self.step = int(step)
         self.title = "frames"
+        self.first_file: Path | None = None
         self._count: int | None = None
         self._frames: Iterable[tuple[str, np.ndarray]]
         if isinstance(source, (str, os.PathLike)):
@@ -138,6 +144,7 @@ class FrameSource:
             if not file.exists():
                 raise FileNotFoundError(f"there is no file {file}: check the path")
         self._check_count(len(files))
+        self.first_file = files[0]
         stems = [file.stem for file in files]
         if len(set(stems)) < len(stems):  # of different folders or suffixes
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
@@ -186,7 +193,7 @@ def interpret_sequence(
         A folder of images, a glob pattern, a video, a list of image files, or any iterable of
         frames. Two frames are in memory at a time.
     camera, settings
-        As for `tisfm.interpret`.
+        As for `tisfm.interpret`; distortion is removed from every frame first.
     step : int
         Take every `step`-th frame, for slow motion.
 

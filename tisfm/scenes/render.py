@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_pinhole
 
 from .checks import Floats, whole
 from .geometry import Box, Plane, View
@@ -83,7 +83,7 @@ class Scene:
     TypeError
         If an object is neither a Plane nor a Box.
     ValueError
-        If there is no object or the size is not positive.
+        If there is no object, the size is not positive, or the camera has distortion.
     """
 
     objects: Sequence[Plane | Box]
@@ -93,6 +93,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         whole(1, height=self.height, width=self.width)
+        check_pinhole(self.camera, "scenes are rendered by a pinhole")
         object.__setattr__(self, "objects", tuple(self.objects))
         if not self.objects:
             raise ValueError("objects is empty: expected at least a background Plane")

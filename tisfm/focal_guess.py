@@ -1,0 +1,192 @@
+"""A guess at the focal length of frames whose camera is not known."""
+
+import io
+import math
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from PIL import ExifTags, Image
+
+from tisfm.camera import Camera
+
+SIDES = 1.2  # focal lengths per longer side: a field of view of 45°, between phones and lenses
+FILM_DIAGONAL = math.hypot(36, 24)  # mm
+PLAUSIBLE = (0.1, 100)  # longer sides: what lies outside is a slip of the pen
+_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the units of resolution, inches first
+
+
+class GuessedFocalWarning(UserWarning):
+    """The focal length was guessed. Results that depend on it are no better than the guess."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FocalGuess:
+    """A guessed focal length.
+
+    Attributes
+    ----------
+    focal : float
+        px.
+    origin : {"exif", "size"}
+        What was known: what the camera wrote into the file, or nothing but the size.
+    reason : str
+        How it was worked out, in words.
+    """
+
+    focal: float
+    origin: Literal["exif", "size"]
+    reason: str
+
+
+def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
+    """Guess the focal length of an image.
+
+    The EXIF data of a file decide, if there are any that state it: the focal length in terms of
+    35 mm film, whose diagonal stands for that of the image, or else the true one together with the
+    resolution of the sensor. An image smaller than the EXIF data say was resized, and cropped as
+    little as its shape allows. Without them the guess is 1.2 times the longer side.
+
+    Parameters
+    ----------
+    source : path or (H, W) or (H, W, 3)
+        An image file, or the shape of a frame.
+
+    Returns
+    -------
+    FocalGuess
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, OSError
+        If there is no such file, or it cannot be read.
+    tisfm.formats.FormatError
+        A ValueError: if it is not an image.
+    TypeError, ValueError
+        If `source` is neither a path nor a shape.
+    """
+    if isinstance(source, (str, os.PathLike)):
+        size, exif = _look(source)
+        return _from_exif(size, exif) or _from_size(size)
+    return _from_size(_size(source))
+
+
+def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
+    """Return a camera with a guessed focal length and the image's centre, and warn.
+
+    Parameters
+    ----------
+    source
+        As for `guess_focal`.
+
+    Returns
+    -------
+    Camera
+
+    Warns
+    -----
+    GuessedFocalWarning
+        Always: with the guess, where it comes from, and what to do.
+
+    Raises
+    ------
+    OSError, TypeError, ValueError
+        As `guess_focal`.
+    """
+    guess = guess_focal(source)
+    warnings.warn(
+        f"the focal length is a guess, {guess.focal:.0f} px, {guess.reason}: give a "
+        "tisfm.Camera(focal=…) if you know it, for instance from a calibration",
+        GuessedFocalWarning,
+        stacklevel=2,
+    )
+    return Camera(focal=guess.focal)
+
+
+def _from_size(size: tuple[int, int]) -> FocalGuess:
+    return FocalGuess(
+        focal=SIDES * max(size),
+        origin="size",
+        reason=f"{SIDES:g} times the longer side, as no EXIF data state it",
+    )
+
+
+def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | None:
+    """Return what the EXIF data of an image of this size (H, W) state, or None."""
+    width, height = (
+        _positive(exif, tag)
+        for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
+    )
+    original = (height, width) if height and width else size
+    # By longer and shorter side: the image may have been turned upright.
+    scale = max(pick(size) / pick(original) for pick in (max, min))
+    film = _positive(exif, ExifTags.Base.FocalLengthIn35mmFilm)
+    if film:
+        focal = film / FILM_DIAGONAL * math.hypot(*original) * scale
+        if _plausible(focal, size):
+            reason = f"from the image's EXIF data ({film:g} mm in terms of 35 mm film)"
+            return FocalGuess(focal=focal, origin="exif", reason=reason)
+    length = _positive(exif, ExifTags.Base.FocalLength)
+    resolution = _positive(exif, ExifTags.Base.FocalPlaneXResolution)
+    unit = _MILLIMETRES.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    if length and resolution and unit:
+        density = resolution / unit
+        focal = length * density * scale
+        if _plausible(focal, size):
+            reason = f"from the image's EXIF data ({length:g} mm, {density:.4g} px/mm)"
+            return FocalGuess(focal=focal, origin="exif", reason=reason)
+    return None
+
+
+def _plausible(focal: float, size: tuple[int, int]) -> bool:
+    least, most = PLAUSIBLE
+    return least * max(size) <= focal <= most * max(size)
+
+
+def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
+    """Return a positive finite number of the EXIF data, or None: 0 means unknown."""
+    try:
+        value = float(exif[tag])
+    except (KeyError, TypeError, ValueError, ArithmeticError):
+        return None
+    return value if 0 < value < math.inf else None
+
+
+def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, Any]]:
+    """Return the size (H, W) of an image file and its EXIF data."""
+    from tisfm.formats import read_image
+    from tisfm.formats.reading import read_bytes
+
+    data = read_bytes(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of damaged EXIF data, and of large pictures
+            with Image.open(io.BytesIO(data)) as picture:
+                exif = _exif(picture)
+                return (picture.height, picture.width), exif
+    except Exception:  # not known to Pillow, or too large for it: OpenCV may read it
+        height, width = read_image(path).shape[:2]
+        return (height, width), {}
+
+
+def _exif(picture: Image.Image) -> Mapping[int, Any]:
+    try:
+        return dict(picture.getexif().get_ifd(ExifTags.IFD.Exif))
+    except Exception:  # whatever damaged EXIF data lead Pillow to: the picture is still good
+        return {}
+
+
+def _size(shape: Sequence[int]) -> tuple[int, int]:
+    try:
+        height, width, *_ = (int(side) for side in shape)
+    except TypeError:
+        raise TypeError(
+            f"source is {shape!r}: expected the path of an image, or the shape (H, W) of a frame"
+        ) from None
+    except ValueError:
+        height = width = 0
+    if height < 1 or width < 1:
+        raise ValueError(f"source is {shape!r}: expected a shape (H, W) or (H, W, 3)")
+    return height, width

@@ -1,0 +1,148 @@
+"""Distortion of the lens, removed: frames as a pinhole camera would have taken them."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tisfm.camera import Camera, check_camera
+from tisfm.frames import check_frame
+from tisfm.interpolation import sample
+from tisfm.occlusion import leaves_image
+
+FAR = 1e7  # px: outside any image
+LEAST = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera
+RADII = 4096  # at which the radial part of the model is looked at
+
+
+class Undistortion:
+    """The map from frames of a lens that distorts to the pinhole image.
+
+    The pinhole image has the frame's size, and the focal length and centre of the camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    height, width : int
+        Size of the frames, px.
+
+    Attributes
+    ----------
+    valid : (H, W) bool
+        Where the pinhole image has data: what it shows there lies inside the frame.
+
+    Raises
+    ------
+    ValueError
+        If so little of the pinhole image has data that the camera cannot be that of the frames.
+
+    References
+    ----------
+    Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32 (1966) 444–462, with
+    the denominator, thin prism and tilt that OpenCV adds.
+    """
+
+    def __init__(self, camera: Camera, height: int, width: int) -> None:
+        cx, cy = camera.center_for(height, width)
+        matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+        coefficients = np.array(camera.distortion or (0.0,) * 4)
+        sources, _ = cv2.initUndistortRectifyMap(
+            matrix, coefficients, None, matrix, (width, height), cv2.CV_32FC2
+        )
+        x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+        flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
+        # Not left to the kernel: compiled for speed, it may take a comparison with NaN for true.
+        self._flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+        radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
+        folded = radius > _fold(coefficients, float(radius.max()))
+        self.valid = ~(leaves_image(self._flow) | folded)
+        share = float(self.valid.mean())
+        if share < LEAST:
+            raise ValueError(
+                f"distortion leaves data at {100 * share:.2g}% of the pixels of a frame of "
+                f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "
+                "focal length and the centre"
+            )
+
+    def apply(self, image: np.ndarray) -> np.ndarray:
+        """Return an image without distortion, sampled by its cubic spline.
+
+        Parameters
+        ----------
+        image : (H, W) or (H, W, 3) array
+            uint8, uint16 or float.
+
+        Returns
+        -------
+        array of the image's shape and type
+            No value lies beyond the image's own least and greatest one. Where there are no data,
+            the border is repeated.
+        """
+        if image.ndim == 3:
+            return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)
+        values = sample(image.astype(np.float32, order="C"), self._flow)
+        if np.issubdtype(image.dtype, np.integer):
+            np.rint(values, out=values)
+        return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
+
+    def missing(self, flow: np.ndarray) -> np.ndarray:
+        """Return which pixels have no data, or go to where frame 1 has none.
+
+        Parameters
+        ----------
+        flow : (2, H, W) float32
+            Image motion between two pinhole images, px/frame.
+
+        Returns
+        -------
+        (H, W) bool
+        """
+        height, width = self.valid.shape
+        flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+        x = np.rint(flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
+        y = np.rint(flow[1] + np.arange(height)[:, None]).clip(0, height - 1).astype(np.intp)
+        return ~(self.valid & self.valid[y, x])
+
+
+def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
+    """Return a frame as the pinhole camera would have taken it, ``camera.pinhole()``.
+
+    `tisfm.interpret` does so itself: its result belongs to the frames without distortion.
+
+    Parameters
+    ----------
+    frame : (H, W) or (H, W, 3) array
+        Grey or RGB; uint8, uint16 or float. Not modified.
+    camera : Camera
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) array
+        Of the same type. The frame itself, if the lens does not distort. Where the frame does not
+        show what the pinhole image would, its border is repeated.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `frame` is not an image of those kinds, or `camera` not one that could have taken it.
+    """
+    camera, image = check_camera(camera), check_frame(frame, "frame")
+    if camera.distortion is None:
+        return image
+    return Undistortion(camera, *image.shape[:2]).apply(image)
+
+
+def _fold(coefficients: np.ndarray, reach: float) -> float:
+    """Return the distance from the axis, focal lengths, from where the model turns back.
+
+    It is a polynomial fitted to what the frame shows. Beyond, it may bring a part of the frame to
+    the pinhole image a second time.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 14 - len(coefficients)))[:8]
+    radius = np.linspace(0, reach, RADII)
+    square = radius**2
+    with np.errstate(all="ignore"):
+        distorted = (
+            radius * np.polyval((k3, k2, k1, 1), square) / np.polyval((k6, k5, k4, 1), square)
+        )
+        turning = np.flatnonzero(~(np.diff(distorted) > 0))
+    return float(radius[turning[0]]) if len(turning) else np.inf

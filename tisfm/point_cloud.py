@@ -1,0 +1,193 @@
+"""The scene as coloured points in space, and as a PLY file."""
+
+import os
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from tisfm.camera import Camera, check_pinhole
+
+FARTHEST = 10.0  # median depths: near the horizon of inverse depth its noise throws points far off
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointCloud(NDArrayOperatorsMixin):
+    """Points before the camera, with their colours and how far to trust them.
+
+    It can be used as the array of its positions: it has their shape, type, length, items and
+    arithmetic, and NumPy's functions take it.
+
+    Attributes
+    ----------
+    positions : (N, 3) float32
+        X right, Y down, Z forward, in the axes of the camera at frame 0; the scale is that of the
+        depth, relative.
+    colors : (N, 3) uint8
+        Red, green, blue; of a grey frame all three alike.
+    confidence : (N,) float32
+        In [0, 1].
+
+    Raises
+    ------
+    ValueError
+        If the arrays are not of these shapes and types.
+    """
+
+    positions: np.ndarray
+    colors: np.ndarray
+    confidence: np.ndarray
+
+    def __post_init__(self) -> None:
+        number = len(self.positions)
+        for name, shape, kind in (
+            ("positions", (number, 3), np.float32),
+            ("colors", (number, 3), np.uint8),
+            ("confidence", (number,), np.float32),
+        ):
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != kind:
+                raise ValueError(
+                    f"{name} is {array.shape} {array.dtype}: expected {shape} {np.dtype(kind).name}"
+                )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the positions, (N, 3)."""
+        return self.positions.shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the positions, float32."""
+        return self.positions.dtype
+
+    @property
+    def ndim(self) -> int:
+        """Number of dimensions of the positions, 2."""
+        return self.positions.ndim
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return positions, indexed like an array."""
+        return self.positions[index]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if copy:
+            return np.array(self.positions, dtype=dtype)
+        if copy is False and dtype is not None and np.dtype(dtype) != self.dtype:
+            raise ValueError(
+                f"the positions are {self.dtype}: as {np.dtype(dtype)} they are a copy"
+            )
+        return np.asarray(self.positions, dtype=dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if "out" in options:  # as from +=, which would leave the colours with other points
+            return NotImplemented
+        arrays = [i.positions if isinstance(i, PointCloud) else i for i in inputs]
+        return getattr(ufunc, method)(*arrays, **options)
+
+    def __repr__(self) -> str:
+        return f"PointCloud of {len(self)} points"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a binary PLY file, whole or not at all.
+
+        Every vertex has x, y, z, red, green, blue (uchar) and confidence, the numbers as float.
+        Viewers such as MeshLab, CloudCompare and Blender read it. Y points down: a viewer whose Y
+        points up shows the scene upside down until it is turned.
+
+        Parameters
+        ----------
+        path : path
+            The file; ``.ply`` is the customary suffix, and none is added.
+
+        Raises
+        ------
+        OSError
+            If the folder does not exist or cannot be written to.
+        """
+        from trimesh import Trimesh  # takes a while to load
+        from trimesh.exchange.ply import export_ply
+
+        from tisfm.formats import atomic_write
+
+        red, green, blue = self.colors.T
+        attributes = {"red": red, "green": green, "blue": blue, "confidence": self.confidence}
+        mesh = Trimesh(vertices=self.positions, vertex_attributes=attributes, process=False)
+        with atomic_write(path) as file:
+            file.write(export_ply(mesh, encoding="binary", vertex_normal=False))
+
+
+def point_cloud(
+    depth: np.ndarray,
+    camera: Camera,
+    *,
+    frame: np.ndarray,
+    confidence: np.ndarray,
+    occlusion: np.ndarray,
+    min_confidence: float = 0.0,
+    max_depth: float | None = FARTHEST,
+    occluded: bool = False,
+) -> PointCloud:
+    """Take the pixels of a depth map out into space.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Z; pixels where it is not finite or not positive give no point.
+    camera : Camera
+        Without distortion.
+    frame : (H, W) or (H, W, 3) uint8
+        For the colours.
+    confidence : (H, W) float32
+    occlusion : (H, W) bool
+    min_confidence, max_depth, occluded
+        As for `tisfm.Interpretation.points`.
+
+    Returns
+    -------
+    PointCloud
+        In the order of the pixels, row by row.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `min_confidence` is not in [0, 1], or `max_depth` not positive; if the camera has
+        distortion.
+    """
+    check_pinhole(camera, "give the camera of the frame without it, camera.pinhole()")
+    _check_number(min_confidence, "min_confidence", "a number in [0, 1]")
+    if not 0 <= min_confidence <= 1:
+        raise ValueError(f"min_confidence is {min_confidence:g}: expected a number in [0, 1]")
+    if max_depth is not None:
+        _check_number(max_depth, "max_depth", "a number of median depths, or None")
+        if not max_depth > 0:
+            raise ValueError(f"max_depth is {max_depth:g}: expected a positive number, or None")
+    kept = np.isfinite(depth) & (depth > 0) & (confidence >= min_confidence)
+    if not occluded:
+        kept &= ~occlusion
+    if max_depth is not None and kept.any():
+        kept &= depth <= max_depth * np.median(depth[kept].astype(float))  # beyond float32, maybe
+    row, column = np.nonzero(kept)
+    cx, cy = camera.center_for(*depth.shape)
+    positions = np.empty((len(row), 3), np.float32)
+    z = depth[row, column]
+    with np.errstate(over="ignore"):
+        positions[:, 0] = z * ((column - cx) / camera.focal)
+        positions[:, 1] = z * ((row - cy) / camera.focal)
+    positions[:, 2] = z
+    colors = frame[row, column]
+    if colors.ndim == 1:
+        colors = np.repeat(colors[:, None], 3, axis=1)
+    trust = confidence[row, column]
+    within = np.isfinite(positions).all(axis=1)  # not so beyond what float32 holds
+    return PointCloud(positions=positions[within], colors=colors[within], confidence=trust[within])
+
+
+def _check_number(value: object, name: str, expected: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} is {value!r}: expected {expected}")
