@@ -15,7 +15,7 @@ from tisfm import evaluation, evaluation_outputs
 from tisfm.datasets import find_pairs
 from tisfm.evaluation import PairEvaluation, evaluate, mean_errors
 from tisfm.evaluation_outputs import EvaluationWriter
-from tisfm.evaluation_table import evaluation_table
+from tisfm.evaluation_table import evaluation_tables
 from tisfm.formats import read_flo, read_image, write_flo, write_kitti_flow, write_png
 from tisfm.metrics import (
     FlowErrors,
@@ -410,9 +410,9 @@ def test_a_picture_that_cannot_be_written_is_a_fault(data, tmp_path, monkeypatch
 # The table
 
 
-def printed(result, width=110):
+def printed(result, width=110, table=0):
     console = Console(width=width, record=True, file=io.StringIO())
-    console.print(evaluation_table(result))
+    console.print(evaluation_tables(result)[table])
     rows = [line for line in console.export_text().splitlines() if line.startswith("│")]
     return [[cell.strip() for cell in row.strip("│").split("│")] for row in rows]
 

@@ -120,6 +120,21 @@ class DatasetPair:
     sky: Path | None = None
     calibration: Path | None = None
 
+    @property
+    def knows_flow(self) -> bool:
+        """Whether there is a true flow."""
+        return self.truth is not None
+
+    @property
+    def knows_depth(self) -> bool:
+        """Whether there is a true depth."""
+        return self.depth is not None or self.truth_format == "disparity"
+
+    @property
+    def knows_pose(self) -> bool:
+        """Whether there is a true pose to be found: not that of a disparity, which is given."""
+        return self.pose0 is not None
+
     def load(self) -> LoadedPair:
         """Read the files of the pair.
 
