@@ -66,7 +66,7 @@ def depth_error_figure(
     panels = [
         ("Recovered depth (near is bright)", depth_grey(_inverse(recovered) / scale, limit=top)),
         ("True depth (black: unknown)", depth_grey(true_inverse, limit=top)),
-        ("Relative error (grey: one of them unknown)", error),
+        ("Relative error (grey: unknown)", error),
     ]
     height, width = true.shape
     rows = [panels] if width < WIDE * height else [[panel] for panel in panels]
