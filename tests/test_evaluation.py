@@ -14,6 +14,7 @@ from rich.console import Console
 import tisfm
 from tisfm import evaluation, evaluation_outputs
 from tisfm.datasets import find_pairs
+from tisfm.egomotion import camera_motion
 from tisfm.evaluation import PairEvaluation, evaluate, mean_errors
 from tisfm.evaluation_outputs import EvaluationWriter
 from tisfm.evaluation_table import evaluation_tables
@@ -30,6 +31,7 @@ from tisfm.metrics import (
     endpoint_error_map,
     occlusion_scores,
     outlier_rate,
+    pose_errors,
 )
 from tisfm.occlusion import leaves_image
 from tisfm.poses import pose_matrix
@@ -719,3 +721,20 @@ def test_the_default_preset_on_a_real_pair(shared_data):
     (found,) = evaluate(find_pairs(shared_data / "middlebury" / "RubberWhale")).pairs
     assert found.errors.endpoint < 0.25
     assert found.errors.pixels == pytest.approx(0.984 * 388 * 584, rel=1e-3)
+
+
+def test_poses_of_a_real_sequence(shared_data):
+    """From the flow alone: no order, sign or inverse of the poses is mistaken."""
+    for pair in find_pairs(shared_data / "new_tsukuba")[3:40:12]:
+        loaded = pair.load()
+        result = tisfm.interpret(
+            loaded.frame0,
+            loaded.frame1,
+            camera=loaded.camera,
+            settings=tisfm.Settings.preset("fast"),
+        )
+        motion = camera_motion(result.flow, result.confidence, loaded.camera)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation
+        errors = pose_errors(pose, loaded.pose)
+        assert errors.direction < 3 and errors.rotation < 0.05
