@@ -115,6 +115,8 @@ def _read(data: Path, name: str, source: Source) -> FlowPair:
     if not found:
         raise FileNotFoundError(f"no pair in {folder}: expected {rule.expected}")
     pair = found[0].load()
+    if pair.flow is None:
+        raise FileNotFoundError(f"no true flow in {folder}: expected {rule.expected}")
     return FlowPair(
         name=name,
         group=source.group,

@@ -73,6 +73,18 @@ def benchmark_folder(place):
 
 
 @pytest.fixture
+def sequence_folder(place):
+    """A sequence in the layout of New Tsukuba, whose camera moves to the left."""
+    folder = place / "walk"
+    folder.mkdir()
+    for k, frame in enumerate(FRAMES):
+        write_png(folder / f"rgb_{k:05d}.png", frame)
+    rows = [f"1 0 0 {-k} 0 1 0 0 0 0 1 0" for k in range(len(FRAMES))]
+    (folder / "poses_camera_to_world_3x4_cm.txt").write_text("\n".join(rows))
+    return folder
+
+
+@pytest.fixture
 def tisfm_run(capsys):
     """Run the command line in this process; return exit code, stdout and stderr."""
 
@@ -819,9 +831,9 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         ("figures", {"--output", "--threads", "--focal", "--center", "--distortion", "--help"}),
         (
             "eval",
-            {"--output", "--layout", "--preset", "--threads", "--focal", "--center", "--help"}
-            | {"--" + name.replace("_", "-") for name in vars(Settings())}
-            | {"--no-joint-edges"},
+            {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
+            | {"--no-joint-edges", "--help"}
+            | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),
     ],
 )
@@ -966,6 +978,35 @@ def test_a_fault_is_told_at_the_end(tisfm_run, benchmark_folder):
     assert [bool(entry["fault"]) for entry in evaluated("out")["pairs"]] == [True, False]
 
 
+@pytest.mark.parametrize("step", [1, 2])
+def test_eval_of_a_sequence(tisfm_run, sequence_folder, benchmark_folder, step):
+    given = ["--step", step] if step > 1 else []
+    code, out, err = tisfm_run("eval", "walk", "flows", "-o", "out", *given, "--preset", "fast")
+    assert code == 0 and err.startswith(f"{6 - step} pairs: {6 - step} converged.")
+    names = [f"walk/rgb_{k:05d}" for k in range(4 - step)]
+    assert list(table_of(out)) == ["flows/Fast", "flows/Slow", "flows, mean of 2", *names]
+    about = evaluated("out")
+    pairs = {f"{entry['dataset']}/{entry['name']}": entry for entry in about["pairs"]}
+    assert list(pairs) == [*names, "flows/Fast", "flows/Slow"]
+    for k, name in enumerate(names):
+        assert pairs[name]["inputs"]["pose_rows"] == [k, k + step]
+        assert pairs[name]["inputs"]["frame1"].endswith(f"rgb_{k + step:05d}.png")
+        assert (Path("out") / f"{name}_flow.flo").is_file()
+        assert not (Path("out") / f"{name}_flow.png").exists()
+    assert about["mean"]["pairs"] == 6 - step and about["mean"]["flow_pairs"] == 2
+
+
+def test_a_damaged_pose_is_one_line(tisfm_run, sequence_folder):
+    poses = sequence_folder / "poses_camera_to_world_3x4_cm.txt"
+    poses.write_text(poses.read_text().replace("-3", "nan"))
+    code, out, err = tisfm_run("eval", "walk", "--preset", "fast")
+    assert code == 1 and "walk/rgb_00002 (failed)" in out
+    lines = err.splitlines()
+    assert len(lines) == 2 and lines[0] == "2 pairs: 2 converged."
+    assert lines[1].startswith("tisfm: walk/rgb_00002: ")
+    assert lines[1].endswith("cm.txt, row 3 is not finite: there is no pose of this frame")
+
+
 def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monkeypatch):
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
@@ -984,6 +1025,8 @@ def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monk
         (["frames", "--layout", "kitti"], ["frames holds no pair", "flow_occ"]),
         (["flows", "--layout", "sintel"], ["flows holds no pair", "frame_NNNN.flo"]),
         (["flows/Slow/flow10.flo"], ["flow10.flo is a file", "folder of a dataset"]),
+        (["flows", "--step", "2"], ["step is 2", "no sequence with poses in flows"]),
+        (["flows", "--step", "0"], ["step is 0", "positive whole number"]),
         (["flows", "--focal", "0"], ["focal is 0", "positive"]),
         (["flows", "--center", "3", "4"], ["center is given without focal"]),
         (["flows", "--warps", "0"], ["warps is 0", "at least 1"]),

@@ -10,8 +10,11 @@ import pytest
 
 import tisfm
 from tisfm.datasets import LAYOUTS, find_pairs
+from tisfm.datasets.calibration import COLOUR_OFFSET, DEPTH_CAMERA, STATED, for_width
 from tisfm.formats import FormatError, read_image, write_flo, write_kitti_flow, write_png
-from tisfm.scenes import static_scene
+from tisfm.metrics import pose_errors
+from tisfm.poses import pose_matrix
+from tisfm.scenes import Box, Plane, Scene, Texture, static_scene
 
 H, W = 30, 44
 SCENE = static_scene("sideways", H, W)
@@ -122,6 +125,42 @@ def make_stereo(root):
     put_frames(root / "lonely_left.png", root / "lonely_right.png")  # no truth: no pair
 
 
+def world_poses(motion, count):
+    """Return poses, camera to world, of a camera before which the scene moves each frame."""
+    poses = [pose_matrix([0.3, -2, 1, 0.4, -0.2, 0.1])]
+    while len(poses) < count:
+        poses.append(poses[-1] @ np.linalg.inv(motion))
+    return poses
+
+
+MOTION = pose_matrix(SCENE.motions[0])
+POSES = world_poses(MOTION, 5)
+
+
+def write_rows(path, poses=POSES):
+    rows = [" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses]
+    path.write_text("\n".join(rows) + "\n")
+
+
+def make_new_tsukuba(root):
+    for k in range(4):
+        put(root / f"rgb_{k:05d}.png", COLOUR[k % 2])
+    write_rows(root / "poses_camera_to_world_3x4_cm.txt")
+
+
+def make_sevenscenes(root, numbers=range(5), suffix="png"):
+    raw = np.full((H, W), 1250, np.uint16)
+    raw[HOLE], raw[0] = 65535, 0
+    for k in numbers:
+        put(root / f"frame-{k:06d}.color.{suffix}", COLOUR[k % 2], write=write_picture)
+        put(root / f"frame-{k:06d}.depth.png", raw)
+        np.savetxt(root / f"frame-{k:06d}.pose.txt", POSES[k])
+
+
+def write_picture(path, image):
+    assert cv2.imwrite(str(path), image[..., ::-1])
+
+
 MAKERS = {
     "middlebury": make_middlebury,
     "middlebury original": make_middlebury_original,
@@ -130,6 +169,8 @@ MAKERS = {
     "sintel flat": make_sintel_flat,
     "yosemite": make_yosemite,
     "stereo": make_stereo,
+    "new_tsukuba": make_new_tsukuba,
+    "sevenscenes": make_sevenscenes,
 }
 NAMES = {
     "middlebury": ["data/Blocks", "data/Room"],
@@ -139,7 +180,12 @@ NAMES = {
     "sintel flat": ["data/frame_0002"],
     "yosemite": ["data/yos9"],
     "stereo": ["data/data", "data/scene"],
+    "new_tsukuba": [f"data/rgb_{k:05d}" for k in range(3)],
+    "sevenscenes": [f"data/frame-{k:06d}" for k in range(2)],
 }
+WITH_FLOW = set(MAKERS) - {"new_tsukuba", "sevenscenes"}
+WITH_DEPTH = {"stereo", "sevenscenes"}
+WITH_POSE = {"stereo", "new_tsukuba", "sevenscenes"}
 
 
 @pytest.fixture(params=MAKERS)
@@ -171,10 +217,18 @@ def test_pairs_are_found_and_read(data, kind):
         first, second = (loaded.frame0, loaded.frame1)
         assert first.shape[:2] == second.shape[:2] == (H, W)
         assert not np.array_equal(first, second) or "0002" in pair.name
-        assert loaded.flow.shape == (H, W, 2) and loaded.flow.dtype == np.float32
-        np.testing.assert_array_equal(np.isnan(loaded.flow).any(axis=2), HOLE)
-        if pair.layout != "stereo":
+        known = [loaded.flow is not None, loaded.depth is not None, loaded.pose is not None]
+        assert known == [kind in kinds for kinds in (WITH_FLOW, WITH_DEPTH, WITH_POSE)]
+        assert loaded.pose_given == (pair.layout == "stereo")
+        if loaded.flow is not None:
+            assert loaded.flow.shape == (H, W, 2) and loaded.flow.dtype == np.float32
+            np.testing.assert_array_equal(np.isnan(loaded.flow).any(axis=2), HOLE)
+        if loaded.flow is not None and pair.layout != "stereo":
             np.testing.assert_array_equal(loaded.flow[~HOLE], FLOW[~HOLE].astype(np.float32))
+        if loaded.depth is not None:
+            assert loaded.depth.shape == (H, W) and loaded.depth.dtype == np.float32
+        if loaded.pose is not None:
+            assert loaded.pose.shape == (4, 4) and loaded.pose.dtype == np.float64
         for mask in (loaded.occlusion, loaded.sky):
             assert mask is None or (mask.shape == (H, W) and mask.dtype == bool)
 
@@ -293,6 +347,20 @@ def test_disparity_is_motion_to_the_left(data):
     assert scene.occlusion is None
 
 
+def test_depth_and_pose_of_a_disparity(data):
+    make_stereo(data)
+    values = np.where(HOLE, np.inf, 3.25).astype(np.float32)
+    values[0, :3] = 0, -2, 6.5
+    np.savez(data / "scene_disp.npz", values)
+    loaded = find_pairs(data)[1].load()
+    no_depth = HOLE.copy()
+    no_depth[0, :2] = True  # infinitely far, or behind
+    np.testing.assert_array_equal(np.isnan(loaded.depth), no_depth)
+    assert loaded.depth[0, 2] == np.float32(1 / 6.5)
+    assert np.unique(loaded.depth[1:][~HOLE[1:]]).tolist() == [np.float32(1 / 3.25)]
+    np.testing.assert_array_equal(loaded.pose, pose_matrix([-1, 0, 0, 0, 0, 0]))
+
+
 @pytest.mark.parametrize("name", ["disp.npy", "disp.tif", "gt.png"])
 def test_disparity_in_other_files(data, name):
     make_stereo(data)
@@ -310,12 +378,159 @@ def test_disparity_in_other_files(data, name):
     assert np.isnan(flow[HOLE]).all()
 
 
+# Sequences with poses
+
+
+@pytest.mark.parametrize("kind", ["new_tsukuba", "sevenscenes"])
+@pytest.mark.parametrize("step", [None, 1, 2, 3])
+def test_pairs_of_a_sequence(data, kind, step):
+    MAKERS[kind](data)
+    pairs = find_pairs(data, step=step)
+    gap = step or {"new_tsukuba": 1, "sevenscenes": 3}[kind]
+    count = {"new_tsukuba": 4, "sevenscenes": 5}[kind] - gap
+    assert [pair.name[-5:] for pair in pairs] == [f"{k:05d}" for k in range(count)]
+    expected = np.linalg.matrix_power(MOTION, gap)
+    for k, pair in enumerate(pairs):
+        assert f"{k + gap:05d}" in pair.frame1.name
+        loaded = pair.load()
+        np.testing.assert_array_equal(loaded.frame0, COLOUR[k % 2])
+        np.testing.assert_allclose(loaded.pose, expected, atol=1e-6)
+        assert pose_errors(loaded.pose, expected).direction < 1e-3
+    with pytest.raises(FileNotFoundError):
+        find_pairs(data, step=5)
+
+
+def test_the_step_is_of_sequences_alone(data):
+    make_middlebury(data)
+    assert find_pairs(data, step=7) == find_pairs(data)
+    for step in (0, -1, 1.0, True):
+        with pytest.raises(ValueError, match=f"step is {step}: expected a positive whole number"):
+            find_pairs(data, step=step)
+
+
+def test_frames_that_are_missing_leave_out_their_pairs(data):
+    make_new_tsukuba(data)
+    (data / "rgb_00001.png").unlink()
+    assert [pair.name for pair in find_pairs(data)] == ["rgb_00002"]
+    make_sevenscenes(data / "other", numbers=(0, 1, 4))
+    assert [pair.name for pair in find_pairs(data / "other")] == ["frame-000001"]
+
+
+def test_cameras_of_sequences(data):
+    make_new_tsukuba(data)
+    make_sevenscenes(data)
+    scale = W / 640
+    for pair in find_pairs(data):
+        camera, whole = pair.load().camera, STATED[pair.layout]
+        assert camera.focal == pytest.approx(whole.focal * scale)
+        assert camera.center == pytest.approx(((320.5) * scale - 0.5, 240.5 * scale - 0.5))
+        assert for_width(whole, 640) == whole
+
+
+def test_sevenscenes_as_they_are_distributed(data):
+    make_sevenscenes(data / "chess" / "seq-01")
+    make_sevenscenes(data / "chess" / "photos", suffix="jpg")
+    pairs = find_pairs(data)
+    assert [pair.dataset for pair in pairs] == ["photos"] * 2 + ["chess seq-01"] * 2
+    for pair in pairs:
+        pair.load()
+        pair.frame0.write_bytes(pair.frame0.read_bytes()[:-9])
+        with pytest.raises(FormatError, match=pair.frame0.name):
+            pair.load()
+
+
+def test_depth_is_that_of_the_colour_camera(data):
+    """Rendered for the depth camera beside it, it is what the colour camera sees."""
+    height, width = 120, 160
+    views = []
+    for camera, shift in ((STATED["sevenscenes"], 0.0), (DEPTH_CAMERA, COLOUR_OFFSET)):
+        wall = Plane(texture=Texture(wavelength=0.1), point=(shift, 0, 2.5), normal=(0.3, 0.2, -1))
+        box = Box(
+            texture=Texture(wavelength=0.1), center=(0.2 + shift, 0, 1.0), size=(0.3, 0.25, 0.2)
+        )
+        scene = Scene(
+            objects=[wall, box], camera=for_width(camera, width), height=height, width=width
+        )
+        views.append(scene.render(samples=1).depth)
+    expected, raw = views
+    make_sevenscenes(data, numbers=(0, 3))
+    for k in (0, 3):
+        put(data / f"frame-{k:06d}.color.png", np.zeros((height, width), np.uint8))
+    write_png(data / "frame-000000.depth.png", np.rint(1000 * raw).astype(np.uint16))
+    (pair,) = find_pairs(data)
+    depth = pair.load().depth
+    known = np.isfinite(depth)
+    # The colour camera sees more at the edges, and behind the box to its left.
+    assert 0.75 < known.mean() < 0.85
+    error = np.abs(depth - expected)[known]
+    assert np.median(error) < 0.005 and (error < 0.03).mean() > 0.99
+    as_it_is = np.abs(raw - expected)
+    assert np.median(as_it_is) > 0.015 and (as_it_is < 0.03).mean() < 0.7
+
+
+def test_depth_that_is_missing(data):
+    make_sevenscenes(data)
+    loaded = find_pairs(data)[0].load()
+    assert np.unique(loaded.depth[np.isfinite(loaded.depth)]).tolist() == [1.25]
+    for value in (0, 65535):
+        write_png(data / "frame-000000.depth.png", np.full((H, W), value, np.uint16))
+        with pytest.raises(FormatError, match=rf"000000\.depth\.png has no known depth .* {H * W}"):
+            find_pairs(data)[0].load()
+    write_png(data / "frame-000000.depth.png", np.zeros((H, W), np.uint8))
+    with pytest.raises(FormatError, match=r"depth\.png holds .* uint8, expected a depth map"):
+        find_pairs(data)[0].load()
+
+
+POSE_ROW = "1 0 0 5 0 1 0 6 0 0 1 7"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"{POSE_ROW}\n1 2 3\n", "line 2 has 3 numbers, expected 12"),
+        (f"{POSE_ROW}\n\n{POSE_ROW} 0\n", "line 3 has 13 numbers, expected 12"),
+        (POSE_ROW.replace("5", "five"), "line 1: .*five.*, expected numbers"),
+        (POSE_ROW, "has 1 rows, so there is no pose of frame 1"),
+        (f"{POSE_ROW}\n{POSE_ROW.replace('6', 'nan')}", "row 1 is not finite"),
+        (f"{POSE_ROW}\n{POSE_ROW.replace('7', '-inf')}", "row 1 is not finite"),
+        (f"{POSE_ROW}\n{POSE_ROW.replace('1', '2')}", "row 1 holds no rotation"),
+        (f"{POSE_ROW}\n0 1 0 5 1 0 0 6 0 0 1 7", "row 1 holds no rotation"),
+    ],
+)
+def test_rows_that_are_no_poses(data, text, message):
+    make_new_tsukuba(data)
+    (data / "poses_camera_to_world_3x4_cm.txt").write_text(text)
+    with pytest.raises(FormatError, match=f"poses_camera_to_world_3x4_cm.txt.* {message}"):
+        find_pairs(data)[0].load()
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (["1 0 0 5", "0 1 0 6", "0 0 1 7"], "has 3 rows of numbers, expected a 4 × 4 matrix"),
+        (["1 0 0", "0 1 0", "0 0 1"], "line 1 has 3 numbers, expected 4"),
+        (["1 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 1 1"], r"has the last row .*, expected 0 0 0 1"),
+        (["nan nan nan nan"] * 4, "is not finite: there is no pose of this frame"),
+        (["1 0 0 5", "0 1 0 6", "0 0 2 7", "0 0 0 1"], "holds no rotation"),
+        (["-1.#IND 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"], "line 1: .*expected numbers"),
+    ],
+)
+def test_matrices_that_are_no_poses(data, rows, message):
+    make_sevenscenes(data)
+    (data / "frame-000003.pose.txt").write_text("\n".join(rows))
+    first, second = find_pairs(data)
+    with pytest.raises(FormatError, match=rf"frame-000003\.pose\.txt.* {message}"):
+        first.load()
+    second.load()
+
+
 # What is missing or damaged
 
 
 def files_of(pair):
     paths = (pair.frame0, pair.frame1, pair.truth, pair.occluded, pair.visible, pair.invalid)
-    return [path for path in (*paths, pair.sky, pair.calibration) if path is not None]
+    paths = (*paths, pair.sky, pair.calibration, pair.depth, pair.pose0, pair.pose1)
+    return [path for path in paths if path is not None]
 
 
 def test_every_missing_file_is_named(data, kind):
@@ -328,7 +543,9 @@ def test_every_missing_file_is_named(data, kind):
         with pytest.raises(FileNotFoundError) as caught:
             pair.load()
         assert str(path) in str(caught.value)
-        if path in (pair.frame0, pair.frame1):  # still found, so that the fault is told
+        if (
+            path in (pair.frame0, pair.frame1) and kind != "new_tsukuba"
+        ):  # still found, so that the fault is told
             assert pair.name in [found.name for found in find_pairs(data)]
         path.write_bytes(kept)
     pair.load()
@@ -353,7 +570,7 @@ def test_every_other_size_is_named(data, kind):
     pair = find_pairs(data)[-1]
     smaller = np.zeros((H, W - 1), np.uint8)
     for path in files_of(pair)[1:]:
-        if path == pair.calibration:
+        if path in (pair.calibration, pair.pose0, pair.pose1):
             continue
         kept = path.read_bytes()
         if path == pair.truth and pair.truth_format == "flo":
@@ -364,6 +581,8 @@ def test_every_other_size_is_named(data, kind):
             write_kitti_flow(path, np.zeros((H, W - 1, 2)))
         elif path.suffix == ".tif":
             write_tiff(path, smaller)
+        elif path == pair.depth:
+            write_png(path, smaller.astype(np.uint16))
         else:
             write_png(path, smaller)
         with pytest.raises(
@@ -468,9 +687,11 @@ def test_real_datasets(shared_data):
         "stereo/cones": (375, 450),
         "stereo/motorcycle": (500, 741),
         "kitti/kitti": (376, 1241),
+        "new_tsukuba/rgb_00073": (480, 640),
+        "sevenscenes/frame-000056": (480, 640),
     }
     for name, size in sizes.items():
-        assert pairs[name].load().flow.shape[:2] == size
+        assert pairs[name].load().frame0.shape[:2] == size
     cloudless = pairs["yosemite_cloudless/yoscloudless_009"].load()
     np.testing.assert_array_equal(np.isnan(cloudless.flow[..., 0]), cloudless.sky)
 

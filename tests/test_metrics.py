@@ -10,13 +10,16 @@ from hypothesis.extra.numpy import arrays
 
 from tisfm.metrics import (
     angular_error,
+    depth_error_map,
     depth_errors,
     endpoint_error,
     endpoint_error_map,
     flow_errors,
     occlusion_scores,
     outlier_rate,
+    pose_errors,
 )
+from tisfm.poses import pose_matrix
 
 
 def flow_of(*vectors):
@@ -222,6 +225,85 @@ def test_depth_errors_say_what_came():
         depth_errors(np.ones((2, 3)), np.zeros((2, 3)))
     with pytest.raises(ValueError, match=r"\(2, 3\) depth is finite and positive .* 6 pixels"):
         depth_errors(np.zeros((2, 3)), np.ones((2, 3)))
+
+
+def test_depth_error_map_by_hand():
+    depth, truth = [[1.0, 2.0, 1.0, np.nan, 4.0, 1.0]], [[2.0, 4.0, 3.0, 1.0, np.nan, 0.0]]
+    error = depth_error_map(depth, truth)
+    np.testing.assert_allclose(error, [[0, 0, 1 / 3, np.nan, np.nan, np.nan]])
+    assert np.nanmean(error) == pytest.approx(depth_errors(depth, truth).abs_rel)
+    unaligned = depth_error_map(depth, truth, mask=[[0, 1, 1, 1, 1, 1]], align=None)
+    np.testing.assert_allclose(unaligned, [[np.nan, 0.5, 2 / 3, np.nan, np.nan, np.nan]])
+    with pytest.raises(ValueError, match=r"depth is \(2, 3\) and truth is \(3, 2\)"):
+        depth_error_map(np.ones((2, 3)), np.ones((3, 2)))
+
+
+# Pose
+
+
+twists = arrays(np.float64, (6,), elements=st.floats(-1, 1)).filter(
+    lambda twist: np.linalg.norm(twist[:3]) > 1e-3
+)
+
+
+def test_pose_errors_by_hand():
+    still = pose_matrix([1, 0, 0, 0, 0, 0])
+    for motion, direction, rotation in (
+        ([2, 0, 0, 0, 0, 0], 0, 0),  # the length does not count
+        ([-1, 0, 0, 0, 0, 0], 180, 0),  # the sign does
+        ([0, 3, 0, 0, 0, 0], 90, 0),
+        ([1, 0, 1, 0, 0, 0], 45, 0),
+        ([1, 0, 0, math.radians(30), 0, 0], 0, 30),
+    ):
+        errors = pose_errors(pose_matrix(motion), still)
+        assert errors.direction == pytest.approx(direction, abs=1e-12)
+        assert errors.rotation == pytest.approx(rotation, abs=1e-12)
+    half = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn
+    assert pose_errors(half, np.eye(4)).rotation == pytest.approx(180)
+
+
+def test_pose_errors_keep_small_angles():
+    errors = pose_errors(pose_matrix([1, 1e-9, 0, 0, 0, 2e-9]), pose_matrix([1, 0, 0, 0, 0, 0]))
+    assert errors.rotation == pytest.approx(math.degrees(2e-9), rel=1e-6)
+    assert errors.direction == pytest.approx(math.degrees(2e-9), rel=1e-6)  # half of ω adds to t
+
+
+def test_without_translation_there_is_no_direction():
+    turn = pose_matrix([0, 0, 0, 0.1, 0, 0])
+    for pose, truth in ((turn, pose_matrix([1, 0, 0, 0, 0, 0])), (np.eye(4), turn), (turn, turn)):
+        errors = pose_errors(pose, truth)
+        assert errors.direction is None
+        assert errors.rotation == pytest.approx(0 if pose is truth else math.degrees(0.1))
+
+
+@given(twist=twists, other=twists, turn=twists)
+def test_pose_errors_do_not_depend_on_the_axes_of_the_world(twist, other, turn):
+    pose, truth, world = pose_matrix(twist), pose_matrix(other), pose_matrix(turn)
+    errors = pose_errors(pose, truth)
+    assert 0 <= errors.direction <= 180 and 0 <= errors.rotation <= 180
+    swapped = pose_errors(truth, pose)
+    assert swapped.direction == errors.direction
+    assert swapped.rotation == pytest.approx(errors.rotation, abs=1e-6)
+    world[:3, 3] = 0  # other axes of the second camera
+    turned = pose_errors(world @ pose, world @ truth)
+    assert turned.direction == pytest.approx(errors.direction, abs=1e-5)
+    assert turned.rotation == pytest.approx(errors.rotation, abs=1e-5)
+
+
+@given(twist=twists)
+def test_the_true_pose_has_no_error(twist):
+    errors = pose_errors(pose_matrix(twist), pose_matrix(twist))
+    assert errors.direction == 0 and errors.rotation == pytest.approx(0, abs=1e-12)
+
+
+def test_pose_errors_say_what_came():
+    with pytest.raises(ValueError, match=r"pose is \(3, 4\) .* finite \(4, 4\) matrix"):
+        pose_errors(np.eye(4)[:3], np.eye(4))
+    with pytest.raises(ValueError, match=r"truth is \(4, 4\) .*nan.* finite \(4, 4\)"):
+        pose_errors(np.eye(4), np.full((4, 4), np.nan))
+    for wrong in (2 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.zeros((4, 4))):
+        with pytest.raises(ValueError, match=r"pose is .* expected a rotation"):
+            pose_errors(wrong, np.eye(4))
 
 
 # Occlusion

@@ -131,17 +131,20 @@ class StatedCameraOptions:
 
 @dataclass(kw_only=True)
 class Eval:
-    """Compare with the true motion of benchmarks.
+    """Compare with the true flow, depth and pose of benchmarks.
 
-    Interprets every pair found in the folders and prints one table of errors: end-point (EPE) and
-    angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more (R1.0), and,
-    where the dataset says what is occluded, EPE without it (noc) and how well it is found (occ F1).
-    Known layouts are those of Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs
-    with a disparity.
+    Interprets every pair found in the folders and prints tables of errors. Of the flow: end-point
+    (EPE) and angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more
+    (R1.0), and, where the dataset says what is occluded, EPE without it (noc) and how well it is
+    found (occ F1). Of the depth, after scaling by the median: abs-rel, SILog, and the share off by
+    a factor below 1.25. Of the pose, with --motion camera: the angles between the directions of
+    translation and between the rotations. Known layouts are those of Middlebury, KITTI 2012 and
+    2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, and stereo pairs with a disparity.
 
-    With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_error.png (end-point error, on
-    one scale for all), NAME_flow.png (recovered beside true flow) and NAME_flow.flo; and eval.json
-    with versions, settings and every number.
+    With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
+    (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
+    NAME_depth_error.png (recovered beside true depth, and the relative error), or both, as there
+    is a truth; and eval.json with versions, settings and every number.
     """
 
     folders: Annotated[
@@ -153,6 +156,9 @@ class Eval:
     """Folder for pictures, flow and eval.json; made if need be. By default nothing is written."""
     layout: Layout | None = None
     """Layout of the folders; by default every one that is recognised."""
+    step: int | None = None
+    """Frames from the first to the second of a pair, in sequences with poses; by default 1 for New
+    Tsukuba and 3 for 7-Scenes."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
     threads: int | None = None
@@ -174,6 +180,7 @@ class Eval:
             layout=self.layout,
             camera=self.camera.camera(),
             settings=self.settings.settings(),
+            step=self.step,
             threads=self.threads,
         )
 

@@ -22,11 +22,11 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.datasets import Layout, LoadedPair, find_pairs
+from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.evaluation import PairEvaluation
 from tisfm.evaluation import evaluate as evaluate_pairs
 from tisfm.evaluation_outputs import EVALUATION_RECORD, EvaluationWriter
-from tisfm.evaluation_table import evaluation_table
+from tisfm.evaluation_table import evaluation_tables
 from tisfm.focal_guess import guess_focal
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
@@ -103,10 +103,18 @@ def evaluate(
     layout: Layout | None = None,
     camera: Camera | None = None,
     settings: Settings,
+    step: int | None = None,
     threads: int | None = None,
 ) -> int:
     """Interpret the pairs of datasets, print their errors, write all; return the exit code."""
-    pairs = dict.fromkeys(pair for folder in folders for pair in find_pairs(folder, layout))
+    pairs = dict.fromkeys(
+        pair for folder in folders for pair in find_pairs(folder, layout, step=step)
+    )
+    if step is not None and all(LAYOUTS[pair.layout].step is None for pair in pairs):
+        raise ValueError(
+            f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
+            "it out"
+        )
     runtime.start(threads=threads)
     writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
     with _progress() as progress:
@@ -122,7 +130,8 @@ def evaluate(
         evaluation = evaluate_pairs(pairs, camera=camera, settings=settings, on_pair=finish_pair)
     if writer is not None:
         writer.finish(evaluation)
-    _print_whole(evaluation_table(evaluation))
+    for table in evaluation_tables(evaluation):
+        _print_whole(table)
     good = [pair for pair in evaluation.pairs if pair.fault is None]
     if good:
         counts = Counter(pair.status for pair in good)

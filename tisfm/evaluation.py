@@ -1,20 +1,34 @@
-"""Interpretations of pairs whose motion is known, compared with it."""
+"""Interpretations of pairs whose flow, depth or pose is known, compared with it."""
 
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.datasets import DatasetPair, LoadedPair
+from tisfm.evaluation_means import MeanErrors, mean_errors
 from tisfm.interpretation import Interpretation
-from tisfm.metrics import FlowErrors, OcclusionScores, flow_errors, occlusion_scores
+from tisfm.metrics import (
+    DepthErrors,
+    FlowErrors,
+    OcclusionScores,
+    PoseErrors,
+    depth_errors,
+    flow_errors,
+    occlusion_scores,
+    pose_errors,
+)
 from tisfm.occlusion import leaves_image
 from tisfm.pair import interpret
+from tisfm.poses import pose_matrix
 from tisfm.settings import Settings, check_settings
+
+LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
+"""Codes of a status that say that depth and direction of translation cannot be seen."""
 
 _WARM_UP_SIDE = 64  # px
 
@@ -39,7 +53,7 @@ class PairEvaluation:
         Time of the interpretation. Reading files, compiling kernels, comparing and writing are
         not part of it.
     errors : FlowErrors or None
-        Where the truth is known.
+        Of the flow, where the truth is known; None if the dataset has no true flow.
     visible : FlowErrors or None
         The same without the pixels that are occluded in frame 1, if the dataset says which.
     without_sky : FlowErrors or None
@@ -48,6 +62,16 @@ class PairEvaluation:
         How well our map of occlusion agrees with that of the dataset and what leaves the image,
         where the true flow is known; None if the dataset has none. Where nothing is occluded, its
         count of marked pixels is that of false alarms.
+    depth : DepthErrors or None
+        Of the depth, scaled by the median, where the truth is known; None if the dataset has no
+        true depth, or the interpretation none.
+    without_depth : bool
+        Whether the dataset has true depth but the interpretation none: its status says that there
+        is too little parallax, or no pixel of known depth has one.
+    pose : PoseErrors or None
+        Of the one motion of the scene before the camera; None if the dataset has no true pose, it
+        was given to the interpretation, or the interpretation has no such motion. Where there is
+        too little parallax, its direction is None.
     """
 
     pair: DatasetPair
@@ -61,39 +85,19 @@ class PairEvaluation:
     visible: FlowErrors | None = None
     without_sky: FlowErrors | None = None
     occlusion: OcclusionScores | None = None
+    depth: DepthErrors | None = None
+    without_depth: bool = False
+    pose: PoseErrors | None = None
 
     @property
     def label(self) -> str:
         """Dataset and name."""
         return f"{self.pair.dataset}/{self.pair.name}"
 
-
-@dataclass(frozen=True, kw_only=True)
-class MeanErrors:
-    """Means over pairs, each pair counting the same whatever its size (but see `occlusion`).
-
-    Attributes
-    ----------
-    pairs : int
-        Pairs that the means are over: those without a fault.
-    seconds : float
-        Time of an interpretation.
-    errors : FlowErrors
-        Where the truth is known. Its `pixels` are those of all pairs together.
-    visible, without_sky : FlowErrors or None
-        As in `PairEvaluation`; None unless every one of the pairs has them, because a mean over
-        other pairs could not be compared with that of the column beside it.
-    occlusion : OcclusionScores or None
-        Not a mean: of the pixels of all pairs together, so that a false alarm counts where nothing
-        is occluded. None unless every one of the pairs has them.
-    """
-
-    pairs: int
-    seconds: float
-    errors: FlowErrors
-    visible: FlowErrors | None = None
-    without_sky: FlowErrors | None = None
-    occlusion: OcclusionScores | None = None
+    @property
+    def little_parallax(self) -> bool:
+        """Whether the interpretation says that the parallax does not suffice for depth."""
+        return self.status in LITTLE_PARALLAX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,10 +146,12 @@ def evaluate(
     on_pair: Callable[[PairEvaluation, Interpretation | None, LoadedPair | None], None]
     | None = None,
 ) -> Evaluation:
-    """Interpret pairs and compare their flow with the truth.
+    """Interpret pairs and compare their flow, depth and pose with the truth.
 
-    A pair that cannot be read, interpreted or compared is recorded with its fault, and the others
-    go on. Kernels are compiled beforehand, so that no time includes it.
+    A pose that the dataset knows beforehand, as of a rectified stereo pair, is given to
+    interpretations that recover one motion of the camera (``motion="camera"``). A pair that cannot
+    be read, interpreted or compared is recorded with its fault, and the others go on. Kernels are
+    compiled beforehand, so that no time includes it.
 
     Parameters
     ----------
@@ -197,22 +203,6 @@ def evaluate(
     return Evaluation(settings=settings, pairs=tuple(done))
 
 
-def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
-    """Return means over the pairs without a fault, or None if there is none."""
-    good = [pair for pair in pairs if pair.errors is not None and pair.seconds is not None]
-    errors = _mean([pair.errors for pair in good])
-    if errors is None:
-        return None
-    return MeanErrors(
-        pairs=len(good),
-        seconds=float(np.mean([pair.seconds for pair in good])),
-        errors=errors,
-        visible=_mean([pair.visible for pair in good]),
-        without_sky=_mean([pair.without_sky for pair in good]),
-        occlusion=_together([pair.occlusion for pair in good]),
-    )
-
-
 def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
     """Return everything about a pair as plain values, for JSON."""
     record = asdict(evaluation)
@@ -227,12 +217,14 @@ def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
 def _evaluate_pair(
     pair: DatasetPair, loaded: LoadedPair, *, camera: Camera | None, settings: Settings
 ) -> tuple[PairEvaluation, Interpretation]:
-    """Interpret one pair and compare its flow with the truth."""
+    """Interpret one pair and compare it with the truth."""
     camera = camera or loaded.camera or Camera()
+    given = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
     begin = time.perf_counter()
-    result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings)
+    result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=given)
     seconds = time.perf_counter() - begin
-    height, width = loaded.flow.shape[:2]
+    height, width = loaded.frame0.shape[:2]
+    depth = _depth_errors(result, loaded)
     evaluation = PairEvaluation(
         pair=pair,
         size=(height, width),
@@ -240,19 +232,40 @@ def _evaluate_pair(
         status=str(result.status),
         message=result.status.message,
         seconds=seconds,
-        errors=flow_errors(result.flow, loaded.flow),
+        errors=None if loaded.flow is None else flow_errors(result.flow, loaded.flow),
         visible=_errors_outside(result.flow, loaded.flow, loaded.occlusion),
         without_sky=_errors_outside(result.flow, loaded.flow, loaded.sky),
         occlusion=_scores(result.occlusion, loaded),
+        depth=depth,
+        without_depth=loaded.depth is not None and depth is None,
+        pose=_pose_errors(result, loaded),
     )
     return evaluation, result
 
 
+def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | None:
+    """Compare the depth with the true one, or return None if one of them does not exist."""
+    if loaded.depth is None or result.status in LITTLE_PARALLAX:
+        return None
+    depth = result.depth
+    comparable = np.isfinite(loaded.depth) & np.isfinite(depth) & (depth > 0)
+    return depth_errors(depth, loaded.depth) if comparable.any() else None
+
+
+def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | None:
+    """Compare the motion of the camera with the true one, or return None if there is none."""
+    motions = getattr(result, "motions", None)
+    if motions is None or loaded.pose is None or loaded.pose_given:
+        return None
+    errors = pose_errors(pose_matrix(motions[0]), loaded.pose)
+    return replace(errors, direction=None) if result.status in LITTLE_PARALLAX else errors
+
+
 def _errors_outside(
-    flow: np.ndarray, truth: np.ndarray, mask: np.ndarray | None
+    flow: np.ndarray, truth: np.ndarray | None, mask: np.ndarray | None
 ) -> FlowErrors | None:
     """Return the errors without the pixels of a mask, or None if there is none or no pixel is."""
-    if mask is None:
+    if truth is None or mask is None:
         return None
     counted = ~mask
     known = np.isfinite(truth).all(axis=-1)
@@ -261,35 +274,12 @@ def _errors_outside(
 
 def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
     """Compare a map of occlusion with the dataset's, or return None if it has none."""
-    if loaded.occlusion is None:
+    if loaded.flow is None or loaded.occlusion is None:
         return None
     known = np.isfinite(loaded.flow).all(axis=-1)
     # Datasets differ in whether what leaves the image is occluded; to us it is.
     truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
     return occlusion_scores(occlusion, truth, mask=known)
-
-
-def _mean(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
-    """Return the mean of every error, or None if one is missing or there are none."""
-    present = [error for error in errors if error is not None]
-    if not present or len(present) < len(errors):
-        return None
-    means = {
-        field.name: float(np.mean([getattr(error, field.name) for error in present]))
-        for field in fields(FlowErrors)
-        if field.name != "pixels"
-    }
-    return FlowErrors(**means, pixels=sum(error.pixels for error in present))
-
-
-def _together(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:
-    """Return the scores of all maps together, or None if one is missing or there are none."""
-    present = [score for score in scores if score is not None]
-    if not present or len(present) < len(scores):
-        return None
-    names = ("hits", "marked", "occluded", "pixels")
-    counts = {name: sum(getattr(score, name) for score in present) for name in names}
-    return OcclusionScores.from_counts(**counts)
 
 
 def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> None:

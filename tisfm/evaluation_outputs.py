@@ -18,7 +18,14 @@ from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
 from tisfm.outputs import make_folder
 from tisfm.settings import Settings
-from tisfm.show import ERROR_RANGE, error_figure, flow_figure, save_figure
+from tisfm.show import (
+    DEPTH_ERROR_RANGE,
+    ERROR_RANGE,
+    depth_error_figure,
+    error_figure,
+    flow_figure,
+    save_figure,
+)
 from tisfm.version import __version__
 
 EVALUATION_RECORD = "eval.json"
@@ -29,10 +36,12 @@ _PACKAGES = ("numpy", "opencv-python-headless", "taichi")
 class EvaluationWriter:
     """Writes evaluations of pairs into a folder, and everything about them into one record.
 
-    For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``, ``DATASET/NAME_flow.png`` (recovered
-    beside true flow) and ``DATASET/NAME_error.png`` (end-point error, on one scale for all). The
-    record, ``eval.json``, is written first, and renewed after every pair, so that it always holds
-    the pairs of this evaluation whose files are complete; its "complete" turns true at the end.
+    For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``; where the true flow is known,
+    ``DATASET/NAME_flow.png`` (recovered beside true flow) and ``DATASET/NAME_error.png`` (end-point
+    error, on one scale for all); where the true depth is known and one is recovered,
+    ``DATASET/NAME_depth_error.png`` (both on one scale, and the relative error). The record,
+    ``eval.json``, is written first, and renewed after every pair, so that it always holds the pairs
+    of this evaluation whose files are complete; its "complete" turns true at the end.
 
     Parameters
     ----------
@@ -64,6 +73,7 @@ class EvaluationWriter:
             "camera": None if camera is None else asdict(camera),
             "settings": asdict(settings),
             "error_range_px": list(ERROR_RANGE),
+            "depth_error_range": list(DEPTH_ERROR_RANGE),
             "complete": False,
             "pairs": [],
             "dataset_means": {},
@@ -93,21 +103,30 @@ class EvaluationWriter:
             If a file cannot be written.
         """
         stem = None
-        if result is not None and loaded is not None and evaluation.errors is not None:
+        if result is not None and loaded is not None:
             stem = self._free_stem(evaluation)
-            path = self.folder / stem
-            make_folder(path.parent)
+            make_folder((self.folder / stem).parent)
+            self._write_files(f"{self.folder / stem}", evaluation, result, loaded)
+        self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
+        self._write_record()
+
+    def _write_files(
+        self, path: str, evaluation: PairEvaluation, result: Interpretation, loaded: LoadedPair
+    ) -> None:
+        write_flo(f"{path}_flow.flo", result.flow)
+        if loaded.flow is not None and evaluation.errors is not None:
             title = f"{evaluation.label}, EPE {evaluation.errors.endpoint:.3f} px"
-            write_flo(f"{path}_flow.flo", result.flow)
             figure = flow_figure(result.flow, loaded.flow, title=title)
             save_figure(f"{path}_flow.png", figure, _DPI)
             error = endpoint_error_map(result.flow, loaded.flow)
             save_figure(f"{path}_error.png", error_figure(error, title=title), _DPI)
-        self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
-        self._write_record()
+        if loaded.depth is not None and evaluation.depth is not None:
+            title = f"{evaluation.label}, abs-rel {evaluation.depth.abs_rel:.3f}"
+            figure = depth_error_figure(result.depth, loaded.depth, title=title)
+            save_figure(f"{path}_depth_error.png", figure, _DPI)
 
     def finish(self, evaluation: Evaluation) -> None:
-        """Add the means to the record, and mark it as complete.
+        """Add the means and medians to the record, and mark it as complete.
 
         Parameters
         ----------

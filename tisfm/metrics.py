@@ -1,4 +1,4 @@
-"""Errors of flow and depth against the truth, as the usual benchmarks define them.
+"""Errors of flow, depth and pose against the truth, as the usual benchmarks define them.
 
 Pixels whose truth is unknown never count: those where it is not finite or above 1e9 in magnitude,
 the Middlebury convention. Sums are float64 whatever the input.
@@ -9,17 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.poses import PoseErrors, pose_errors
+
 __all__ = [
     "DepthErrors",
     "FlowErrors",
     "OcclusionScores",
+    "PoseErrors",
     "angular_error",
+    "depth_error_map",
     "depth_errors",
     "endpoint_error",
     "endpoint_error_map",
     "flow_errors",
     "occlusion_scores",
     "outlier_rate",
+    "pose_errors",
 ]
 
 UNKNOWN = 1e9
@@ -275,27 +280,11 @@ def depth_errors(
     References
     ----------
     Eigen, Puhrsch and Fergus, Depth map prediction from a single image using a multi-scale deep
-    network, NIPS 2014, arXiv 1406.2283.
+    network, NIPS 2014, arXiv 1406.2283. `silog` is the root of its scale-invariant error, times 100
+    as in KITTI's benchmark (Uhrig et al., Sparsity invariant CNNs, 3DV 2017, arXiv 1708.06500).
     """
-    if align not in ("median", None):
-        raise ValueError(f"align is {align!r}: expected 'median' or None")
-    estimate, truth = np.asarray(depth, np.float64), np.asarray(truth, np.float64)
-    if estimate.shape != truth.shape or truth.ndim != 2:
-        raise ValueError(
-            f"depth is {estimate.shape} and truth is {truth.shape}: expected the same shape, (H, W)"
-        )
-    known = _known(truth) & (truth > 0) & _counting(mask, truth.shape)
-    if not known.any():
-        raise ValueError(f"no pixel of the {truth.shape} truth is known, positive and in the mask")
-    valid = known & np.isfinite(estimate) & (estimate > 0)
-    if not valid.any():
-        raise ValueError(
-            f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
-            f"known: {np.count_nonzero(known)} pixels are"
-        )
-    d, true = estimate[valid], truth[valid]
-    scale = 1.0 if align is None else float(np.median(true / d))
-    d = d * scale
+    d, true, valid, known, scale = _depths(depth, truth, mask, align)
+    d, true = d[valid], true[valid]
     log_ratio = np.log(d) - np.log(true)
     ratio = np.maximum(d / true, true / d)
     delta1, delta2, delta3 = (float((ratio < 1.25**power).mean()) for power in (1, 2, 3))
@@ -310,6 +299,36 @@ def depth_errors(
         scale=scale,
         density=float(np.count_nonzero(valid) / np.count_nonzero(known)),
     )
+
+
+def depth_error_map(
+    depth: ArrayLike,
+    truth: ArrayLike,
+    mask: ArrayLike | None = None,
+    align: str | None = "median",
+) -> NDArray[np.float64]:
+    """Return the relative error of the depth, |d - d*| / d*, at each pixel.
+
+    Parameters
+    ----------
+    depth, truth, mask, align
+        As in `depth_errors`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
+        Error, without unit; NaN where the truth is unknown, the mask is zero or there is no valid
+        estimate.
+
+    Raises
+    ------
+    ValueError
+        As `depth_errors`.
+    """
+    d, true, valid, _, _ = _depths(depth, truth, mask, align)
+    error = np.full(valid.shape, np.nan)
+    error[valid] = np.abs(d[valid] - true[valid]) / true[valid]
+    return error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -387,6 +406,39 @@ def occlusion_scores(
     return OcclusionScores.from_counts(
         hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())
     )
+
+
+def _depths(
+    depth: ArrayLike, truth: ArrayLike, mask: ArrayLike | None, align: str | None
+) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
+    """Check and align two depths.
+
+    Returns
+    -------
+    depth, truth : (H, W) float64
+        The former multiplied by `scale`.
+    valid, known : (H, W) bool
+        Where both are known, and where the truth is.
+    scale : float
+    """
+    if align not in ("median", None):
+        raise ValueError(f"align is {align!r}: expected 'median' or None")
+    estimate, true = np.asarray(depth, np.float64), np.asarray(truth, np.float64)
+    if estimate.shape != true.shape or true.ndim != 2:
+        raise ValueError(
+            f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
+        )
+    known = _known(true) & (true > 0) & _counting(mask, true.shape)
+    if not known.any():
+        raise ValueError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
+    valid = known & np.isfinite(estimate) & (estimate > 0)
+    if not valid.any():
+        raise ValueError(
+            f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
+            f"known: {np.count_nonzero(known)} pixels are"
+        )
+    scale = 1.0 if align is None else float(np.median(true[valid] / estimate[valid]))
+    return estimate * scale, true, valid, known, scale
 
 
 def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:

@@ -169,15 +169,13 @@ class _Level:
         field = self._field
         self.displace(motions)
         self._terms = self._data_term.linearise(self.flow)
-        along(
-            field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted
-        )
+        along(field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted)
         return self._restricted
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        if MEDIAN > 1:
-            image_to_lanes(self._field.grid, cv2.medianBlur(self._field.images()[0], MEDIAN), self._field.rho)
+        depth = cv2.medianBlur(self._field.images()[0], MEDIAN)
+        image_to_lanes(self._field.grid, depth, self._field.rho)
 
     def refined(self, motions: np.ndarray, unknowns: int) -> np.ndarray:
         """Return the motions after steps of Gauss–Newton on the last linearisation."""
@@ -237,11 +235,9 @@ def _stepped(
     length = np.linalg.norm(translation)
     if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
         return motion
-    # Along t the scale changes, which nothing tells: hold it. The rest is damped by rounding's size.
+    # Along t the scale changes, which nothing tells: hold it.
     along_t = np.concatenate([translation / length, np.zeros(3)])
-    matrix = matrix + (np.trace(matrix) + 1e-30) * (
-        np.outer(along_t, along_t) + 1e-9 * np.eye(6)
-    )
+    matrix = matrix + (np.trace(matrix) + 1e-30) * (np.outer(along_t, along_t) + 1e-9 * np.eye(6))
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
     turn = cv2.Rodrigues(step[3:])[0]

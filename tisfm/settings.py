@@ -153,9 +153,7 @@ class Settings:
         _check_real("depth_smoothness", self.depth_smoothness, above=0)
         _check_real("depth_brightness", self.depth_brightness, least=0, most=1e6)
         if not self.depth_brightness + self.gradient > 0:
-            raise ValueError(
-                "depth_brightness and gradient are both 0: give one of them a weight"
-            )
+            raise ValueError("depth_brightness and gradient are both 0: give one of them a weight")
         if self.depth_normalization is not None:
             _check_real("depth_normalization", self.depth_normalization, least=0, most=1e6)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)

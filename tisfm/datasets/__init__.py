@@ -1,7 +1,8 @@
-"""Frame pairs with true motion, in the folder layouts of the usual benchmarks.
+"""Frame pairs with true motion, depth or pose, in the folder layouts of the usual benchmarks.
 
-Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, and stereo pairs with a disparity. Nothing is
-downloaded: `find_pairs` finds what lies in a folder, and reads it when asked to.
+Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, stereo pairs with a disparity, and sequences with
+poses: New Tsukuba and 7-Scenes. Nothing is downloaded: `find_pairs` finds what lies in a folder,
+and reads it when asked to.
 """
 
 from tisfm.datasets.finding import find_pairs

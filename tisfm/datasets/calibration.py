@@ -10,6 +10,23 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_bytes
 
+STATED_SIZE = (480, 640)
+"""Height and width of the frames that `STATED` is about, px."""
+
+STATED = {
+    # Its authors give the focal length of the depth camera alone, 585 px; 525 px is the usual one
+    # of the colour camera of that sensor.
+    "sevenscenes": Camera(focal=525.0, center=(320.0, 240.0)),
+    "new_tsukuba": Camera(focal=615.0, center=(320.0, 240.0)),
+}
+"""Cameras of layouts that have one for all their frames, which no file says."""
+
+DEPTH_CAMERA = Camera(focal=585.0, center=(320.0, 240.0))
+"""The depth camera of "sevenscenes"; its maps and the frames are not of one view."""
+
+COLOUR_OFFSET = 0.025
+"""Where the colour camera of that sensor is, to the right of its depth camera, m."""
+
 _CAM = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
 _CAM_TAG = 202021.25
 
@@ -45,6 +62,11 @@ def read_camera(path: Path, frame: Path) -> Camera:
         return Camera(focal=float(matrix[0, 0]), center=(float(matrix[0, 2]), float(matrix[1, 2])))
     except ValueError as error:
         raise FormatError(f"{path} states no usable camera: {error}") from error
+
+
+def for_width(camera: Camera, width: int) -> Camera:
+    """Return a camera that is stated for frames of `STATED_SIZE` for these frames resampled."""
+    return camera.scaled(width / STATED_SIZE[1], *STATED_SIZE)
 
 
 def _sintel_matrix(path: Path) -> np.ndarray:

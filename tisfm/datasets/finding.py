@@ -1,23 +1,28 @@
-"""Pairs with true motion anywhere below a folder."""
+"""Pairs with a truth anywhere below a folder."""
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from tisfm.datasets.layouts import LAYOUTS, Layout
+from tisfm.datasets.layouts import LAYOUTS, Layout, Rule
 from tisfm.datasets.pair import DatasetPair
 
 
-def find_pairs(folder: str | os.PathLike[str], layout: Layout | None = None) -> list[DatasetPair]:
-    """Find the pairs of frames with true motion in a folder, and in all folders below it.
+def find_pairs(
+    folder: str | os.PathLike[str], layout: Layout | None = None, *, step: int | None = None
+) -> list[DatasetPair]:
+    """Find the pairs of frames with a truth in a folder, and in all folders below it.
 
     Parameters
     ----------
     folder : str or os.PathLike
         Folder of a dataset, or of several. Links to folders are followed, and hidden folders
         left out.
-    layout : {"middlebury", "kitti", "sintel", "yosemite", "stereo"}, optional
-        How the files are laid out; by default, every layout that is recognised.
+    layout : str, optional
+        How the files are laid out, one of `LAYOUTS`; by default, every layout that is recognised.
+    step : int, optional
+        In a sequence with poses ("new_tsukuba", "sevenscenes") pairs are of the frames i and
+        i + `step`, for every i; by default by 1 and 3. Other datasets say which frames are a pair.
 
     Returns
     -------
@@ -31,18 +36,20 @@ def find_pairs(folder: str | os.PathLike[str], layout: Layout | None = None) -> 
     NotADirectoryError
         If `folder` is a file.
     ValueError
-        If there is no such layout.
+        If there is no such layout, or `step` is not a positive whole number.
 
     Examples
     --------
     >>> from tisfm.datasets import find_pairs
     >>> for pair in find_pairs("middlebury"):  # doctest: +SKIP
-    ...     loaded = pair.load()  # frames, flow with NaN where unknown, occlusion, camera
+    ...     loaded = pair.load()  # frames, flow with NaN where unknown, depth, pose, camera
     """
     if layout is not None and layout not in LAYOUTS:
         raise ValueError(
             f"layout is {layout!r}: expected one of {', '.join(map(repr, LAYOUTS))}, or None"
         )
+    if step is not None and (not isinstance(step, int) or isinstance(step, bool) or step < 1):
+        raise ValueError(f"step is {step!r}: expected a positive whole number")
     root = Path(folder)
     if not root.exists():
         raise FileNotFoundError(
@@ -56,16 +63,21 @@ def find_pairs(folder: str | os.PathLike[str], layout: Layout | None = None) -> 
         pair
         for place in _folders(Path(os.path.abspath(root)))
         for rule in rules
-        for pair in rule.find(place)
+        for pair in _find(rule, place, step)
     ]
     if not pairs:
         names = [layout] if layout is not None else list(LAYOUTS)
         expected = "; ".join(f"{name}: {LAYOUTS[name].expected}" for name in names)
         raise FileNotFoundError(
-            f"{root} holds no pair of frames with true motion. Looked there and in the folders "
+            f"{root} holds no pair of frames with a truth. Looked there and in the folders "
             f"below for {expected}"
         )
     return pairs
+
+
+def _find(rule: Rule, folder: Path, step: int | None) -> Iterator[DatasetPair]:
+    """Yield the pairs of a layout in one folder."""
+    return rule.find(folder) if rule.step is None else rule.find(folder, step=step or rule.step)
 
 
 def _folders(root: Path) -> Iterator[Path]:

@@ -13,10 +13,13 @@ from typing import Literal, NamedTuple
 from tisfm.datasets.pair import DatasetPair
 from tisfm.formats import IMAGE_SUFFIXES
 
-Layout = Literal["middlebury", "kitti", "sintel", "yosemite", "stereo"]
+Layout = Literal[
+    "middlebury", "kitti", "sintel", "yosemite", "stereo", "new_tsukuba", "sevenscenes"
+]
 
 _KITTI_FRAMES = ("image_2", "colored_0", "image_0")
 _KITTI_CALIBRATIONS = ("calib_cam_to_cam", "calib")
+_TSUKUBA_POSES = "poses_camera_to_world_3x4_cm.txt"
 _DISPARITY_NAMES = ("disp", "disparity", "gt")
 _DISPARITY_SUFFIXES = (".npz", ".npy", ".png", ".tif", ".tiff")
 
@@ -159,39 +162,99 @@ def find_stereo(folder: Path) -> Iterator[DatasetPair]:
             )
 
 
-class _Rule(NamedTuple):
-    find: Callable[[Path], Iterator[DatasetPair]]
+def find_new_tsukuba(folder: Path, *, step: int) -> Iterator[DatasetPair]:
+    """Find rgb_NNNNN.png beside a file with a row of the pose of each."""
+    poses = folder / _TSUKUBA_POSES
+    if not poses.is_file():
+        return
+    frames = _numbered(folder, "rgb_*.png", r"rgb_(\d+)\.png")
+    for first in sorted(frames):
+        if first + step in frames:
+            yield DatasetPair(
+                layout="new_tsukuba",
+                dataset=folder.name,
+                name=frames[first].stem,
+                frame0=frames[first],
+                frame1=frames[first + step],
+                pose0=poses,
+                pose1=poses,
+                pose_rows=(first, first + step),
+            )
+
+
+def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
+    """Find frame-NNNNNN.color, .depth.png and .pose.txt."""
+    poses = _numbered(folder, "frame-*.pose.txt", r"frame-(\d+)\.pose\.txt")
+    frames = _numbered(folder, "frame-*.color.*", r"frame-(\d+)\.color\.(?:png|jpg)")
+    if not poses or not frames:
+        return
+    suffix = next(iter(frames.values())).suffix  # of the others, should one be missing
+    digits = len(next(iter(poses.values())).name) - len("frame-.pose.txt")
+    is_part = re.fullmatch(r"seq-\d+", folder.name) is not None
+    numbers = poses.keys() | frames.keys()
+    for first in sorted(numbers):
+        if first + step in numbers:
+            stem0, stem1 = (folder / f"frame-{k:0{digits}d}" for k in (first, first + step))
+            yield DatasetPair(
+                layout="sevenscenes",
+                dataset=f"{folder.parent.name} {folder.name}" if is_part else folder.name,
+                name=stem0.name,
+                frame0=frames.get(first, Path(f"{stem0}.color{suffix}")),
+                frame1=frames.get(first + step, Path(f"{stem1}.color{suffix}")),
+                depth=Path(f"{stem0}.depth.png"),
+                pose0=Path(f"{stem0}.pose.txt"),
+                pose1=Path(f"{stem1}.pose.txt"),
+            )
+
+
+class Rule(NamedTuple):
+    """A layout: its finder, the files that it looks for, and the usual step of a sequence."""
+
+    find: Callable[..., Iterator[DatasetPair]]  # in a folder, of a sequence also a `step`
     expected: str
+    step: int | None = None  # from frame to frame of a sequence with poses, unless another is given
 
 
-LAYOUTS: dict[str, _Rule] = {
-    "middlebury": _Rule(
+LAYOUTS: dict[str, Rule] = {
+    "middlebury": Rule(
         find_middlebury,
         "NAME/flow10.flo beside frame10.png and frame11.png, or "
         "other-gt-flow/NAME/flow10.flo with other-data/NAME",
     ),
-    "kitti": _Rule(
+    "kitti": Rule(
         find_kitti,
         "flow_occ or flow_noc/NNNNNN_10.png with image_2, colored_0 or image_0/NNNNNN_10.png and "
         "NNNNNN_11.png",
     ),
-    "sintel": _Rule(
+    "sintel": Rule(
         find_sintel,
         "flow/SCENE/frame_NNNN.flo with clean or final/SCENE/frame_NNNN.png, or "
         "gt/frame_NNNN.flo with frame_NNNN.png",
     ),
-    "yosemite": _Rule(find_yosemite, "flowNN*.flo with yos*NN.tif or .png"),
-    "stereo": _Rule(
+    "yosemite": Rule(find_yosemite, "flowNN*.flo with yos*NN.tif or .png"),
+    "stereo": Rule(
         find_stereo,
         "NAME_left.png and NAME_right.png, or left.png and right.png, with NAME_disp, "
         "NAME_disparity or NAME_gt (.npz, .npy, .png or .tif)",
     ),
+    "new_tsukuba": Rule(find_new_tsukuba, f"rgb_NNNNN.png with {_TSUKUBA_POSES}", step=1),
+    "sevenscenes": Rule(
+        find_sevenscenes,
+        "frame-NNNNNN.color.png or .jpg with frame-NNNNNN.depth.png and frame-NNNNNN.pose.txt",
+        step=3,
+    ),
 }
-"""Of each layout its finder, and the files that it looks for."""
+"""Of each layout its finder, the files that it looks for, and for sequences the usual step."""
 
 
 def _first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_dir()), None)
+
+
+def _numbered(folder: Path, pattern: str, name: str) -> dict[int, Path]:
+    """Return the files of a pattern by the number in their names, the group of an expression."""
+    matches = ((file, re.fullmatch(name, file.name)) for file in _sorted_files(folder, pattern))
+    return {int(match.group(1)): file for file, match in matches if match is not None}
 
 
 def _above_training(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""One pair of frames and what is known about its motion: where it lies, and what it holds."""
+"""One pair of frames and what is known about it: where it lies, and what it holds."""
 
 import os
 from dataclasses import dataclass
@@ -9,10 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.datasets.calibration import read_camera
+from tisfm.datasets.calibration import (
+    COLOUR_OFFSET,
+    DEPTH_CAMERA,
+    STATED,
+    for_width,
+    read_camera,
+)
+from tisfm.datasets.depth_maps import read_depth, seen_from
 from tisfm.datasets.disparity import read_disparity
-from tisfm.formats import read_flo, read_image, read_kitti_flow
+from tisfm.datasets.trajectories import motion_between, read_pose, read_pose_row
+from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
 from tisfm.metrics import UNKNOWN
+
+# A second view from the right moves the scene to the left; the length of the step is not known.
+_TO_THE_RIGHT_VIEW = (-1.0, 0.0, 0.0)
 
 TruthFormat = Literal["flo", "kitti", "disparity"]
 
@@ -25,8 +36,18 @@ class LoadedPair:
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) ndarray
         Grey levels or colours (red, green, blue), as stored.
-    flow : (H, W, 2) float32 ndarray
-        True motion (u, v) from frame 0 to frame 1, px; NaN where it is unknown.
+    flow : (H, W, 2) float32 ndarray or None
+        True motion (u, v) from frame 0 to frame 1, px; NaN where it is unknown. None if the
+        dataset has none.
+    depth : (H, W) float32 ndarray or None
+        True depth Z of frame 0, in a unit of the dataset's; NaN where it is unknown. None if the
+        dataset has none.
+    pose : (4, 4) float64 ndarray or None
+        True motion (R, t; 0, 1) of what is at rest, from the camera axes of frame 0 to those of
+        frame 1, in a unit of the dataset's. None if the dataset does not say.
+    pose_given : bool
+        Whether that motion is known beforehand, as of a rectified stereo pair, rather than what
+        is to be found.
     occlusion : (H, W) bool ndarray or None
         Where a point of frame 0 is not seen in frame 1, as far as its motion is known. None if
         the dataset does not say.
@@ -38,7 +59,10 @@ class LoadedPair:
 
     frame0: NDArray[Any]
     frame1: NDArray[Any]
-    flow: NDArray[np.float32]
+    flow: NDArray[np.float32] | None = None
+    depth: NDArray[np.float32] | None = None
+    pose: NDArray[np.float64] | None = None
+    pose_given: bool = False
     occlusion: NDArray[np.bool_] | None = None
     sky: NDArray[np.bool_] | None = None
     camera: Camera | None = None
@@ -58,10 +82,17 @@ class DatasetPair:
         Name of the pair within the dataset.
     frame0, frame1 : Path
         The frames.
-    truth : Path
+    truth : Path, optional
         True motion: a .flo file, a KITTI flow PNG, or a disparity.
     truth_format : {"flo", "kitti", "disparity"}
-        Which of these. A disparity d is the flow (-d, 0).
+        Which of these. A disparity d is the flow (-d, 0), the depth 1/d, in units of the distance
+        of the two cameras times the focal length, and a camera that moves to the right.
+    depth : Path, optional
+        True depth: a map of the depth camera beside that of frame 0, mm.
+    pose0, pose1 : Path, optional
+        The poses of the camera, which may be in one file.
+    pose_rows : (int, int), optional
+        Rows of the poses, where a file has a row for each.
     occluded, invalid, sky : Path, optional
         Pictures that are not 0 where a point is not seen in frame 1, where the truth does not
         count, and where the sky is.
@@ -77,13 +108,32 @@ class DatasetPair:
     name: str
     frame0: Path
     frame1: Path
-    truth: Path
+    truth: Path | None = None
     truth_format: TruthFormat = "flo"
+    depth: Path | None = None
+    pose0: Path | None = None
+    pose1: Path | None = None
+    pose_rows: tuple[int, int] | None = None
     occluded: Path | None = None
     visible: Path | None = None
     invalid: Path | None = None
     sky: Path | None = None
     calibration: Path | None = None
+
+    @property
+    def knows_flow(self) -> bool:
+        """Whether there is a true flow."""
+        return self.truth is not None
+
+    @property
+    def knows_depth(self) -> bool:
+        """Whether there is a true depth."""
+        return self.depth is not None or self.truth_format == "disparity"
+
+    @property
+    def knows_pose(self) -> bool:
+        """Whether there is a true pose to be found: not that of a disparity, which is given."""
+        return self.pose0 is not None
 
     def load(self) -> LoadedPair:
         """Read the files of the pair.
@@ -91,53 +141,103 @@ class DatasetPair:
         Returns
         -------
         LoadedPair
-            Frames, true flow, and masks where there are any, all of one size.
+            Frames, the truth, and masks where there are any, all of one size.
 
         Raises
         ------
         FileNotFoundError, OSError
             If a file is missing or cannot be read; the text names it.
         tisfm.formats.FormatError
-            A ValueError: if a file is damaged, incomplete or of another format.
-        ValueError
-            If the files differ in size, or the flow is unknown everywhere.
+            A ValueError: if a file is damaged, incomplete or of another format, the files differ
+            in size, or flow or depth are unknown everywhere.
         """
         frame0, frame1 = read_image(self.frame0), read_image(self.frame1)
         size = frame0.shape[:2]
         self._require_size(self.frame1, frame1, size)
-        flow = self._read_flow()
-        self._require_size(self.truth, flow, size)
-        if self.invalid is not None:
-            flow[self._read_mask(self.invalid, size)] = np.nan
-        known = np.isfinite(flow).all(axis=2)
-        if not known.any():
-            raise ValueError(f"{self.truth} has no known motion at any of its {known.size} pixels")
-        occlusion = None
-        if self.occluded is not None:
-            occlusion = self._read_mask(self.occluded, size)
-        elif self.visible is not None:
-            occlusion = known & ~self._read_visible(self.visible, size)
+        flow = None if self.truth is None else self._read_flow(self.truth, size)
         return LoadedPair(
             frame0=frame0,
             frame1=frame1,
             flow=flow,
-            occlusion=occlusion,
+            depth=self._read_depth(flow, size),
+            pose=self._read_pose(),
+            pose_given=self.truth_format == "disparity",
+            occlusion=self._read_occlusion(flow, size),
             sky=None if self.sky is None else self._read_mask(self.sky, size),
-            camera=None if self.calibration is None else read_camera(self.calibration, self.frame0),
+            camera=self._read_camera(size),
         )
 
-    def _read_flow(self) -> NDArray[np.float32]:
+    def _read_flow(self, path: Path, size: tuple[int, ...]) -> NDArray[np.float32]:
+        flow = self._decode_flow(path)
+        self._require_size(path, flow, size)
+        if self.invalid is not None:
+            flow[self._read_mask(self.invalid, size)] = np.nan
+        if not np.isfinite(flow).all(axis=2).any():
+            pixels = size[0] * size[1]
+            raise FormatError(f"{path} has no known motion at any of its {pixels} pixels")
+        return flow
+
+    def _decode_flow(self, path: Path) -> NDArray[np.float32]:
         if self.truth_format == "kitti":
-            return read_kitti_flow(self.truth)
+            return read_kitti_flow(path)
         if self.truth_format == "disparity":
-            disparity = read_disparity(self.truth)
+            disparity = read_disparity(path)
             nothing = np.where(np.isnan(disparity), disparity, np.float32(0))
             return np.stack([-disparity, nothing], axis=2)
-        flow = read_flo(self.truth)
+        flow = read_flo(path)
         # A comparison with NaN is false, as wanted.
         known = (np.abs(flow) <= UNKNOWN).all(axis=2)
         flow[~known] = np.nan
         return flow
+
+    def _read_depth(
+        self, flow: NDArray[np.float32] | None, size: tuple[int, ...]
+    ) -> NDArray[np.float32] | None:
+        if self.depth is not None:
+            depth = read_depth(self.depth)
+            self._require_size(self.depth, depth, size)
+            own, other = (
+                for_width(camera, size[1]) for camera in (DEPTH_CAMERA, STATED[self.layout])
+            )
+            depth = seen_from(depth, own, other, COLOUR_OFFSET)
+        elif flow is not None and self.truth_format == "disparity":
+            disparity = -flow[..., 0]
+            depth = np.full(disparity.shape, np.nan, np.float32)
+            np.divide(1, disparity, out=depth, where=disparity > 0)
+        else:
+            return None
+        if not np.isfinite(depth).any():
+            source, pixels = self.depth or self.truth, depth.size
+            raise FormatError(f"{source} has no known depth at any of its {pixels} pixels")
+        return depth
+
+    def _read_pose(self) -> NDArray[np.float64] | None:
+        if self.truth_format == "disparity":
+            pose = np.eye(4)
+            pose[:3, 3] = _TO_THE_RIGHT_VIEW
+            return pose
+        if self.pose0 is None or self.pose1 is None:
+            return None
+        if self.pose_rows is None:
+            return motion_between(read_pose(self.pose0), read_pose(self.pose1))
+        row0, row1 = self.pose_rows
+        return motion_between(read_pose_row(self.pose0, row0), read_pose_row(self.pose1, row1))
+
+    def _read_camera(self, size: tuple[int, ...]) -> Camera | None:
+        if self.calibration is not None:
+            return read_camera(self.calibration, self.frame0)
+        stated = STATED.get(self.layout)
+        return None if stated is None else for_width(stated, size[1])
+
+    def _read_occlusion(
+        self, flow: NDArray[np.float32] | None, size: tuple[int, ...]
+    ) -> NDArray[np.bool_] | None:
+        if self.occluded is not None:
+            return self._read_mask(self.occluded, size)
+        if self.visible is None or flow is None:
+            return None
+        known = np.isfinite(flow).all(axis=2)
+        return np.asarray(known & ~self._read_visible(self.visible, size))
 
     def _read_visible(self, path: Path, size: tuple[int, ...]) -> NDArray[np.bool_]:
         if self.truth_format != "kitti":
@@ -155,7 +255,7 @@ class DatasetPair:
         self, path: str | os.PathLike[str], array: NDArray[Any], size: tuple[int, ...]
     ) -> None:
         if array.shape[:2] != size:
-            raise ValueError(
+            raise FormatError(
                 f"{os.fspath(path)} is {array.shape[0]} × {array.shape[1]} px but {self.frame0} "
                 f"is {size[0]} × {size[1]} px: the files of a pair must have the same size"
             )

@@ -5,6 +5,7 @@ Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a 
 """
 
 from tisfm.show.anaglyph import anaglyph, dubois, second_view
+from tisfm.show.depth_error import DEPTH_ERROR_RANGE, depth_error_figure
 from tisfm.show.error import ERROR_RANGE, error_figure, error_to_color, flow_figure
 from tisfm.show.figures import comparison_figure, panel_figure, save_figure
 from tisfm.show.flow import (
@@ -18,11 +19,13 @@ from tisfm.show.flow import (
 from tisfm.show.grey import depth_grey, inverse_depth_limit
 
 __all__ = [
+    "DEPTH_ERROR_RANGE",
     "ERROR_RANGE",
     "Arrows",
     "anaglyph",
     "color_wheel",
     "comparison_figure",
+    "depth_error_figure",
     "depth_grey",
     "dubois",
     "error_figure",

@@ -26,7 +26,7 @@ ERROR_RANGE = (1 / 16, 16.0)
 """Default ends of the scale of errors, px: eight doublings, with 1 px in the middle."""
 
 _UNKNOWN_GREY = 128
-_WIDE = 2  # width over height from which pictures go below one another
+WIDE = 2  # width over height from which pictures go below one another
 
 
 def error_to_color(
@@ -142,7 +142,7 @@ def flow_figure(
         ("True flow (black: unknown)", flow_to_color(true, limit=top)),
     ]
     height, width = recovered.shape[:2]
-    rows = [panels] if width < _WIDE * height else [[panel] for panel in panels]
+    rows = [panels] if width < WIDE * height else [[panel] for panel in panels]
     figure, _, layout = draw_panels(rows, heading=title, legend=WHEEL_SIZE)
     draw_wheel(figure, layout, top)
     return figure

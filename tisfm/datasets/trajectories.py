@@ -1,0 +1,115 @@
+"""Poses of cameras along a sequence, and the motion from one frame to another."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.formats import FormatError
+from tisfm.formats.reading import read_bytes
+from tisfm.poses import is_rotation
+
+
+def read_pose(path: Path) -> NDArray[np.float64]:
+    """Read the pose of one camera from a file of its own.
+
+    Parameters
+    ----------
+    path : Path
+        Text of four rows of four numbers, camera to world.
+
+    Returns
+    -------
+    (4, 4) float64 ndarray
+
+    Raises
+    ------
+    FormatError
+        If the file does not hold a pose, or one that is not finite.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    rows = _rows(path, columns=4)
+    if len(rows) != 4:
+        raise FormatError(f"{path} has {len(rows)} rows of numbers, expected a 4 × 4 matrix")
+    pose = np.array(rows)
+    if np.isfinite(pose).all() and not np.array_equal(pose[3], [0, 0, 0, 1]):
+        raise FormatError(f"{path} has the last row {pose[3].tolist()}, expected 0 0 0 1")
+    return _checked(pose, str(path))
+
+
+def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
+    """Read the pose of one camera from a file that has a row for each.
+
+    Parameters
+    ----------
+    path : Path
+        Text of twelve numbers a row: the upper three rows of a 4 × 4 matrix, camera to world.
+    row : int
+        Which row, from 0.
+
+    Returns
+    -------
+    (4, 4) float64 ndarray
+
+    Raises
+    ------
+    FormatError
+        If a row of the file does not have twelve numbers, or the one asked for is missing or
+        holds no pose.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    rows = _rows(path, columns=12)
+    if row >= len(rows):
+        raise FormatError(
+            f"{path} has {len(rows)} rows, so there is no pose of frame {row}: expected a row for "
+            "every frame, from 0"
+        )
+    return _checked(np.vstack([np.reshape(rows[row], (3, 4)), [0, 0, 0, 1]]), f"{path}, row {row}")
+
+
+def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the motion of a scene at rest, as seen by a camera that goes from one pose to another.
+
+    Parameters
+    ----------
+    first, second : (4, 4) ndarray
+        Poses, camera to world.
+
+    Returns
+    -------
+    (4, 4) float64 ndarray
+        Takes points in the axes of the first camera to the axes of the second.
+    """
+    motion: NDArray[np.float64] = np.linalg.inv(second) @ first
+    return motion
+
+
+def _rows(path: Path, *, columns: int) -> list[list[float]]:
+    """Return the rows of a text, which all have so many numbers; empty lines do not count."""
+    rows = []
+    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise FormatError(f"{path}, line {number}: {error}, expected numbers") from error
+        if len(values) != columns:
+            raise FormatError(
+                f"{path}, line {number} has {len(values)} numbers, expected {columns}"
+            )
+        rows.append(values)
+    return rows
+
+
+def _checked(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+    if not np.isfinite(pose).all():
+        raise FormatError(f"{where} is not finite: there is no pose of this frame")
+    if not is_rotation(pose[:3, :3]):
+        raise FormatError(
+            f"{where} holds no rotation: expected an orthonormal matrix in the first three columns"
+        )
+    return pose

@@ -1,0 +1,111 @@
+"""Rigid motions of the scene before the camera, P₁ = R P₀ + t, as (4, 4) matrices (R, t; 0, 1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.scenes.rigid import rigid_motion
+
+_ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
+
+
+def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
+    """Return the finite motion of a twist that acts for one frame.
+
+    Parameters
+    ----------
+    twist : array_like, shape (6,)
+        (T, ω): translational velocity, length/frame, and rotational velocity, rad/frame.
+
+    Returns
+    -------
+    (4, 4) float64 ndarray
+        Its exponential.
+
+    Raises
+    ------
+    ValueError
+        If `twist` is not six finite numbers.
+    """
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rigid_motion(twist)
+    return pose
+
+
+def is_rotation(matrix: NDArray[np.float64]) -> bool:
+    """Return whether a (3, 3) matrix is orthonormal, within 0.001, and mirrors nothing."""
+    square = matrix @ matrix.T
+    return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseErrors:
+    """Errors of a rigid motion whose length of translation cannot be known.
+
+    Attributes
+    ----------
+    direction : float or None
+        Angle between the directions of translation, degrees, from 0 to 180: the opposite
+        direction is as wrong as can be. None where one of the translations is zero.
+    rotation : float
+        Angle of the rotation that takes one rotation to the other, degrees, from 0 to 180.
+    """
+
+    direction: float | None
+    rotation: float
+
+
+def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
+    """Compare a rigid motion with the true one.
+
+    Parameters
+    ----------
+    pose, truth : array_like, shape (4, 4)
+        Estimated and true motion (R, t; 0, 1), both from the same axes to the same axes:
+        P₁ = R P₀ + t. The lengths of t do not count.
+
+    Returns
+    -------
+    PoseErrors
+
+    Raises
+    ------
+    ValueError
+        If one is not (4, 4), not finite, or its upper left part is no rotation.
+
+    References
+    ----------
+    Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
+    doi 10.1109/IROS.2012.6385773: the angle of the relative pose error. The angle between
+    translations stands for its length, which two frames do not tell.
+    """
+    rotation, translation = _rigid("pose", pose)
+    true_rotation, true_translation = _rigid("truth", truth)
+    turn = true_rotation.T @ rotation
+    # Twice its sine and its cosine: an arc cosine would lose small angles to rounding.
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    direction = None
+    if translation.any() and true_translation.any():
+        cross = np.linalg.norm(np.cross(translation, true_translation))
+        direction = float(np.degrees(np.arctan2(cross, translation @ true_translation)))
+    return PoseErrors(
+        direction=direction,
+        rotation=float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))),
+    )
+
+
+def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
+    """Return rotation and translation of a checked rigid motion."""
+    matrix = np.asarray(pose, np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError(
+            f"{name} is {matrix.shape} {matrix.tolist()}: expected a finite (4, 4) matrix"
+        )
+    rotation = matrix[:3, :3]
+    if not is_rotation(rotation):
+        raise ValueError(
+            f"{name} is {matrix.tolist()}: expected a rotation, orthonormal and without mirroring, "
+            "in its upper left 3 × 3 part"
+        )
+    return rotation, matrix[:3, 3]
