@@ -13,7 +13,7 @@ from tisfm.datasets import LAYOUTS, find_pairs
 from tisfm.datasets.calibration import COLOUR_OFFSET, DEPTH_CAMERA, STATED, for_width
 from tisfm.formats import FormatError, read_image, write_flo, write_kitti_flow, write_png
 from tisfm.metrics import pose_errors
-from tisfm.poses import pose_matrix
+from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Plane, Scene, Texture, static_scene
 
 H, W = 30, 44

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -246,15 +245,9 @@ def test_runaway_flow_has_diverged():
 
 def status_of(flow):
     """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
-    from tisfm.pair import _status
+    from tisfm.pair import diverged
 
-    solution = SimpleNamespace(
-        history=[(0, 0, SimpleNamespace(change=1e-3))],
-        minimiser=SimpleNamespace(tensor=np.ones((6, 2, 2))),
-        field=SimpleNamespace(rho=np.ones((6, 2, 2))),
-        converged=True,
-    )
-    return _status(solution, flow.astype(np.float32), tisfm.Settings())
+    return diverged(flow.astype(np.float32)) or "converged"
 
 
 @pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
@@ -296,6 +289,10 @@ def test_stops_when_the_variables_cease_to_evolve(blocks):
         {"gradient": 0.0},
         {"normalization": 5.0},
         {"data_contrast": None},
+        {"motion": "camera"},
+        {"depth_smoothness": 20.0},
+        {"depth_brightness": 0.2},
+        {"depth_normalization": None},
         {"derivatives": "cube"},
         {"presmoothing": 1.0},
         {"pyramid_factor": 0.7},
@@ -312,8 +309,11 @@ def test_stops_when_the_variables_cease_to_evolve(blocks):
 )
 def test_every_setting_changes_the_result(change, blocks):
     frames = (blocks.frame0, blocks.frame1)
-    default = tisfm.interpret(*frames, settings=tisfm.Settings())
-    changed = tisfm.interpret(*frames, settings=tisfm.Settings(**change))
+    # Settings of depth are those of one motion of the camera.
+    common = {"motion": "camera"} if next(iter(change)).startswith("depth_") else {}
+    camera = blocks.camera
+    default = tisfm.interpret(*frames, camera=camera, settings=tisfm.Settings(**common))
+    changed = tisfm.interpret(*frames, camera=camera, settings=tisfm.Settings(**common, **change))
     assert not np.array_equal(default.rho, changed.rho)
     if "solver" in change:  # and this one only by rounding
         assert np.quantile(np.abs(default.flow - changed.flow), 0.99) < 0.01
@@ -326,8 +326,7 @@ def test_settings_cover_every_field_in_the_test_above():
         for mark in test_every_setting_changes_the_result.pytestmark
         for change in mark.args[1]
     }
-    fields = set(tisfm.Settings.__dataclass_fields__) - {"motion"}  # has one value so far
-    assert tested == fields
+    assert tested == set(tisfm.Settings.__dataclass_fields__)
 
 
 def test_beta_and_smoothness_enter_as_their_product(blocks):

@@ -5,9 +5,9 @@ import pytest
 
 import tisfm
 from tisfm.egomotion import camera_motion, triangulate
+from tisfm.rigid import rigid_motion
 from tisfm.scenes import static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
-from tisfm.scenes.rigid import rigid_motion
 
 SIZE = (120, 160)
 

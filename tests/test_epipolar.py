@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tisfm import reference
+from tisfm.rigid import rigid_motion
 from tisfm.scenes import static_scene
 from tisfm.scenes.ready import STATIC_KINDS
-from tisfm.scenes.rigid import rigid_motion
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
 TWIST = (0.4, -0.3, 0.8, 0.02, -0.05, 0.03)

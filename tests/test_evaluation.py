@@ -34,7 +34,7 @@ from tisfm.metrics import (
     pose_errors,
 )
 from tisfm.occlusion import leaves_image
-from tisfm.poses import pose_matrix
+from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 
 H, W = 40, 56
@@ -168,10 +168,8 @@ def camera_results(monkeypatch):
 
 
 def camera_settings():
-    """Settings of one motion of the camera, whatever stands for it here."""
-    settings = replace(FAST)
-    object.__setattr__(settings, "motion", "camera")
-    return settings
+    """Settings of one motion of the camera."""
+    return replace(FAST, motion="camera")
 
 
 # Numbers

@@ -19,7 +19,7 @@ from tisfm.metrics import (
     outlier_rate,
     pose_errors,
 )
-from tisfm.poses import pose_matrix
+from tisfm.rigid import pose_matrix
 
 
 def flow_of(*vectors):

@@ -26,12 +26,15 @@ NUMBERS = (
     "gradient",
     "normalization",
     "data_contrast",
+    "depth_smoothness",
+    "depth_brightness",
+    "depth_normalization",
     "presmoothing",
     "pyramid_factor",
     "relaxation",
     "tolerance",
 )
-NONE_IS_MEANT = ("contrast", "normalization", "data_contrast")
+NONE_IS_MEANT = ("contrast", "normalization", "data_contrast", "depth_normalization")
 CHOICES = ("model", "motion", "derivatives", "solver")
 OTHERS = ("joint_edges", "stiffness")
 
@@ -137,8 +140,7 @@ def test_stiffness_may_come_as_a_list():
     ("name", "value", "possible"),
     [
         ("model", "affine", ("'rigid'", "'translation'")),
-        ("motion", "camera", ("'field'",)),
-        ("motion", "objects", ("'field'",)),
+        ("motion", "objects", ("'field'", "'camera'")),
         ("derivatives", "sobel", ("'cube'", "'five_tap'")),
         ("solver", "svd", ("'cholesky'", "'closed_form'")),
         ("model", None, ("'rigid'", "'translation'")),

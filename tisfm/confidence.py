@@ -8,13 +8,14 @@ ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an imag
 TOLERATED = 4.0  # times the median residual that halves the confidence
 
 
-def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
+def confidence(evidence: np.ndarray, occlusion: np.ndarray, *, freedom: int = 2) -> np.ndarray:
     """Combine what the data determine with how well they are met.
 
     The share of the data in the two degrees of freedom of a pixel's flow is
     ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around it and M the
     covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
-    is seen (the aperture problem), near 1 at a corner. It is divided by 1 + r/(4·r̃), r the mean
+    is seen (the aperture problem), near 1 at a corner. Where motion is free along one line only,
+    it is tr[J M (I + J M)⁻¹]. It is divided by 1 + r/(4·r̃), r the mean
     squared residual in the window and r̃ its median over the pixels with a gradient: where the
     data constraints are not met, at occlusions above all, texture is no reason for trust.
 
@@ -24,6 +25,8 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
         J11, J12, J22, squared residual, M11, M12, M22 (`tisfm.kernels.evidence`). Modified.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1.
+    freedom : {2, 1}
+        Degrees of freedom of a pixel's flow.
 
     Returns
     -------
@@ -41,7 +44,7 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray) -> np.ndarray:
     determinant = np.maximum(j11 * j22 - j12 * j12, 0)
     determinant *= np.maximum(m11 * m22 - m12 * m12, 0)
     determinant += 1 + trace
-    trace *= 0.5
+    trace *= 1 - 1 / freedom
     trace += 1
     share = 1 - trace / determinant
     tolerated = TOLERATED * float(np.median(residual[textured])) if textured.any() else 0.0

@@ -41,7 +41,13 @@ class CameraMotion:
     inliers: float
 
 
-def camera_motion(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> CameraMotion:
+def camera_motion(
+    flow: np.ndarray,
+    confidence: np.ndarray,
+    camera: Camera,
+    *,
+    rotation: np.ndarray | None = None,
+) -> CameraMotion:
     """Fit one rigid motion to a flow field in which other things may move as well.
 
     The robust distances from epipolar lines are minimised, weighted by confidence, over rotation
@@ -78,26 +84,32 @@ def camera_motion(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> C
     before, after, trust = _correspondences(flow, confidence, camera)
     focal = camera.focal
     few = slice(None, None, max(1, len(trust) // FEW))
+    unknowns = 6 if rotation is None else 3
+    if rotation is None:
+        starts = _starts(before[few], after[few], trust[few], focal)
+    else:
+        starts = _turned_starts(before[few], after[few], trust[few], np.asarray(rotation, float))
     candidates = [
-        _refine(before[few], after[few], trust[few], focal, start, iterations=10)
-        for start in _starts(before[few], after[few], trust[few], focal)
+        _refine(before[few], after[few], trust[few], focal, start, iterations=10, unknowns=unknowns)
+        for start in starts
     ]
     scale = min(candidate[2] for candidate in candidates)
     best = min(
         candidates,
         key=lambda pose: _cost(before[few], after[few], trust[few], focal, pose, scale),
     )
-    rotation, translation, scale = _refine(
-        before, after, trust, focal, best[:2], iterations=ITERATIONS
+    turn, translation, scale = _refine(
+        before, after, trust, focal, best[:2], iterations=ITERATIONS, unknowns=unknowns
     )
-    distance, _, inverse_depth = _epipolar(before, after, rotation, translation, focal)
+    distance, _, inverse_depth = _epipolar(before, after, turn, translation, focal)
     if (trust * np.sign(inverse_depth)).sum() < 0:
         translation = -translation
+    left = _unturned(before, after) if rotation is None else _beyond(before, after, turn)
     return CameraMotion(
-        rotation=rotation,
+        rotation=turn,
         translation=translation,
         residual=scale,
-        parallax=focal * float(np.median(np.linalg.norm(_unturned(before, after), axis=1))),
+        parallax=focal * float(np.median(np.linalg.norm(left, axis=1))),
         inliers=float((np.abs(distance) <= 3 * scale).mean()),
     )
 
@@ -179,6 +191,15 @@ def _starts(before: np.ndarray, after: np.ndarray, trust: np.ndarray, focal: flo
     return starts
 
 
+def _turned_starts(
+    before: np.ndarray, after: np.ndarray, trust: np.ndarray, rotation: np.ndarray
+) -> list[Pose]:
+    """Return translations to start from where the rotation is known: axes, and a linear fit."""
+    normal = np.cross(before @ rotation.T, after) * trust[:, None]  # of the epipolar planes
+    _, _, axes = np.linalg.svd(normal, full_matrices=False)
+    return [(rotation, axis) for axis in (*np.eye(3), axes[-1])]
+
+
 def _refine(
     before: np.ndarray,
     after: np.ndarray,
@@ -187,8 +208,12 @@ def _refine(
     start: Pose,
     *,
     iterations: int,
+    unknowns: int,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px."""
+    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
+
+    Of the translation and rotation, the first `unknowns` of six numbers are free.
+    """
     rotation, translation = start
     scale = 0.0
     for _ in range(iterations):
@@ -203,7 +228,9 @@ def _refine(
         # Along t the scale changes, which nothing tells: hold it.
         along = np.concatenate([translation, np.zeros(3)])
         normal += (np.trace(normal) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(6))
-        step = np.linalg.solve(normal, slope.T @ (weight * distance))
+        pull = slope.T @ (weight * distance)
+        step = np.zeros(6)
+        step[:unknowns] = np.linalg.solve(normal[:unknowns, :unknowns], pull[:unknowns])
         turn = cv2.Rodrigues(step[3:])[0]
         rotation = turn @ rotation
         translation = turn @ translation + step[:3]
@@ -266,9 +293,8 @@ def _unturned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return what the best rotation leaves of the displacements, (N, 2), normalised."""
     rotation = np.eye(3)
     for _ in range(10):
-        turned = before @ rotation.T
-        x, y = turned[:, 0] / turned[:, 2], turned[:, 1] / turned[:, 2]
-        left = after[:, :2] - np.stack([x, y], axis=1)
+        left = _beyond(before, after, rotation)
+        x, y = (after[:, :2] - left).T
         slope = np.stack(
             [
                 np.stack([-x * y, 1 + x * x, -y], axis=1),
@@ -284,6 +310,12 @@ def _unturned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         if np.linalg.norm(step) < 1e-9:
             break
     return left
+
+
+def _beyond(before: np.ndarray, after: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return what a rotation leaves of the displacements, (N, 2), normalised."""
+    turned = before @ rotation.T
+    return after[:, :2] - turned[:, :2] / turned[:, 2:]
 
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

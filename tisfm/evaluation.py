@@ -24,7 +24,7 @@ from tisfm.metrics import (
 )
 from tisfm.occlusion import leaves_image
 from tisfm.pair import interpret
-from tisfm.poses import pose_matrix
+from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings, check_settings
 
 LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
@@ -254,10 +254,9 @@ def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | N
 
 def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | None:
     """Compare the motion of the camera with the true one, or return None if there is none."""
-    motions = getattr(result, "motions", None)
-    if motions is None or loaded.pose is None or loaded.pose_given:
+    if result.motions is None or loaded.pose is None or loaded.pose_given:
         return None
-    errors = pose_errors(pose_matrix(motions[0]), loaded.pose)
+    errors = pose_errors(pose_matrix(result.motions[0]), loaded.pose)
     return replace(errors, direction=None) if result.status in LITTLE_PARALLAX else errors
 
 

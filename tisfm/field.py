@@ -4,7 +4,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.flow import flow
-from tisfm.kernels.images import lanes_to_images
+from tisfm.kernels.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.lanes import LaneGrid, aligned_zeros
 from tisfm.kernels.transfer import prolong
 
@@ -52,6 +52,11 @@ class Field:
             Sampling density of the coarser level over this one's.
         """
         prolong(self.grid, coarse, self.rho, ratio=ratio)
+
+    def set_images(self, rho: np.ndarray) -> None:
+        """Set ρ̂ from (components, H, W) float32, px/frame of this level."""
+        for component, values in enumerate(rho):
+            image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
     def flow(self, out: np.ndarray) -> np.ndarray:
         """Write the image motion (eq. 25) to a lane array of 2 components, and return it."""

@@ -98,6 +98,13 @@ class HalfQuadratic:
         See `tisfm.kernels.evidence`; the weights become those of the current ρ̂, and the residual
         is the robust one.
         """
+        return self.field.to_images(self._evidence(terms))
+
+    def residual(self, terms: np.ndarray) -> np.ndarray:
+        """Return the squared residual alone, (H, W) float32."""
+        return self.field.to_images(self._evidence(terms)[3:4])[0]
+
+    def _evidence(self, terms: np.ndarray) -> np.ndarray:
         field = self.field
         self.update_weights(terms)
         out = field.grid.allocate(7)
@@ -111,7 +118,7 @@ class HalfQuadratic:
             out,
             alpha=self.alpha,
         )
-        return field.to_images(out)
+        return out
 
     def minimise(self, terms: np.ndarray) -> tuple[list[Iteration], bool]:
         """Iterate until ρ̂ ceases to evolve, or the limit of iterations.

@@ -14,7 +14,7 @@ from tisfm.occlusion import leaves_image
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
 
-FORMAT = 2  # of the .npz; raised when a reader of the one before would go wrong
+FORMAT = 3  # of the .npz; raised when a reader of the one before would go wrong
 
 
 class Status(str):
@@ -22,7 +22,9 @@ class Status(str):
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use: somewhere the
+    gradient that motion could be seen by; ``"pure_rotation"``, the camera only turned, and
+    ``"little_parallax"``, it hardly changed its place: there is no depth, ``motion="camera"`` only;
+    ``"diverged"``, the numbers are of no use: somewhere the
     image motion grew beyond half of the image's longer side, or more than half of the pixels leave
     the image.
     """
@@ -71,12 +73,26 @@ class Interpretation:
         ρ̂ = f·(τ, ω), px/frame; ω is zero under the translation model.
     flow : (H, W, 2) float32
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
+    inverse_depth : (H, W) float32
+        Relative inverse depth. For ``motion="field"`` it is ‖τ‖ (eq. 24), for ‖T‖ = 1: true where
+        the scene translates parallel to the image plane, elsewhere see the README. For
+        ``motion="camera"`` it is signed, for ‖T‖ = 1, or in the inverse unit of a given pose's
+        translation; 0 everywhere where the status says that there is no depth to see.
+    inverse_depth_std : (H, W) float32 or None
+        Its standard deviation: about 68% of the pixels that are visible in frame 1 are off by
+        less. Infinite where there is no depth. None for ``motion="field"``.
     confidence : (H, W) float32
         In [0, 1]: how much the data in a window of 15 px around a pixel, not its neighbours'
         motion, determine its image motion. 0 where the pixel is not visible in frame 1.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
         `load` of a file of format 1, which has no such map, only what leaves the image.
+    motions : (K, 6) float64 or None
+        Twists (T, ω) of the rigid motions, per frame, with ‖T‖ = 1; `tisfm.rigid.rigid_motion`
+        gives R and t of P₁ = R P₀ + t. T is 0 where the camera only turned or did not move. None
+        for ``motion="field"``.
+    labels : (H, W) int32 or None
+        Which of `motions` a pixel has. None for ``motion="field"``.
     frame : (H, W) or (H, W, 3) uint8
         Frame 0, on the 8-bit scale and without distortion: what a picture of the result is drawn
         on.
@@ -93,6 +109,7 @@ class Interpretation:
 
     rho: np.ndarray = field(repr=False)
     flow: np.ndarray = field(repr=False)
+    inverse_depth: np.ndarray = field(repr=False)
     confidence: np.ndarray = field(repr=False)
     occlusion: np.ndarray = field(repr=False)
     frame: np.ndarray = field(repr=False)
@@ -101,6 +118,9 @@ class Interpretation:
     status: Status
     history: History = field(repr=False)
     version: str
+    inverse_depth_std: np.ndarray | None = field(default=None, repr=False)
+    motions: np.ndarray | None = None
+    labels: np.ndarray | None = field(default=None, repr=False)
 
     @cached_property
     def tau(self) -> np.ndarray:
@@ -113,16 +133,8 @@ class Interpretation:
         return self.rho[3:] / np.float32(self.camera.focal)
 
     @cached_property
-    def inverse_depth(self) -> np.ndarray:
-        """Relative inverse depth ‖τ‖ (eq. 24), (H, W) float32, for ‖T‖ = 1.
-
-        True where the scene translates parallel to the image plane; elsewhere see the README.
-        """
-        return np.sqrt(np.einsum("khw,khw->hw", self.tau, self.tau))
-
-    @cached_property
     def depth(self) -> np.ndarray:
-        """Relative depth 1/‖τ‖ (eq. 24), (H, W) float32; NaN where the inverse depth is 0."""
+        """Relative depth, (H, W) float32; NaN where the inverse depth is not above 0."""
         depth = np.full_like(self.inverse_depth, np.nan)
         np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
         return depth
@@ -185,7 +197,8 @@ class Interpretation:
         """
         from tisfm.formats import atomic_write
 
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays = {name: getattr(self, name) for name in (*_ARRAYS, *_OPTIONAL)}
+        arrays = {name: array for name, array in arrays.items() if array is not None}
         record = {f"history_{name}": array for name, array in vars(self.history).items()}
         about = {
             "format": FORMAT,
@@ -202,8 +215,8 @@ class Interpretation:
     def load(cls, path: str | Path) -> "Interpretation":
         """Read what `save` wrote.
 
-        Files of format 1 are read as well. They know neither `coarse_warps`, which was that of
-        `warps`, nor what is hidden: `occlusion` then is what leaves the image.
+        Files of older formats are read as well. Those of format 1 know neither `coarse_warps`,
+        which was that of `warps`, nor what is hidden: `occlusion` then is what leaves the image.
 
         Raises
         ------
@@ -231,13 +244,13 @@ class Interpretation:
     @classmethod
     def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
         about: dict[str, Any] = json.loads(str(data["about"])) if "about" in data else {}
-        if about and about["format"] not in (1, FORMAT):
+        if about and about["format"] not in range(1, FORMAT + 1):
             raise ValueError(
                 f"its format is {about['format']} and this version reads 1 to {FORMAT}: "
                 f"it was written by tisfm {about['version']}"
             )
-        if about and about["format"] == 1:
-            _bring_up_to_date(data, about["settings"])
+        if about and about["format"] < FORMAT:
+            _bring_up_to_date(data, about)
         missing = {"about", *_ARRAYS}.difference(data)
         if missing:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
@@ -246,10 +259,17 @@ class Interpretation:
         expected = {
             "rho": ((6, height, width), np.float32),
             "flow": ((height, width, 2), np.float32),
+            "inverse_depth": ((height, width), np.float32),
+            "inverse_depth_std": ((height, width), np.float32),
+            "labels": ((height, width), np.int32),
             "confidence": ((height, width), np.float32),
             "occlusion": ((height, width), np.bool_),
         }
+        if "motions" in data:
+            expected["motions"] = ((len(data["motions"]), 6), np.float64)
         for name, (shape, kind) in expected.items():
+            if name in _OPTIONAL and name not in data:
+                continue
             if data[name].shape != shape or data[name].dtype != kind:
                 raise ValueError(
                     f"{name} is {data[name].shape} {data[name].dtype}, expected {shape} "
@@ -264,7 +284,7 @@ class Interpretation:
             if name.startswith("history_")
         }
         return cls(
-            **{name: data[name] for name in _ARRAYS},
+            **{name: data[name] for name in (*_ARRAYS, *_OPTIONAL) if name in data},
             camera=Camera(**camera),
             settings=Settings(**about["settings"]),
             status=Status(about["status"], about["message"]),
@@ -273,12 +293,20 @@ class Interpretation:
         )
 
 
-def _bring_up_to_date(data: dict[str, np.ndarray], settings: dict[str, Any]) -> None:
-    """Add what format 1 lacks to its arrays and settings, in place; it may have some of it."""
-    if "flow" in data:
-        data.setdefault("occlusion", leaves_image(np.moveaxis(data["flow"], -1, 0)))
-    if "warps" in settings:
-        settings.setdefault("coarse_warps", settings["warps"])
+def _bring_up_to_date(data: dict[str, np.ndarray], about: dict[str, Any]) -> None:
+    """Add what older formats lack to arrays and settings, in place; they may have some of it."""
+    settings = about["settings"]
+    if about["format"] == 1:
+        if "flow" in data:
+            data.setdefault("occlusion", leaves_image(np.moveaxis(data["flow"], -1, 0)))
+        if "warps" in settings:
+            settings.setdefault("coarse_warps", settings["warps"])
+    if "rho" in data:
+        tau = data["rho"][:3] / np.float32(about["camera"]["focal"])
+        data.setdefault("inverse_depth", np.sqrt(np.einsum("khw,khw->hw", tau, tau)))
+    # They were not in use: files of these formats hold motion="field".
+    for name in ("depth_smoothness", "depth_brightness", "depth_normalization"):
+        settings.setdefault(name, getattr(Settings(), name))
 
 
 def _check_names(settings: dict[str, Any]) -> None:
@@ -292,4 +320,5 @@ def _check_names(settings: dict[str, Any]) -> None:
             raise ValueError(f"{fault} {', '.join(sorted(names))}")
 
 
-_ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")
+_ARRAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
+_OPTIONAL = ("inverse_depth_std", "motions", "labels")

@@ -1,22 +1,19 @@
 """Two frames in, one interpretation out."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.confidence import confidence
+from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
-from tisfm.interpretation import History, Interpretation, Status
+from tisfm.interpretation import Interpretation, Status
 from tisfm.lens import Undistortion
-from tisfm.occlusion import leaves_image
+from tisfm.occlusion import leaves_image, occlusion
+from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
-
-if TYPE_CHECKING:  # loading it loads Taichi
-    from tisfm.pyramid import Solution
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
@@ -37,14 +34,17 @@ def interpret(
     frame0, frame1 : (H, W) or (H, W, 3) array
         Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
     camera : Camera, optional
-        By default a focal length of 600 px, as in the paper, and the image's centre. If it has
-        distortion, that is removed from both frames first, and the result is that of frame 0
-        without distortion, of the same size, focal length and centre.
+        By default the image's centre and a focal length of 600 px, as in the paper, or, because
+        depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with
+        a `GuessedFocalWarning`. If it has distortion, that is removed from both frames first, and
+        the result is that of frame 0 without distortion, of the same size, focal length and
+        centre.
     settings : Settings, optional
         By default the preset ``"balanced"``.
-    pose : array, optional
-        A known motion of the camera. Not used by ``motion="field"``, the only reading of motion
-        there is so far: anything but None is refused.
+    pose : (4, 4) or (3, 3) array, optional
+        A known motion, for ``motion="camera"``: points in frame 0's camera axes to frame 1's, P₁ =
+        R P₀ + t, which makes depth one in the unit of t; or R alone, which leaves the direction
+        of translation to be found.
 
     Returns
     -------
@@ -56,58 +56,64 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN or infinite; if `pose` is given; if distortion leaves next to nothing of the frames.
+        NaN or infinite; if `pose` is not one of these, or given for ``motion="field"``; if
+        distortion leaves next to nothing of the frames.
 
     References
     ----------
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
     Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
     """
-    camera, settings = check_camera(camera), check_settings(settings)
-    if pose is not None:
+    settings = check_settings(settings)
+    known = check_pose(pose)
+    if known is not None and settings.motion == "field":
         raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
     grey0, grey1 = grey_pair(frame0, frame1)
     frame = eight_bit(frame0, frame1)
+    if camera is None and settings.motion != "field":
+        camera = guess_camera(grey0.shape)
+    camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.occlusion import occlusion
-    from tisfm.pyramid import Pyramid, coarse_to_fine
+    from tisfm.camera_reading import camera_reading
+    from tisfm.pyramid import Pyramid
+    from tisfm.reading import field_reading, history_of
 
     lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         camera = camera.pinhole()
-    solution = coarse_to_fine(
-        Pyramid(grey0, grey1, camera, settings),
-        settings,
-        components=settings.components,
-        contrast=settings.contrast_for(camera.focal),
-    )
-    field = solution.field
-    rho = np.zeros((6, *grey0.shape), np.float32)
-    rho[: field.components] = field.images()
-    flow = field.to_images(field.flow(field.grid.allocate(2)))
+    pyramid = Pyramid(grey0, grey1, camera, settings)
+    if settings.motion == "field":
+        reading = field_reading(pyramid, settings, camera.focal)
+    else:
+        reading = camera_reading(pyramid, camera, settings, known)
+    flow = reading.flow
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         unseen = occlusion(grey0, grey1, flow, settings)
         if lens is not None:
             unseen |= lens.missing(flow)
-        trust = confidence(solution.minimiser.evidence(solution.terms), unseen)
+        trust = confidence(reading.evidence, unseen, freedom=reading.freedom)
     return Interpretation(
-        rho=rho,
+        rho=reading.rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
+        inverse_depth=reading.inverse_depth,
+        inverse_depth_std=reading.inverse_depth_std,
         confidence=trust,
         occlusion=unseen,
+        motions=reading.motions,
+        labels=reading.labels,
         frame=frame,
         camera=camera,
         settings=settings,
-        status=_status(solution, flow, settings),
-        history=_history(solution),
+        status=diverged(flow) or reading.status,
+        history=history_of(reading.history),
         version=__version__,
     )
 
 
-def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Status:
-    last = solution.history[-1][2]
+def diverged(flow: np.ndarray) -> Status | None:
+    """Return the status of a flow, (2, H, W), that no pair of frames can have, None for others."""
     # What moves by half the image is hardly seen twice; NaN fails the comparison as well.
     if not np.hypot(*flow).max() <= RUNAWAY * max(flow.shape[1:]):
         return Status(
@@ -123,35 +129,4 @@ def _status(solution: "Solution", flow: np.ndarray, settings: Settings) -> Statu
             f"{100 * leaving:.0f}% of the pixels leave the image, so little is left to compare: "
             "take frames closer in time, check that they are of one scene, or raise smoothness",
         )
-    if not solution.minimiser.tensor[:3].any():
-        return Status(
-            "no_texture",
-            "the frames are uniform, so no motion can be seen: check that they are images of a "
-            "textured scene",
-        )
-    if not solution.field.rho.any():
-        return Status(
-            "no_motion",
-            "the frames do not differ, so there is no motion to interpret: take frames further "
-            "apart in time",
-        )
-    if not solution.converged:
-        return Status(
-            "iteration_limit",
-            f"ρ̂ still changed by {last.change:.1e} of its norm in the last of "
-            f"{settings.outer_iterations} iterations (tolerance {settings.tolerance:g}): raise "
-            "outer_iterations or sweeps, or accept a higher tolerance",
-        )
-    return Status("converged", f"ρ̂ changed by {last.change:.1e} of its norm in the last iteration")
-
-
-def _history(solution: "Solution") -> History:
-    levels, warps, iterations = zip(*solution.history, strict=True)
-    return History(
-        level=np.array(levels, np.int32),
-        warp=np.array(warps, np.int32),
-        **{
-            name: np.array([getattr(iteration, name) for iteration in iterations])
-            for name in ("energy", "half_quadratic", "change")
-        },
-    )
+    return None

@@ -1,42 +1,11 @@
-"""Rigid motions of the scene before the camera, P₁ = R P₀ + t, as (4, 4) matrices (R, t; 0, 1)."""
+"""Errors of rigid motions of the scene before the camera, P₁ = R P₀ + t."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.scenes.rigid import rigid_motion
-
-_ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
-
-
-def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
-    """Return the finite motion of a twist that acts for one frame.
-
-    Parameters
-    ----------
-    twist : array_like, shape (6,)
-        (T, ω): translational velocity, length/frame, and rotational velocity, rad/frame.
-
-    Returns
-    -------
-    (4, 4) float64 ndarray
-        Its exponential.
-
-    Raises
-    ------
-    ValueError
-        If `twist` is not six finite numbers.
-    """
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rigid_motion(twist)
-    return pose
-
-
-def is_rotation(matrix: NDArray[np.float64]) -> bool:
-    """Return whether a (3, 3) matrix is orthonormal, within 0.001, and mirrors nothing."""
-    square = matrix @ matrix.T
-    return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
+from tisfm.rigid import is_rotation
 
 
 @dataclass(frozen=True, kw_only=True)

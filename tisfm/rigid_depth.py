@@ -17,8 +17,13 @@ from tisfm.settings import Settings
 
 REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
 REFINEMENTS = 2  # Gauss–Newton steps of the motions after each linearisation
-HELD = 1e-4  # times α, by which a pixel's neighbours hold its depth while its motion changes
-MEDIAN = 5
+HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
+MEDIAN = 5  # px, a window for depth after each linearisation
+QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
+WARPS = 2  # linearisations on the finest level for one of the field's; iterations for half of one
+WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
+TINY = 1e-12
+CALIBRATION = 1.0
 SAMPLES = 4000  # pixels by which the length of a translation is set
 
 Refinement = Literal["none", "translation", "motion"]
@@ -34,7 +39,7 @@ class RigidSolution:
         R and t of each motion; t of a length such that D is in px/frame, as an average.
     inverse_depth : (H, W) float32
         D = f·d, signed.
-    flow : (H, W, 2) float32
+    flow : (2, H, W) float32
         The exact displacement, px/frame.
     minimiser : HalfQuadratic
     terms : lane array, 6 components for each data term
@@ -50,6 +55,26 @@ class RigidSolution:
     terms: np.ndarray
     history: list[tuple[int, int, Iteration]]
     converged: bool
+
+    def deviation(self, evidence: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of D, (H, W) float32.
+
+        That of a linear problem with constant coefficients, where data of precision A at every
+        pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
+        nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
+        pixel's edges weigh, and the unit is the residual there.
+
+        Parameters
+        ----------
+        evidence : (7, H, W) float32
+            Of `minimiser`, at the solution. Not modified.
+        """
+        window = (WINDOW, WINDOW)
+        precision = cv2.blur(evidence[0], window) + TINY
+        residual = cv2.blur(evidence[3], window)
+        spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
+        variance = spread * np.log1p(1 / (spread * precision))
+        return np.sqrt(variance * residual) * np.float32(CALIBRATION)
 
 
 def rigid_depth(
@@ -85,15 +110,18 @@ def rigid_depth(
     motions = scaled_translations(motions, labels, camera)
     history: list[tuple[int, int, Iteration]] = []
     coarse: np.ndarray | None = None
+    noise = 0.0
     for level in reversed(range(pyramid.levels)):
         field = pyramid.field(level, 1, coarse)
         focal = camera.focal * pyramid.scale(level)
         state = _Level(pyramid, level, field, labels, focal, settings)
-        for warp in range(settings.warps_on(level)):
+        for warp in range(settings.warps_on(level) * (WARPS if level == 0 else 1)):
             restricted = state.linearise(motions)
+            state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise / QUIET)
             iterations, converged = state.minimiser.minimise(restricted)
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
+            noise = state.noise()
             if refine != "none" and pyramid.scale(level) >= REFINED:
                 motions = state.refined(motions, 6 if refine == "motion" else 3)
         if level > 0:
@@ -102,7 +130,7 @@ def rigid_depth(
     return RigidSolution(
         motions=motions,
         inverse_depth=field.images()[0],
-        flow=np.ascontiguousarray(np.moveaxis(field.to_images(state.flow), 0, -1)),
+        flow=field.to_images(state.flow),
         minimiser=state.minimiser,
         terms=restricted,
         history=history,
@@ -144,6 +172,7 @@ class _Level:
             alpha=settings.depth_smoothness,
             contrast=settings.contrast_for(focal),
             stiffness=(1.0,),
+            outer_iterations=-(-settings.outer_iterations // WARPS),
         )
         self.flow, self._direction = grid.allocate(2), grid.allocate(2)
         self._restricted = grid.allocate(6 * len(self._data_term.scales))
@@ -176,6 +205,10 @@ class _Level:
         """Replace depth by its median over a small window: single pixels go their own way."""
         depth = cv2.medianBlur(self._field.images()[0], MEDIAN)
         image_to_lanes(self._field.grid, depth, self._field.rho)
+
+    def noise(self) -> float:
+        """Return the median residual of the last linearisation."""
+        return float(np.sqrt(np.median(self.minimiser.residual(self._restricted))))
 
     def refined(self, motions: np.ndarray, unknowns: int) -> np.ndarray:
         """Return the motions after steps of Gauss–Newton on the last linearisation."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_bytes
-from tisfm.poses import is_rotation
+from tisfm.rigid import is_rotation
 
 
 def read_pose(path: Path) -> NDArray[np.float64]:

@@ -11,10 +11,11 @@ depend on the size at which it is rendered, except that waves too short for the 
 The ready scenes add shorter waves to larger pictures, unless told how many.
 """
 
+from tisfm.rigid import rigid_motion
+
 from .geometry import Box, Plane
 from .ready import STATIC_KINDS, bare_patches, static_scene, two_blocks
 from .render import Scene, SyntheticPair
-from .rigid import rigid_motion
 from .texture import Patch, Texture
 
 __all__ = [

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import Floats, Vector, finite
-from .rigid import rigid_motion
+from tisfm.checks import Floats, Vector, finite
+from tisfm.rigid import rigid_motion
+
 from .texture import Texture
 
 # Surfaces farther than this count as missed, which keeps grazing rays finite.

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tisfm.camera import Camera
+from tisfm.checks import Floats, finite, whole
+from tisfm.rigid import rigid_motion
 
-from .checks import Floats, finite, whole
 from .geometry import Box, Plane
 from .render import Scene, SyntheticPair
-from .rigid import rigid_motion
 from .texture import Patch, Texture
 
 # (V, Ω) of the camera in its own axes. The turn adds to the sideways flow.

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.checks import Floats, whole
 
-from .checks import Floats, whole
 from .geometry import Box, Plane, View
 
 # Rays cast at once: their temporary arrays stay in the cache.

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import Floats, finite, whole
+from tisfm.checks import Floats, finite, whole
 
 # The noise tile holds TILE / SAMPLES_PER_WAVE waves a side; octaves are turned and shifted copies.
 TILE = 512

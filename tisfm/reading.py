@@ -1,0 +1,114 @@
+"""A reading of motion: what a solver leaves of a pair, before occlusion and confidence."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.interpretation import History, Status
+from tisfm.pyramid import Iteration, Pyramid, Solution, coarse_to_fine
+from tisfm.settings import Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What a reading of motion found.
+
+    Attributes
+    ----------
+    rho : (6, H, W) float32
+        ρ̂, px/frame.
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    inverse_depth : (H, W) float32
+    evidence : (7, H, W) float32
+        Of `tisfm.kernels.evidence`.
+    freedom : {1, 2}
+        Along how many directions the image motion of a pixel was free.
+    history : list of (level, warp, Iteration)
+    status : Status
+        ``"converged"`` or ``"iteration_limit"``, or why there is nothing to converge to.
+    motions : (K, 6) float64 or None
+    labels : (H, W) int32 or None
+    inverse_depth_std : (H, W) float32 or None
+    """
+
+    rho: np.ndarray
+    flow: np.ndarray
+    inverse_depth: np.ndarray
+    evidence: np.ndarray
+    freedom: int
+    history: list[tuple[int, int, Iteration]]
+    status: Status
+    motions: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    inverse_depth_std: np.ndarray | None = None
+
+
+def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading:
+    """Leave ρ̂ free at every pixel, as the paper does."""
+    solution = coarse_to_fine(
+        pyramid,
+        settings,
+        components=settings.components,
+        contrast=settings.contrast_for(focal),
+    )
+    field = solution.field
+    rho = np.zeros((6, field.grid.height, field.grid.width), np.float32)
+    rho[: field.components] = field.images()
+    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
+        inverse_depth = np.sqrt(np.einsum("khw,khw->hw", rho[:3], rho[:3])) / np.float32(focal)
+    return Reading(
+        rho=rho,
+        flow=field.to_images(field.flow(field.grid.allocate(2))),
+        inverse_depth=inverse_depth,
+        evidence=solution.minimiser.evidence(solution.terms),
+        freedom=2,
+        history=solution.history,
+        status=unmoved(solution) or ended(solution.history, solution.converged, settings),
+    )
+
+
+def unmoved(solution: Solution) -> Status | None:
+    """Return the status of frames that show no motion at all, None if they show some."""
+    if not solution.minimiser.tensor[:3].any():
+        return Status(
+            "no_texture",
+            "the frames are uniform, so no motion can be seen: check that they are images of a "
+            "textured scene",
+        )
+    if not solution.field.rho.any():
+        return Status(
+            "no_motion",
+            "the frames do not differ, so there is no motion to interpret: take frames further "
+            "apart in time",
+        )
+    return None
+
+
+def ended(history: list[tuple[int, int, Iteration]], converged: bool, settings: Settings) -> Status:
+    """Return how the last iterations ended."""
+    last = history[-1][2]
+    if not converged:
+        return Status(
+            "iteration_limit",
+            f"the unknowns still changed by {last.change:.1e} of their norm in the last of "
+            f"{settings.outer_iterations} iterations (tolerance {settings.tolerance:g}): raise "
+            "outer_iterations or sweeps, or accept a higher tolerance",
+        )
+    return Status(
+        "converged",
+        f"the unknowns changed by {last.change:.1e} of their norm in the last iteration",
+    )
+
+
+def history_of(records: list[tuple[int, int, Iteration]]) -> History:
+    """Return records of iterations as arrays."""
+    levels, warps, iterations = zip(*records, strict=True)
+    return History(
+        level=np.array(levels, np.int32),
+        warp=np.array(warps, np.int32),
+        **{
+            name: np.array([getattr(iteration, name) for iteration in iterations])
+            for name in ("energy", "half_quadratic", "change")
+        },
+    )

@@ -1,0 +1,162 @@
+"""Rigid motions of the scene before the camera, P₁ = R P₀ + t: as twists and as matrices."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.checks import Floats, finite
+
+_ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
+
+
+def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the finite rigid motion of a twist acting for one frame.
+
+    Parameters
+    ----------
+    motion : array_like, shape (6,)
+        Twist (T, ω): translational velocity, length/frame, and rotational velocity, rad/frame.
+
+    Returns
+    -------
+    rotation, translation : ndarray, shapes (3, 3) and (3,)
+        R = exp([ω]×) and t = V(ω) T, with V the integral of exp(s[ω]×) over s in [0, 1]:
+        P1 = R P0 + t.
+
+    Raises
+    ------
+    ValueError
+        If `motion` is not six finite numbers.
+    """
+    twist = finite(motion, (6,), "motion")
+    velocity, spin = twist[:3], twist[3:]
+    angle = float(np.linalg.norm(spin))
+    cross = np.array([[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]])
+    # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³, none of which cancels at small angles.
+    first = float(np.sinc(angle / np.pi))
+    second = 0.5 * float(np.sinc(angle / (2 * np.pi))) ** 2
+    if angle < 1e-2:
+        third = 1 / 6 - angle**2 / 120 + angle**4 / 5040
+    else:
+        third = (angle - math.sin(angle)) / angle**3
+    rotation = np.eye(3) + first * cross + second * cross @ cross
+    translation = (np.eye(3) + second * cross + third * cross @ cross) @ velocity
+    return rotation, translation
+
+
+def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
+    """Return the twist that, acting for one frame, does a finite rigid motion.
+
+    Parameters
+    ----------
+    rotation, translation : array_like, shapes (3, 3) and (3,)
+        R and t of P1 = R P0 + t; R turns by less than 180°.
+
+    Returns
+    -------
+    (6,) ndarray
+        (T, ω), of which `rigid_motion` gives R and t.
+
+    Raises
+    ------
+    ValueError
+        If they are not finite numbers of those shapes.
+    """
+    matrix, offset = finite(rotation, (3, 3), "rotation"), finite(translation, (3,), "translation")
+    # The axis times twice the sine, and the cosine, from the trace: good at small angles.
+    axis = np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    twice_sine = float(np.linalg.norm(axis))
+    angle = math.atan2(twice_sine, float(np.trace(matrix)) - 1)
+    spin = axis / 2 if twice_sine < 1e-12 else axis * (angle / twice_sine)
+    # t = V(ω) T, and V(ω) is what `rigid_motion` does to unit velocities.
+    integral = np.column_stack([rigid_motion([*unit, *spin])[1] for unit in np.eye(3)])
+    return np.concatenate([np.linalg.solve(integral, offset), spin])
+
+
+def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
+    """Return the finite motion of a twist that acts for one frame.
+
+    Parameters
+    ----------
+    twist : array_like, shape (6,)
+        (T, ω): translational velocity, length/frame, and rotational velocity, rad/frame.
+
+    Returns
+    -------
+    (4, 4) float64 ndarray
+        Its exponential.
+
+    Raises
+    ------
+    ValueError
+        If `twist` is not six finite numbers.
+    """
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rigid_motion(twist)
+    return pose
+
+
+def is_rotation(matrix: NDArray[np.float64]) -> bool:
+    """Return whether a (3, 3) matrix is orthonormal, within 0.001, and mirrors nothing."""
+    square = matrix @ matrix.T
+    return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPose:
+    """What is known of P₁ = R P₀ + t.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float64
+    translation : (3,) float64 or None
+        None if only the rotation is known.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray | None
+
+
+def check_pose(pose: ArrayLike | None) -> KnownPose | None:
+    """Return a pose as it was given, None for None.
+
+    Parameters
+    ----------
+    pose : array_like, shape (4, 4) or (3, 3), or None
+        (R, t; 0, 1), points in frame 0's camera axes to frame 1's; or R alone.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is neither.
+    """
+    if pose is None:
+        return None
+    try:
+        matrix = np.array(pose, np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"pose is {pose!r}: expected a 4×4 or 3×3 array of numbers") from None
+    if matrix.shape not in ((4, 4), (3, 3)):
+        raise ValueError(
+            f"pose has the shape {matrix.shape}: expected (4, 4), points in frame 0's camera axes "
+            "to frame 1's, or (3, 3), its rotation alone"
+        )
+    if not np.isfinite(matrix).all():
+        raise ValueError("pose has a value that is NaN or infinite")
+    if matrix.shape == (4, 4) and not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise ValueError(f"the last row of pose is {matrix[3].tolist()}: expected 0, 0, 0, 1")
+    rotation = matrix[:3, :3]
+    if not is_rotation(rotation):
+        raise ValueError(
+            f"pose holds {rotation.tolist()}, which is no rotation: expected an orthonormal matrix "
+            "without mirroring"
+        )
+    # Measured poses are rounded: the nearest rotation.
+    left, _, right = np.linalg.svd(rotation)
+    return KnownPose(
+        rotation=left @ right, translation=matrix[:3, 3].copy() if len(matrix) == 4 else None
+    )
