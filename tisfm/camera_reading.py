@@ -16,9 +16,11 @@ from tisfm.rigid_depth import RigidSolution, rigid_depth
 from tisfm.settings import Settings
 
 START = 0.5  # sampling density of the flow field that the camera's motion is first found from
-# Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2;
-# depth below 6 was hardly better than a constant on hand-held sequences.
-SEEN, ENOUGH = 2.5, 6.0
+# Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
+# On hand-held sequences depth below the other two was hardly better than a constant: less than a
+# pixel of parallax drowns in what lens and shutter do, which the residual does not show.
+SEEN, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 6.0, 9.0
+FINEST = 0.005  # px of the level: no flow is better than that
 STILL = 0.1  # px: median flow of a camera that stands still
 
 
@@ -138,9 +140,9 @@ def _with_status(start: _Start, code: str, message: str) -> _Start:
 
 def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:
     """Tell whether the flow shows more than a rotation; lengths of `found` are of a level."""
-    parallax, residual = found.parallax / scale, found.residual / scale
+    parallax, residual = found.parallax / scale, max(found.residual, FINEST) / scale
     share = parallax / residual
-    if share >= ENOUGH:
+    if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
         return None
     seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
     if share >= SEEN:

@@ -108,7 +108,7 @@ def camera_motion(
     return CameraMotion(
         rotation=turn,
         translation=translation,
-        residual=scale,
+        residual=1.4826 * _weighted_median(np.abs(distance), trust),
         parallax=focal * float(np.median(np.linalg.norm(left, axis=1))),
         inliers=float((np.abs(distance) <= 3 * scale).mean()),
     )
