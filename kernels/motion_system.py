@@ -28,6 +28,7 @@ def motion_system(
     focal: float,
     scales,
     alpha: float,
+    tolerated: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the normal equations of a small change of one motion, inverse depth eliminated.
 
@@ -58,6 +59,9 @@ def motion_system(
         m_i ε² of each term (`tisfm.kernels.robust`).
     alpha : float
         Weight of D's regularisation; infinity holds D.
+    tolerated : float
+        Squared residual that counts for a quarter (Geman–McClure, in the weights of the data):
+        what moves on its own has more, and is hardly seen. Infinity for no such weight.
 
     Returns
     -------
@@ -83,6 +87,7 @@ def motion_system(
         focal,
         *finite_scales(scales)[::2],
         min(alpha, 1e12),
+        1 / tolerated,
         count,
         partial,
     )
@@ -108,6 +113,7 @@ def _motion_system(
     inverse0: ti.f32,
     inverse1: ti.f32,
     alpha: ti.f32,
+    inverse_tolerated: ti.f32,
     count: ti.template(),
     partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 27)
 ):
@@ -123,11 +129,16 @@ def _motion_system(
             mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
             u, v = flow[0, y, s], flow[1, y, s]
             a, b = direction[0, y, s], direction[1, y, s]
-            w0 = mine / ti.sqrt(1.0 + inverse0 * quadratic(terms, 0, y, s, u, v))
+            q0, q1 = quadratic(terms, 0, y, s, u, v), 0.0 * u
+            if ti.static(count == 2):
+                q1 = quadratic(terms, 6, y, s, u, v)
+            trusted = 1.0 / (1.0 + inverse_tolerated * (q0 + q1))
+            trusted = mine * trusted * trusted
+            w0 = trusted / ti.sqrt(1.0 + inverse0 * q0)
             j11, j12, j22 = w0 * terms[0, y, s], w0 * terms[1, y, s], w0 * terms[2, y, s]
             j1, j2 = w0 * terms[3, y, s], w0 * terms[4, y, s]
             if ti.static(count == 2):
-                w1 = mine / ti.sqrt(1.0 + inverse1 * quadratic(terms, 6, y, s, u, v))
+                w1 = trusted / ti.sqrt(1.0 + inverse1 * q1)
                 j11 += w1 * terms[6, y, s]
                 j12 += w1 * terms[7, y, s]
                 j22 += w1 * terms[8, y, s]

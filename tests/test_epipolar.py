@@ -71,8 +71,8 @@ def test_displacement_and_direction(size, lanes, make_problem):
 @each_lanes
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("label", [0, 1])
-@pytest.mark.parametrize("alpha", [3.0, np.inf])
-def test_motion_system(size, lanes, count, label, alpha, make_problem):
+@pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
+def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
     from tisfm.kernels.epipolar import displacement
     from tisfm.kernels.motion_system import motion_system
 
@@ -94,7 +94,7 @@ def test_motion_system(size, lanes, count, label, alpha, make_problem):
     matrix, vector = motion_system(
         grid, problem.to_lanes(np.concatenate(terms)), field.rho, labels, problem.to_lanes(weights),
         field.x_hat, field.y_hat, flow, direction, motions=motions, label=label,
-        focal=problem.camera.focal, scales=scales, alpha=alpha,
+        focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
     )  # fmt: skip
     identity = reference.motion_matrix(problem.camera, *size, 2)
     moved = reference.displacement(inverse_depth[0], problem.camera, *poses[label])
@@ -103,8 +103,13 @@ def test_motion_system(size, lanes, count, label, alpha, make_problem):
     neighbours = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
     hold = min(alpha, 1e12) * np.maximum(neighbours, 1e-12)
     mine = chequered(*size) == label
+    squares = sum(reference.residual(term, identity, moved) for term in terms)
     expected = reference.motion_system(
-        tensor * mine, inverse_depth[0], hold, problem.camera, *poses[label]
+        tensor * mine / (1 + squares / tolerated) ** 2,
+        inverse_depth[0],
+        hold,
+        problem.camera,
+        *poses[label],
     )
     if not mine.any():
         assert not matrix.any() and not vector.any()

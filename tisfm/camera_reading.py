@@ -1,6 +1,6 @@
 """One rigid motion of the camera, and inverse depth at every pixel: ``motion="camera"``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def _start(
         rotation=np.eye(3) if rotation is None else rotation,
         translation=np.zeros(3),
         history=solution.history,
-        status=unmoved(solution),
+        status=unmoved(solution, textured=pyramid.contrast > 0),
     )
     if still.status is not None:
         return still
@@ -118,24 +118,14 @@ def _start(
     try:
         found = camera_motion(flow, trust, coarse, rotation=rotation)
     except ValueError as error:
-        return _with_status(still, "no_texture", f"{error}: take sharper frames of more texture")
+        message = f"{error}: take sharper frames of more texture"
+        return replace(still, status=Status("no_texture", message))
     status = _parallax_status(found, scale, float(np.median(np.linalg.norm(flow, axis=-1))) / scale)
-    seen = status is None or status == "little_parallax"
-    return _Start(
-        rotation=found.rotation if status != "no_motion" else still.rotation,
-        translation=found.translation if seen else np.zeros(3),
-        history=solution.history,
-        status=status,
-    )
-
-
-def _with_status(start: _Start, code: str, message: str) -> _Start:
-    return _Start(
-        rotation=start.rotation,
-        translation=start.translation,
-        history=start.history,
-        status=Status(code, message),
-    )
+    if status == "no_motion":
+        return replace(still, status=status)
+    if status == "pure_rotation":
+        return replace(still, status=status, rotation=found.rotation_alone)
+    return replace(still, status=status, rotation=found.rotation, translation=found.translation)
 
 
 def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:

@@ -26,6 +26,8 @@ class CameraMotion:
         R.
     translation : (3,) float64
         t, of length 1: its true length cannot be known.
+    rotation_alone : (3, 3) float64
+        The rotation that fits best without translation; `rotation` where that was known.
     residual : float
         Robust standard deviation of the distances from epipolar lines, px.
     parallax : float
@@ -36,6 +38,7 @@ class CameraMotion:
 
     rotation: np.ndarray
     translation: np.ndarray
+    rotation_alone: np.ndarray
     residual: float
     parallax: float
     inliers: float
@@ -104,10 +107,12 @@ def camera_motion(
     distance, _, inverse_depth = _epipolar(before, after, turn, translation, focal)
     if (trust * np.sign(inverse_depth)).sum() < 0:
         translation = -translation
-    left = _unturned(before, after) if rotation is None else _beyond(before, after, turn)
+    alone = _rotation_alone(before, after) if rotation is None else turn
+    left = _beyond(before, after, alone)
     return CameraMotion(
         rotation=turn,
         translation=translation,
+        rotation_alone=alone,
         residual=1.4826 * _weighted_median(np.abs(distance), trust),
         parallax=focal * float(np.median(np.linalg.norm(left, axis=1))),
         inliers=float((np.abs(distance) <= 3 * scale).mean()),
@@ -289,8 +294,8 @@ def _epipolar(
     return distance, slope, inverse_depth
 
 
-def _unturned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return what the best rotation leaves of the displacements, (N, 2), normalised."""
+def _rotation_alone(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the rotation, (3, 3), that leaves least of the displacements."""
     rotation = np.eye(3)
     for _ in range(10):
         left = _beyond(before, after, rotation)
@@ -309,7 +314,7 @@ def _unturned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         rotation = cv2.Rodrigues(step)[0] @ rotation
         if np.linalg.norm(step) < 1e-9:
             break
-    return left
+    return rotation
 
 
 def _beyond(before: np.ndarray, after: np.ndarray, rotation: np.ndarray) -> np.ndarray:

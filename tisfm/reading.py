@@ -68,9 +68,9 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
     )
 
 
-def unmoved(solution: Solution) -> Status | None:
+def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
     """Return the status of frames that show no motion at all, None if they show some."""
-    if not solution.minimiser.tensor[:3].any():
+    if not textured or not solution.minimiser.tensor[:3].any():
         return Status(
             "no_texture",
             "the frames are uniform, so no motion can be seen: check that they are images of a "
@@ -103,7 +103,7 @@ def ended(history: list[tuple[int, int, Iteration]], converged: bool, settings: 
 
 def history_of(records: list[tuple[int, int, Iteration]]) -> History:
     """Return records of iterations as arrays."""
-    levels, warps, iterations = zip(*records, strict=True)
+    levels, warps, iterations = zip(*records, strict=True) if records else ((), (), ())
     return History(
         level=np.array(levels, np.int32),
         warp=np.array(warps, np.int32),

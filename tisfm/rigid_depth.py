@@ -21,6 +21,7 @@ HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the mo
 MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 2  # linearisations on the finest level for one of the field's; iterations for half of one
+OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
 TINY = 1e-12
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
@@ -125,7 +126,8 @@ def rigid_depth(
             state.despeckle()
             noise = state.noise()
             if refine != "none" and pyramid.scale(level) >= REFINED:
-                motions = state.refined(motions, 6 if refine == "motion" else 3)
+                unknowns = 6 if refine == "motion" else 3
+                motions = state.refined(motions, unknowns, (OUTLYING * noise) ** 2 + TINY)
         if level > 0:
             coarse = field.images()
     state.displace(motions)
@@ -212,7 +214,7 @@ class _Level:
         """Return the median residual of the last linearisation."""
         return float(np.sqrt(np.median(self.minimiser.residual(self._restricted))))
 
-    def refined(self, motions: np.ndarray, unknowns: int) -> np.ndarray:
+    def refined(self, motions: np.ndarray, unknowns: int, tolerated: float) -> np.ndarray:
         """Return the motions after steps of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
@@ -234,6 +236,7 @@ class _Level:
                     focal=self._focal,
                     scales=self._data_term.scales,
                     alpha=HELD * self.minimiser.alpha,
+                    tolerated=tolerated,
                 )
                 motions[label] = _stepped(motion, matrix, vector, unknowns)
         return motions
