@@ -148,7 +148,7 @@ def _correspondences(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rays (x̂, ŷ, 1) in both frames, (N, 3) each, of a regular sample, and their trust."""
     height, width = confidence.shape
-    stride = max(1, round((height * width / SAMPLES) ** 0.5))
+    stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     rows, columns = rows.ravel(), columns.ravel()
     moved = flow[rows, columns].astype(np.float64)

@@ -88,6 +88,7 @@ def rigid_depth(
     labels: np.ndarray,
     *,
     refine: Refinement = "motion",
+    support: np.ndarray | None = None,
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel from the coarsest level to the finest, from zero.
 
@@ -109,6 +110,8 @@ def rigid_depth(
         Which motion a pixel has.
     refine : {"none", "translation", "motion"}
         What of the motions is refined on the finer levels, jointly with depth.
+    support : (H, W) bool array, optional
+        Where the data count, by default everywhere; elsewhere depth is continued smoothly.
     """
     motions = scaled_translations(motions, labels, camera)
     history: list[tuple[int, int, Iteration]] = []
@@ -117,7 +120,7 @@ def rigid_depth(
     for level in reversed(range(pyramid.levels)):
         field = pyramid.field(level, 1, coarse)
         focal = camera.focal * pyramid.scale(level)
-        state = _Level(pyramid, level, field, labels, focal, settings)
+        state = _Level(pyramid, level, field, labels, focal, settings, support)
         for warp in range(settings.warps_on(level) * (WARPS if level == 0 else 1)):
             restricted = state.linearise(motions)
             state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise / QUIET)
@@ -142,6 +145,40 @@ def rigid_depth(
     )
 
 
+def residual_under(
+    pyramid: Pyramid,
+    settings: Settings,
+    camera: Camera,
+    motion: np.ndarray,
+    inverse_depth: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how badly one motion and depth meet the images, and their flow.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+        Of the finest level.
+    motion : (3, 4) array
+        R and t, of the length that `inverse_depth` is for.
+    inverse_depth : (H, W) float32
+        D.
+
+    Returns
+    -------
+    residual : (H, W) float32
+        Squared, px²; 0 where the flow leaves the image.
+    flow : (2, H, W) float32
+    """
+    field = pyramid.field(0, 1, None)
+    field.set_images(inverse_depth[None])
+    labels = np.zeros(inverse_depth.shape, np.int32)
+    state = _Level(pyramid, 0, field, labels, camera.focal, settings)
+    restricted = state.linearise(motion[None])
+    return state.minimiser.residual(restricted), field.to_images(state.flow)
+
+
 class _Level:
     """One level of the pyramid: depth, labels and data."""
 
@@ -153,16 +190,24 @@ class _Level:
         labels: np.ndarray,
         focal: float,
         settings: Settings,
+        support: np.ndarray | None = None,
     ) -> None:
         self._field, self._focal = field, focal
         grid = field.grid
-        resized = cv2.resize(
-            labels.astype(np.float32), (grid.width, grid.height), interpolation=cv2.INTER_NEAREST
-        )
+        size = (grid.width, grid.height)
+        resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
         image_to_lanes(grid, resized, self._labels)
+        self._pure: np.ndarray | None = None
         if labels.any():
             field.edges *= _within(field, resized)
+            window = np.ones((MEDIAN, MEDIAN), np.uint8)
+            self._pure = cv2.erode(resized, window) == cv2.dilate(resized, window)
+        self._support: np.ndarray | None = None
+        if support is not None:
+            self._support = grid.allocate(1)
+            counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+            image_to_lanes(grid, counted, self._support)
         self._data_term = pyramid.data_term(
             level,
             grid,
@@ -203,11 +248,16 @@ class _Level:
         self.displace(motions)
         self._terms = self._data_term.linearise(self.flow)
         along(field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted)
+        if self._support is not None:
+            self._restricted *= self._support
         return self._restricted
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        depth = cv2.medianBlur(self._field.images()[0], MEDIAN)
+        raw = self._field.images()[0]
+        depth = cv2.medianBlur(raw, MEDIAN)
+        if self._pure is not None:  # every label has a scale of its own
+            depth = np.where(self._pure, depth, raw)
         image_to_lanes(self._field.grid, depth, self._field.rho)
 
     def noise(self) -> float:

@@ -1,0 +1,152 @@
+"""Layers: which of several rigid motions a pixel has, by the images themselves.
+
+A layer's surface is fitted where it is labelled and continued smoothly beyond. There, images tell
+it from its neighbours: the surface that fits is the one a pixel lies on.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion_candidates import SMALLEST
+from tisfm.occlusion import leaves_image, occlusion
+from tisfm.potts import Potts
+from tisfm.pyramid import Pyramid
+from tisfm.rigid_depth import residual_under, rigid_depth
+from tisfm.settings import Settings
+
+WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
+TOLERATED = 3.0  # of the median residual: a unit of cost
+TRUNCATED = 16.0  # units: more is no worse
+HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
+GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layers:
+    """A labelling of the image.
+
+    Attributes
+    ----------
+    motions : list of (3, 4) array
+    labels : (H, W) int32
+    hidden : (H, W) bool
+        What is not visible in frame 1.
+    costs : (K, H, W) float32
+        Of each layer, in units.
+    """
+
+    motions: list[np.ndarray]
+    labels: np.ndarray
+    hidden: np.ndarray
+    costs: np.ndarray
+
+
+class Layering:
+    """Labels of a pair of frames, and what they are worth.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+    grey0, grey1 : (H, W) float32
+    """
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        settings: Settings,
+        camera: Camera,
+        grey0: np.ndarray,
+        grey1: np.ndarray,
+    ) -> None:
+        self._pyramid, self._camera = pyramid, camera
+        # Surfaces need not be exact to tell layers apart.
+        self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
+        self._grey0, self._grey1 = grey0, grey1
+        self._potts = Potts(grey0)
+        self._smallest = max(64, round(SMALLEST * grey0.size))
+
+    def fitted(
+        self, motions: list[np.ndarray], labels: np.ndarray, hidden: np.ndarray, rounds: int = 2
+    ) -> Layers:
+        """Return the layers after fitting surfaces and labels to each other in turns."""
+        for _ in range(rounds):
+            residuals, flows = [], []
+            for label, motion in enumerate(motions):
+                residual, flow = self._continued(motion, _core(labels == label) & ~hidden)
+                residuals.append(cv2.blur(residual, (WINDOW, WINDOW)))
+                flows.append(flow)
+            stacked, moved = np.stack(residuals), np.stack(flows)
+            usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
+            costs = np.minimum(stacked / max(TOLERATED * usual, 1e-12), TRUNCATED)
+            # Where a layer leaves the image, the others have to decide.
+            gone = np.stack([leaves_image(flow) for flow in flows])
+            known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
+            costs = np.where(gone, known, costs).astype(np.float32)
+            for _ in range(2):
+                composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
+                hidden = occlusion(self._grey0, self._grey1, composed, self._settings)
+                weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
+                labels = self._potts.assign(costs, weight)
+        return Layers(motions=motions, labels=labels, hidden=hidden, costs=costs)
+
+    def pruned(self, layers: Layers) -> Layers:
+        """Return the layers without those whose motion the others can do as well without.
+
+        Every layer but the first, the smallest first, is taken away, the others fitted anew, and
+        their cost on its pixels compared.
+        """
+        needed = {0}
+        while len(needed) < len(layers.motions):
+            areas = np.bincount(layers.labels.ravel(), minlength=len(layers.motions))
+            doubtful = [label for label in range(len(areas)) if label not in needed]
+            label = min(doubtful, key=lambda k: areas[k])
+            rest = [k for k in range(len(areas)) if k != label]
+            weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
+            without = self.fitted(
+                [layers.motions[k] for k in rest],
+                self._potts.assign(layers.costs[rest], weight),
+                layers.hidden,
+                rounds=1,
+            )
+            mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
+            gain = float((_own_cost(without) - _own_cost(layers))[mine].sum())
+            if gain >= GAIN * self._smallest and areas[label] >= self._smallest:
+                needed.add(label)
+                continue
+            layers = without
+            needed = {rest.index(k) for k in needed}
+        return layers
+
+    def _continued(self, motion: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residual and flow of a surface fitted on its support, everywhere."""
+        solution = rigid_depth(
+            self._pyramid,
+            self._settings,
+            self._camera,
+            motion[None],
+            np.zeros(support.shape, np.int32),
+            refine="none",
+            support=support,
+        )
+        return residual_under(
+            self._pyramid,
+            self._settings,
+            self._camera,
+            solution.motions[0],
+            solution.inverse_depth,
+        )
+
+
+def _core(mask: np.ndarray) -> np.ndarray:
+    """Return a mask without its rim, or all of it where little else would be left."""
+    core = cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+    return core if core.sum() >= 64 else mask
+
+
+def _own_cost(layers: Layers) -> np.ndarray:
+    return np.take_along_axis(layers.costs, layers.labels[None], axis=0)[0]
