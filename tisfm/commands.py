@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from rich.table import Table
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
+from tisfm.datasets.trajectories import motion_between, read_poses
 from tisfm.evaluation import PairEvaluation
 from tisfm.evaluation import evaluate as evaluate_pairs
 from tisfm.evaluation_outputs import EVALUATION_RECORD, EvaluationWriter
@@ -36,7 +38,7 @@ from tisfm.outputs import RECORD, PairWriter
 from tisfm.pair import interpret
 from tisfm.paper_figures import write_paper_figures
 from tisfm.scenes import SyntheticPair, two_blocks
-from tisfm.sequence import FramePair, FrameSource, Source
+from tisfm.sequence import FramePair, FrameSource, Source, with_poses
 from tisfm.settings import Settings
 
 MOST_PIXELS = 10_000_000  # of the demo scene: its ray casting takes about 5 s a million
@@ -50,6 +52,7 @@ def run(
     guess: bool = False,
     settings: Settings,
     step: int = 1,
+    poses: Path | None = None,
     resume: bool = False,
     figures: bool = True,
     ply: bool = False,
@@ -57,10 +60,13 @@ def run(
 ) -> int:
     """Interpret every pair of a source and write the results; return the exit code.
 
-    With `guess` the first frame decides on the focal length, whatever that of the camera.
+    With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
+    is a file of a pose for every frame, those between the steps included.
     """
     _refuse_mixing(source, output)
     pairs = FrameSource(source, step=step)
+    motions = None if poses is None else _motions(poses, pairs, settings)
+    posed = with_poses(pairs, motions, title=f"the motions of {poses}")
     runtime.start(threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
@@ -74,15 +80,21 @@ def run(
     seconds = []
     with _progress() as progress:
         task = progress.add_task("interpreting", total=total)
-        for pair in pairs:
+        for pair in posed:
             progress.update(task, description=pair.name0)
             digest = pair.digest
             if not writer.is_complete(pair.name0, digest):
                 begin = time.perf_counter()
                 result = pair.interpret(camera=camera, settings=settings)
                 seconds.append(time.perf_counter() - begin)
-                baseline = _baseline(pair, camera, settings) if figures else None
-                writer.write(pair.name0, result, digest=digest, baseline_flow=baseline)
+                compared = figures and settings.motion == "field"
+                writer.write(
+                    pair.name0,
+                    result,
+                    digest=digest,
+                    pose=None if pair.pose is None else np.asarray(pair.pose),
+                    baseline_flow=_baseline(pair, camera, settings) if compared else None,
+                )
             progress.advance(task)
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
@@ -245,6 +257,22 @@ def _refuse_mixing(source: Source, output: Path) -> None:
                 f"the results would lie among the frames in {output}, and count as frames the "
                 "next time: give another folder with -o"
             )
+
+
+def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
+    """Return the motion of every pair, of a file with the pose of every frame."""
+    if settings.motion == "field":
+        raise ValueError(
+            f"the poses of {path} are given, but motion 'field' leaves the motion free: give "
+            "--motion camera"
+        )
+    poses = read_poses(path)
+    if pairs.count is not None and len(poses) != pairs.count:
+        raise ValueError(
+            f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
+            "of twelve numbers for every frame"
+        )
+    return [motion_between(*ends) for ends in pairwise(poses[:: pairs.step])]
 
 
 def _guessed(camera: Camera, pairs: FrameSource) -> Camera:
