@@ -191,12 +191,13 @@ class Eval:
 
 @dataclass(kw_only=True)
 class Demo:
-    """Render a scene whose truth is known, interpret it, and compare.
+    """Render scenes whose truth is known, interpret them, and compare.
 
     Two textured blocks move each on its own, in front of a background and on a floor, before a
-    camera that moves sideways. Prints errors against the truth for the preset "paper", the
-    default preset and Horn and Schunck, and writes every output of `tisfm run` and the paper's
-    comparisons of settings.
+    camera that moves sideways: errors against the truth of the preset "paper", the default preset
+    and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
+    errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
+    scene and the paper's comparisons of settings, DIR/camera those for the second.
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")
@@ -212,7 +213,7 @@ class Demo:
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        from tisfm.commands import demo
+        from tisfm.demo import demo
 
         return demo(
             self.output, height=self.height, width=self.width, seed=self.seed, threads=self.threads

@@ -9,20 +9,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.measure import Measurement
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Table
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.console import print_whole, progress_bar, tell
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.datasets.trajectories import motion_between, read_poses
 from tisfm.evaluation import PairEvaluation
@@ -33,15 +23,10 @@ from tisfm.focal_guess import guess_focal
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
-from tisfm.metrics import angular_error, depth_errors, endpoint_error
 from tisfm.outputs import RECORD, PairWriter
-from tisfm.pair import interpret
 from tisfm.paper_figures import write_paper_figures
-from tisfm.scenes import SyntheticPair, two_blocks
 from tisfm.sequence import FramePair, FrameSource, Source, with_poses
 from tisfm.settings import Settings
-
-MOST_PIXELS = 10_000_000  # of the demo scene: its ray casting takes about 5 s a million
 
 
 def run(
@@ -78,7 +63,7 @@ def run(
     except TypeError:
         total = None
     seconds = []
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task("interpreting", total=total)
         for pair in posed:
             progress.update(task, description=pair.name0)
@@ -99,12 +84,12 @@ def run(
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = len(writer.statuses)
-    _tell(
+    tell(
         f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {output}, settings "
         f"and scales in {output / RECORD}."
     )
     for code, advice in writer.advice.items():
-        _tell(f"{code}: {advice}")
+        tell(f"{code}: {advice}")
     return 0
 
 
@@ -129,7 +114,7 @@ def evaluate(
         )
     runtime.start(threads=threads)
     writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))
 
         def finish_pair(
@@ -143,7 +128,7 @@ def evaluate(
     if writer is not None:
         writer.finish(evaluation)
     for table in evaluation_tables(evaluation):
-        _print_whole(table)
+        print_whole(table)
     good = [pair for pair in evaluation.pairs if pair.fault is None]
     if good:
         counts = Counter(pair.status for pair in good)
@@ -154,79 +139,13 @@ def evaluate(
             if output is None
             else (f" Pictures and flow in {output}, every number in {output / EVALUATION_RECORD}.")
         )
-        _tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
+        tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
     advice = {pair.status: pair.message for pair in reversed(good) if pair.status != "converged"}
     for code, message in advice.items():
-        _tell(f"{code}: {message}")
+        tell(f"{code}: {message}")
     for pair in evaluation.faults:
-        _tell(f"tisfm: {pair.label}: {pair.fault}")
+        tell(f"tisfm: {pair.label}: {pair.fault}")
     return 1 if evaluation.faults else 0
-
-
-def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:
-    """Render the demo scene, interpret it, print errors and write everything."""
-    if height * width > MOST_PIXELS:
-        raise ValueError(
-            f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
-        )
-    runtime.start(threads=threads)
-    scene = two_blocks(height, width, seed=seed)
-    settings = Settings()
-    writer = PairWriter(output, camera=scene.camera, settings=settings)
-    table = Table(
-        title=f"Two blocks on a floor, {height} × {width} px, against the truth",
-        caption="End-point and angular error of the flow where the point stays visible. Depth "
-        "after scaling by the median, within each object, whose scale no method can know.",
-    )
-    table.add_column("")
-    for heading in ("EPE, px", "angle, °", "|ΔZ|/Z"):
-        table.add_column(heading, justify="right")
-    table.add_column("status", no_wrap=True)
-    table.add_column("s", justify="right", no_wrap=True)
-    with _progress() as progress:
-        task = progress.add_task("interpreting", total=4)
-        paper = Settings.preset("paper")
-        small0, small1 = scene.frame0[:32, :32], scene.frame1[:32, :32]
-        for compiled in (paper, settings):  # beforehand, so that it is not timed
-            interpret(small0, small1, settings=compiled)
-        horn_schunck(small0, small1)
-        for label, changed in (("preset paper", paper), ("balanced (default)", settings)):
-            begin = time.perf_counter()
-            result = interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=changed)
-            elapsed = time.perf_counter() - begin
-            table.add_row(
-                label,
-                f"{endpoint_error(result.flow, scene.flow, mask=scene.visible):.3f}",
-                f"{angular_error(result.flow, scene.flow, mask=scene.visible):.2f}",
-                f"{_depth_error(result.depth, scene):.3f}",
-                str(result.status),
-                f"{elapsed:.2f}",
-            )
-            progress.advance(task)
-        begin = time.perf_counter()
-        baseline = horn_schunck(scene.frame0, scene.frame1)
-        elapsed = time.perf_counter() - begin
-        table.add_row(
-            "Horn–Schunck",
-            f"{endpoint_error(baseline, scene.flow, mask=scene.visible):.3f}",
-            f"{angular_error(baseline, scene.flow, mask=scene.visible):.2f}",
-            "–",
-            "–",
-            f"{elapsed:.2f}",
-        )
-        progress.advance(task)
-        writer.write(
-            "demo",
-            result,
-            baseline_flow=baseline,
-            truth_flow=scene.flow,
-            truth_inverse_depth=scene.inverse_depth,
-        )
-        write_paper_figures(output, scene.frame0, scene.frame1, camera=scene.camera)
-        progress.advance(task)
-    Console().print(table)
-    _tell(f"Pictures and data in {output}: look at demo_figure.png first.")
-    return 0
 
 
 def figures(
@@ -244,7 +163,7 @@ def figures(
         camera = _guessed(camera, pairs)
     for pair in pairs:
         written = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera)
-        _tell("wrote " + ", ".join(map(str, written)))
+        tell("wrote " + ", ".join(map(str, written)))
     return 0
 
 
@@ -279,7 +198,7 @@ def _guessed(camera: Camera, pairs: FrameSource) -> Camera:
     """Return the camera with a focal length guessed by the first frame, and say so."""
     first = pairs.first_file
     guess = guess_focal(next(iter(pairs)).frame0.shape if first is None else first)
-    _tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
+    tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
     return replace(camera, focal=guess.focal)
 
 
@@ -287,41 +206,3 @@ def _baseline(pair: FramePair, camera: Camera, settings: Settings) -> np.ndarray
     """Return Horn and Schunck's flow of the frames without distortion."""
     frames = (undistort(frame, camera) for frame in (pair.frame0, pair.frame1))
     return horn_schunck(*frames, settings=settings)
-
-
-def _tell(line: str) -> None:
-    """Print one line on standard error, as it is."""
-    Console(stderr=True).print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _depth_error(depth: np.ndarray, scene: SyntheticPair) -> float:
-    """Mean |ΔZ|/Z after median scaling within every object, over all visible pixels."""
-    errors, pixels = 0.0, 0
-    for label in range(int(scene.labels.max()) + 1):
-        mask = (scene.labels == label) & scene.visible
-        if mask.any():
-            found = depth_errors(depth, scene.depth, mask)
-            errors += found.abs_rel * int(mask.sum())
-            pixels += int(mask.sum())
-    return errors / pixels
-
-
-def _print_whole(table: Table) -> None:
-    """Print a table with all its columns, were it wider than the terminal."""
-    console = Console()
-    wanted = Measurement.get(console, console.options.update(max_width=1000), table).maximum
-    Console(width=max(console.width, wanted)).print(table)
-
-
-def _progress() -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,  # it would leave blank lines in a log
-    )

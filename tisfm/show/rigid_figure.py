@@ -49,8 +49,9 @@ def rigid_figure(
     """Show the depth of rigid motions with its uncertainty, and the motion with its confidence.
 
     The first row has the frame, the labels where there are several, the depth as grey levels, the
-    true one where it is known, and the relative standard deviation. The second row has the flow as
-    arrows and as colours, the true one where it is known, and the confidence.
+    true one where it is known, and the relative standard deviation where a pixel is visible in the
+    next frame. The second row has the flow as arrows and as colours, the true one where it is
+    known, and the confidence.
 
     Parameters
     ----------
@@ -134,8 +135,10 @@ def rigid_figure(
     )
     if true_depth is not None:
         first.append(("True depth (near is bright)", depth_grey(true_depth)))
+    if hidden is not None:  # it is that of what is visible
+        deviation = np.where(hidden, np.inf, deviation)
     uncertainty = uncertainty_to_color(depth, deviation)
-    first.append(("Uncertainty of the depth (grey: no depth)", uncertainty))
+    first.append(("Uncertainty of the depth (grey: unknown)", uncertainty))
     second = [
         ("Flow, arrows", backdrop(shown)),
         ("Flow, colours", flow_to_color(motion, limit=limit)),
