@@ -136,8 +136,8 @@ class PairWriter:
         if pair["frames"] != digest:
             raise ValueError(
                 f"{self.folder} holds a run in which {name} was another pair of frames, or had "
-                "another pose: give the same frames, step and poses again, or run without --resume "
-                "to start again"
+                "another pose: give the same frames and step again, and the same poses, or run "
+                "without --resume to start again"
             )
         return True
 

@@ -103,12 +103,12 @@ def ended(history: list[tuple[int, int, Iteration]], converged: bool, settings: 
 
 def history_of(records: list[tuple[int, int, Iteration]]) -> History:
     """Return records of iterations as arrays."""
-    levels, warps, iterations = zip(*records, strict=True)
+    # Types are given because there may be no record: of a given motion that shows no depth.
     return History(
-        level=np.array(levels, np.int32),
-        warp=np.array(warps, np.int32),
+        level=np.array([level for level, _, _ in records], np.int32),
+        warp=np.array([warp for _, warp, _ in records], np.int32),
         **{
-            name: np.array([getattr(iteration, name) for iteration in iterations])
+            name: np.array([getattr(iteration, name) for _, _, iteration in records], np.float64)
             for name in ("energy", "half_quadratic", "change")
         },
     )
