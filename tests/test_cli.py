@@ -17,7 +17,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
-from tisfm import commands, evaluation, pair
+from tisfm import commands, demo, evaluation, pair
 from tisfm.cli import main
 from tisfm.formats import read_depth_png, read_flo, read_image, write_flo, write_png
 from tisfm.lens import undistort
@@ -685,6 +685,7 @@ def test_an_output_that_is_no_folder_is_one_line(
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(evaluation, "interpret", forbid)
+    monkeypatch.setattr(demo, "interpret", forbid)
     source = {
         "run": ["frames"],
         "demo": [],
@@ -800,7 +801,7 @@ def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     assert code == 0
     settings = {"--" + name.replace("_", "-") for name in vars(Settings())}
     expected = {"--output", "--preset", "--step", "--resume", "--figures", "--no-figures"}
-    expected |= {"--ply", "--no-ply"}
+    expected |= {"--ply", "--no-ply", "--poses"}
     assert options_of(out) >= expected | settings | {
         "--threads",
         "--focal",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm import outputs
+from tisfm import demo, outputs, paper_figures
 from tisfm.cli import main
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.motion_text import motion_rows
@@ -411,8 +411,6 @@ def test_demo_compares_readings_of_motion(tisfm_run):
 
 
 def test_demo_interprets_no_pair_twice(tisfm_run, monkeypatch):
-    from tisfm import demo, paper_figures
-
     seen = []
     original = demo.interpret
 

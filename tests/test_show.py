@@ -735,7 +735,7 @@ def test_uncertainty_without_depth_is_grey():
     nothing = np.array([[0.0, -1.0, np.nan, np.inf, 1.0, 1.0]])
     deviation = np.array([[1.0, 1.0, 1.0, 1.0, np.inf, np.nan]])
     assert np.all(uncertainty_to_color(nothing, deviation) == 128)
-    tiny = uncertainty_to_color([[np.float32(1e-40)]], [[np.float32(1e30)]])
+    tiny = uncertainty_to_color([[1e-200]], [[1e200]])
     assert np.array_equal(tiny, uncertainty_to_color([[1.0]], [[1e9]]))
 
 

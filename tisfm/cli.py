@@ -61,7 +61,7 @@ class Run:
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
     video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
     near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
-    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, with --motion camera
+    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera'
     NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
     tisfm.Interpretation.load.
     """
@@ -79,7 +79,7 @@ class Run:
     """Take every STEP-th frame, for slow motion."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
-    (R | t) from camera to world, as KITTI has them. For --motion camera."""
+    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
