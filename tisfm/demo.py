@@ -80,15 +80,17 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         progress.advance(task)
 
         readings = _readings_table(height, width)
+        shown = {}
         for label, scene, changed in (
             ("field, at rest", still, settings),
             ("camera, at rest", still, camera_settings),
         ):
-            reading, seconds = _timed(_interpretation(scene, changed))
-            readings.add_row(label, *_reading_cells(reading, scene), reading.status, seconds)
+            result, seconds = _timed(_interpretation(scene, changed))
+            shown[changed] = result
+            readings.add_row(label, *_reading_cells(result, scene), result.status, seconds)
             progress.advance(task)
         _write(writer, moving, known[settings], baseline)
-        _write(camera_writer, still, reading)
+        _write(camera_writer, still, shown[camera_settings])
         progress.advance(task)
         write_paper_figures(
             output,
