@@ -19,7 +19,7 @@ from tisfm.show.drawing import (
     draw_swatches,
     swatches_size,
 )
-from tisfm.show.error import error_to_color
+from tisfm.show.error import WIDE, error_to_color
 from tisfm.show.figures import tint
 from tisfm.show.flow import flow_to_color, usual_length
 from tisfm.show.grey import depth_grey
@@ -51,7 +51,7 @@ def rigid_figure(
     The first row has the frame, the labels where there are several, the depth as grey levels, the
     true one where it is known, and the relative standard deviation where a pixel is visible in the
     next frame. The second row has the flow as arrows and as colours, the true one where it is
-    known, and the confidence.
+    known, and the confidence. Of wide pictures there are two in a row, in the same order.
 
     Parameters
     ----------
@@ -150,7 +150,11 @@ def rigid_figure(
     legends = [BAR_SIZE, LEGEND_SIZE]
     if count > 1:
         legends.insert(0, swatches_size(count))
-    figure, axes, layout = draw_panels([first, second], heading=title, legend=stacked_size(legends))
+    rows = [first, second]
+    if picture.shape[1] >= WIDE * picture.shape[0]:
+        panels = first + second
+        rows = [panels[k : k + 2] for k in range(0, len(panels), 2)]
+    figure, axes, layout = draw_panels(rows, heading=title, legend=stacked_size(legends))
     draw_arrows(axes[len(first)], motion, limit)
     *swatches, bar, wheel = stack_legends(layout, legends)
     for room in swatches:
