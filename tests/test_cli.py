@@ -17,7 +17,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
-from tisfm import commands, evaluation, pair
+from tisfm import commands, demo, evaluation, pair
 from tisfm.cli import main
 from tisfm.formats import read_depth_png, read_flo, read_image, write_flo, write_png
 from tisfm.lens import undistort
@@ -99,7 +99,7 @@ def tisfm_run(capsys):
 
 
 def files(folder):
-    return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+    return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
 
 
 def promised(*names, figures=True):
@@ -685,6 +685,7 @@ def test_an_output_that_is_no_folder_is_one_line(
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(evaluation, "interpret", forbid)
+    monkeypatch.setattr(demo, "interpret", forbid)
     source = {
         "run": ["frames"],
         "demo": [],
@@ -723,6 +724,7 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
         (["--relaxation", "2"], ["relaxation is 2.0", "below 2"]),
         (["--step", "0"], ["step is 0", "positive integer"]),
         (["--step", "9"], ["has 4 frames", "at least 10"]),
+        (["--poses", "gone.txt", "--motion", "camera"], ["gone.txt"]),
         (["--threads", "0"], ["threads is 0", "positive integer"]),
     ],
     ids=lambda value: " ".join(value),
@@ -799,7 +801,7 @@ def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     assert code == 0
     settings = {"--" + name.replace("_", "-") for name in vars(Settings())}
     expected = {"--output", "--preset", "--step", "--resume", "--figures", "--no-figures"}
-    expected |= {"--ply", "--no-ply"}
+    expected |= {"--ply", "--no-ply", "--poses"}
     assert options_of(out) >= expected | settings | {
         "--threads",
         "--focal",
@@ -855,10 +857,10 @@ DEMO_FILES = promised("demo") | {
 def test_demo(tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "60", "--width", "80", "-o", "out")
     assert code == 0
-    assert err == "Pictures and data in out: look at demo_figure.png first.\n"
+    assert err.startswith("Pictures and data in out: look at demo_figure.png first")
     rows = [line for line in out.splitlines() if line.startswith("│")]
-    assert len(rows) == 3
-    for row, label in zip(rows, ("paper", "balanced", "Horn–Schunck"), strict=True):
+    assert len(rows) == 5
+    for row, label in zip(rows[:3], ("paper", "balanced", "Horn–Schunck"), strict=True):
         cells = [cell.strip() for cell in row.strip("│").split("│")]
         assert label in cells[0]
         assert 0 < float(cells[1]) < 0.5  # px

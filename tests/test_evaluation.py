@@ -18,6 +18,7 @@ from tisfm.egomotion import camera_motion
 from tisfm.evaluation import PairEvaluation, evaluate, mean_errors
 from tisfm.evaluation_outputs import EvaluationWriter
 from tisfm.evaluation_table import evaluation_tables
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_flo, read_image, write_flo, write_kitti_flow, write_png
 from tisfm.interpretation import Status
 from tisfm.metrics import (
@@ -736,3 +737,20 @@ def test_poses_of_a_real_sequence(shared_data):
         pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation
         errors = pose_errors(pose, loaded.pose)
         assert errors.direction < 3 and errors.rotation < 0.05
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_what_warms_up_reaches_all_kernels(monkeypatch, recwarn, channels):
+    """A pair without parallax would leave those of depth to be compiled while time is taken."""
+    statuses = []
+    original = evaluation.interpret
+
+    def interpret(*frames, **options):
+        result = original(*frames, **options)
+        statuses.append(result.status)
+        return result
+
+    monkeypatch.setattr(evaluation, "interpret", interpret)
+    evaluation._warm_up(tisfm.Settings(motion="camera"), channels, np.dtype(np.uint8))
+    assert statuses == ["converged"]
+    assert not [w for w in recwarn if w.category is GuessedFocalWarning]

@@ -18,6 +18,7 @@ from tisfm.metrics import (
     occlusion_scores,
     outlier_rate,
     pose_errors,
+    std_coverage,
 )
 from tisfm.rigid import pose_matrix
 
@@ -333,3 +334,39 @@ def test_occlusion_scores_say_what_came():
         occlusion_scores(np.zeros((3, 4)), np.zeros((3, 5)))
     with pytest.raises(ValueError, match="no pixel counts"):
         occlusion_scores(np.zeros((3, 4)), np.zeros((3, 4)), mask=np.zeros((3, 4)))
+
+
+# Standard deviations
+
+
+def test_std_coverage_by_hand():
+    truth = np.array([[1.0, 2.0, 4.0, 8.0, 0.0, np.nan]])
+    # In another unit: 1/truth is 0.2 of it. The third is off by 0.1, the fourth by 0.2.
+    found = 5 * np.array([[1.0, 0.5, 0.35, 0.325, 9.0, 9.0]])
+    deviation = np.array([[0.1, 0.1, 0.6, 0.4, 0.0, 0.0]])
+    scaled = np.median(found[0, :4] * truth[0, :4])
+    expected = np.abs(found - scaled / np.array([[1, 2, 4, 8, 1, 1]]))[0, :4] <= deviation[0, :4]
+    assert std_coverage(found, deviation, truth) == expected.mean()
+    assert std_coverage(found, np.full_like(found, np.inf), truth) == 1
+    assert std_coverage(found, np.full_like(found, np.nan), truth) == 0
+    assert std_coverage(found, deviation, truth, mask=[[1, 1, 0, 0, 1, 1]]) == 1
+
+
+def test_std_coverage_of_gaussian_errors():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(2, 9, (200, 250))
+    deviation = rng.uniform(0.001, 0.01, truth.shape)
+    found = 3 * (1 / truth + rng.normal(scale=deviation))
+    assert std_coverage(found, 3 * deviation, truth) == pytest.approx(0.683, abs=0.01)
+    assert std_coverage(found, 6 * deviation, truth) == pytest.approx(0.954, abs=0.01)
+
+
+def test_std_coverage_says_what_came():
+    good = np.ones((2, 3))
+    with pytest.raises(ValueError, match=r"inverse_depth is \(2, 3\) and truth is \(2, 4\)"):
+        std_coverage(good, good, np.ones((2, 4)))
+    with pytest.raises(ValueError, match=r"mask is \(3, 2\)"):
+        std_coverage(good, good, good, mask=np.ones((3, 2)))
+    for found, mask in ((-good, None), (good, 0 * good)):
+        with pytest.raises(ValueError, match="no pixel of the"):
+            std_coverage(found, good, good, mask=mask)

@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
 from tisfm.datasets import Layout
-from tisfm.settings import Preset, Settings
+from tisfm.settings import Motion, Preset, Settings
 from tisfm.version import __version__
 
 INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
@@ -23,22 +23,21 @@ INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal,
 class CameraOptions:
     """The camera that took the frames."""
 
-    focal: float | Literal["guess"] = 600.0
-    """Focal length, px. The default is the paper's; 'guess' takes the first image's EXIF data, or
-    else its size."""
+    focal: float | Literal["guess"] | None = None
+    """Focal length, px. 'guess' takes the first image's EXIF data, or else its size. By default
+    the paper's 600 where motion is 'field', else the guess."""
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
     """OpenCV's coefficients of the lens, 4, 5, 8, 12 or 14 with commas between; removed first."""
 
-    @property
-    def guess(self) -> bool:
-        """Whether the focal length is to be guessed."""
-        return self.focal == "guess"
+    def guess(self, motion: Motion) -> bool:
+        """Tell whether the focal length is to be guessed."""
+        return self.focal == "guess" or (self.focal is None and motion != "field")
 
     def camera(self) -> Camera:
-        """Return the camera, with a focal length of 600 px if it is yet to be guessed."""
-        focal = 600.0 if isinstance(self.focal, str) else self.focal
+        """Return the camera, with a focal length of 600 px if it is not given."""
+        focal = self.focal if isinstance(self.focal, float) else 600.0
         distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
         return Camera(focal=focal, center=self.center, distortion=distortion)
 
@@ -62,8 +61,9 @@ class Run:
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
     video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
     near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
-    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, with --ply NAME.ply and, when all
-    is written, NAME.npz for tisfm.Interpretation.load.
+    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera'
+    NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
+    tisfm.Interpretation.load.
     """
 
     source: Annotated[
@@ -77,10 +77,13 @@ class Run:
     """Settings to start from; the settings below show its values, and change them."""
     step: int = 1
     """Take every STEP-th frame, for slow motion."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
+    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
-    """Draw NAME_figure.png, with Horn and Schunck's flow for comparison (the slowest output)."""
+    """Draw NAME_figure.png (the slowest output)."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     threads: int | None = None
@@ -101,9 +104,10 @@ class Run:
             self.source[0] if len(self.source) == 1 else self.source,
             self.output,
             camera=self.camera.camera(),
-            guess=self.camera.guess,
+            guess=self.camera.guess(self.settings.motion),
             settings=self.settings.settings(),
             step=self.step,
+            poses=self.poses,
             resume=self.resume,
             figures=self.figures,
             ply=self.ply,
@@ -187,12 +191,13 @@ class Eval:
 
 @dataclass(kw_only=True)
 class Demo:
-    """Render a scene whose truth is known, interpret it, and compare.
+    """Render scenes whose truth is known, interpret them, and compare.
 
     Two textured blocks move each on its own, in front of a background and on a floor, before a
-    camera that moves sideways. Prints errors against the truth for the preset "paper", the
-    default preset and Horn and Schunck, and writes every output of `tisfm run` and the paper's
-    comparisons of settings.
+    camera that moves sideways: errors against the truth of the preset "paper", the default preset
+    and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
+    errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
+    scene and the paper's comparisons of settings, DIR/camera those for the second.
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")
@@ -208,7 +213,7 @@ class Demo:
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        from tisfm.commands import demo
+        from tisfm.demo import demo
 
         return demo(
             self.output, height=self.height, width=self.width, seed=self.seed, threads=self.threads
@@ -239,7 +244,7 @@ class Figures:
             self.frames,
             self.output,
             camera=self.camera.camera(),
-            guess=self.camera.guess,
+            guess=self.camera.guess("field"),
             threads=self.threads,
         )
 

@@ -285,4 +285,7 @@ def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> 
     """Interpret a small pair of noise, so that every kernel is compiled before it is timed."""
     noise = np.random.default_rng(0).integers(0, 256, (_WARM_UP_SIDE, _WARM_UP_SIDE, *channels))
     frame = noise.astype(dtype)
-    interpret(frame, np.roll(frame, 1, axis=1), settings=settings)
+    moved = np.roll(frame, 1, axis=1)
+    nearer = slice(_WARM_UP_SIDE // 2, None)  # parallax, without which depth is not looked for
+    moved[nearer] = np.roll(frame, 3, axis=1)[nearer]
+    interpret(frame, moved, camera=Camera(focal=_WARM_UP_SIDE), settings=settings)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.coverage import std_coverage
 from tisfm.poses import PoseErrors, pose_errors
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "occlusion_scores",
     "outlier_rate",
     "pose_errors",
+    "std_coverage",
 ]
 
 UNKNOWN = 1e9

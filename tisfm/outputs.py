@@ -4,7 +4,7 @@ import json
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from tisfm.formats import (
     write_png,
 )
 from tisfm.interpretation import Interpretation
+from tisfm.motion_text import motion_rows, write_motions
 from tisfm.settings import Settings
 from tisfm.show import (
     anaglyph,
@@ -24,9 +25,13 @@ from tisfm.show import (
     depth_grey,
     flow_radius,
     inverse_depth_limit,
+    rigid_figure,
     save_figure,
 )
 from tisfm.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RECORD = "run.json"
 
@@ -55,9 +60,10 @@ class PairWriter:
 
     For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
     and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
-    ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, and last ``name.npz``, which therefore
-    marks a complete pair. The record, ``run.json``, holds settings, camera, ranges, and of every
-    finished pair its status and a hash of its frames. It is renewed after each.
+    ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, of rigid motions ``name_pose.txt``,
+    and last ``name.npz``, which therefore marks a complete pair. The record, ``run.json``, holds
+    settings, camera, ranges, and of every finished pair its status, its rigid motions and a hash
+    of its frames. It is renewed after each.
 
     Parameters
     ----------
@@ -66,7 +72,7 @@ class PairWriter:
     camera : Camera
     settings : Settings
     figures : bool
-        Whether to draw the figure, with Horn and Schunck's flow beside ours.
+        Whether to draw the figure.
     ply : bool
         Whether to write the point cloud.
     resume : bool
@@ -117,20 +123,21 @@ class PairWriter:
         ----------
         name : str
         digest : str
-            Hash of the pair's frames.
+            Hash of the pair's frames, and of its pose if that was given.
 
         Raises
         ------
         ValueError
-            If it finished a pair of this name, but of other frames.
+            If it finished a pair of this name, but of other frames, or with another pose.
         """
         pair = self._record["pairs"].get(name)
         if pair is None or not (self.folder / f"{name}.npz").is_file():
             return False
         if pair["frames"] != digest:
             raise ValueError(
-                f"{self.folder} holds a run in which {name} was another pair of frames: give the "
-                "same frames and step again, or run without --resume to start again"
+                f"{self.folder} holds a run in which {name} was another pair of frames, or had "
+                "another pose: give the same frames and step again, and the same poses, or run "
+                "without --resume to start again"
             )
         return True
 
@@ -140,6 +147,7 @@ class PairWriter:
         result: Interpretation,
         *,
         digest: str | None = None,
+        pose: np.ndarray | None = None,
         baseline_flow: np.ndarray | None = None,
         truth_flow: np.ndarray | None = None,
         truth_inverse_depth: np.ndarray | None = None,
@@ -152,9 +160,12 @@ class PairWriter:
             Beginning of the file names.
         result : Interpretation
         digest : str, optional
-            Hash of the pair's frames, for `is_complete`.
+            Hash of the pair's frames and pose, for `is_complete`.
+        pose : (4, 4), optional
+            The motion that the interpretation was given: depth has its unit, the same in all
+            pairs.
         baseline_flow : (H, W, 2), optional
-            Horn and Schunck's flow, for the figure.
+            Horn and Schunck's flow, for the figure of ``motion="field"``.
         truth_flow : (H, W, 2), optional
             The true flow, for the figure.
         truth_inverse_depth : (H, W), optional
@@ -166,10 +177,10 @@ class PairWriter:
             If a file cannot be written.
         """
         record = self._record
-        usable = result.status != "diverged" and result.inverse_depth.any()
+        usable = result.status != "diverged" and bool((result.inverse_depth > 0).any())
         # Each pair has a scale of its own, ‖T‖ = 1, which is taken out first: a camera that speeds
-        # up would make everything brighter.
-        level = float(result.inverse_depth.mean()) if usable else 0.0
+        # up would make everything brighter. Not so with known poses.
+        level = 1.0 if pose is not None else _mean_inverse_depth(result) if usable else 0.0
         if usable and record["depth_range"] is None:
             # The first pair that moves sets the ranges: one for a whole sequence, no flicker.
             record["depth_range"] = inverse_depth_limit(result.inverse_depth) / level
@@ -185,13 +196,10 @@ class PairWriter:
         write_flo(f"{path}_flow.flo", result.flow)
         write_png(f"{path}_anaglyph.png", anaglyph(result.frame, result.inverse_depth, limit=limit))
         if self.figures:
-            figure = comparison_figure(
-                result.frame,
-                result.inverse_depth,
-                result.flow,
-                occlusion=result.occlusion,
+            figure = _figure(
+                name,
+                result,
                 baseline_flow=baseline_flow,
-                title=name,
                 depth_limit=limit,
                 flow_limit=record["flow_limit"],
                 truth_flow=truth_flow,
@@ -200,10 +208,14 @@ class PairWriter:
             save_figure(f"{path}_figure.png", figure)
         if record["ply"]:
             result.points().save(f"{path}.ply")
+        motions = motion_rows(result, pose=pose)
+        if motions is not None:
+            write_motions(f"{path}_pose.txt", motions)
         result.save(f"{path}.npz")
         record["pairs"][name] = {
             "status": str(result.status),
             "message": result.status.message,
+            "motions": _finite_list(motions),
             "frames": digest,
         }
         self._write_record()
@@ -246,3 +258,33 @@ class PairWriter:
         text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
         with atomic_write(self.folder / RECORD) as file:
             file.write(text.encode("utf-8"))
+
+
+def _figure(
+    name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **shown: Any
+) -> "Figure":
+    """Draw what suits the reading of motion; `shown` are truth and limits, the same for all."""
+    arrays = result.frame, result.inverse_depth, result.flow
+    if result.motions is None or result.inverse_depth_std is None:
+        return comparison_figure(
+            *arrays, occlusion=result.occlusion, baseline_flow=baseline_flow, title=name, **shown
+        )
+    return rigid_figure(
+        *arrays,
+        inverse_depth_std=result.inverse_depth_std,
+        confidence=result.confidence,
+        labels=result.labels,
+        occlusion=result.occlusion,
+        title=name if result.status == "converged" else f"{name} ({result.status})",
+        **shown,
+    )
+
+
+def _mean_inverse_depth(result: Interpretation) -> float:
+    """Return the mean inverse depth, in which what is no depth counts as infinitely far."""
+    return float(np.maximum(result.inverse_depth, 0).mean())
+
+
+def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
+    """Return numbers as JSON can hold them; it has no NaN."""
+    return None if numbers is None or not np.isfinite(numbers).all() else numbers.tolist()

@@ -1,5 +1,6 @@
 """The paper's comparisons of settings, as figures (its Fig. 6 and 8)."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,12 @@ PRESMOOTHING = 1.5  # px; the paper does not say which Gaussian it used
 
 
 def write_paper_figures(
-    folder: str | Path, frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, camera: Camera
+    folder: str | Path,
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera,
+    known: Mapping[Settings, np.ndarray] | None = None,
 ) -> list[Path]:
     """Write three figures of the depth of a pair under different settings.
 
@@ -31,6 +37,8 @@ def write_paper_figures(
         Made if it does not exist.
     frame0, frame1, camera
         As for `tisfm.interpret`.
+    known : mapping of Settings to (H, W), optional
+        Inverse depth of these frames under settings that need not be interpreted again.
 
     Returns
     -------
@@ -69,14 +77,14 @@ def write_paper_figures(
             },
         ),
     }
-    known: dict[Settings, np.ndarray] = {}
+    depth_of = dict(known or {})
     written = []
     for name, (title, panels) in comparisons.items():
         for settings in panels.values():
-            if settings not in known:
+            if settings not in depth_of:
                 result = interpret(frame0, frame1, camera=camera, settings=settings)
-                known[settings] = result.inverse_depth
-        depths = [known[settings] for settings in panels.values()]
+                depth_of[settings] = result.inverse_depth
+        depths = [depth_of[settings] for settings in panels.values()]
         limit = max(inverse_depth_limit(depth) for depth in depths) or None
         pictures = [
             (label, depth_grey(depth, limit=limit))

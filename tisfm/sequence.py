@@ -4,8 +4,8 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence, Sized
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
+from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 
@@ -23,12 +24,16 @@ Source = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Iterable[np
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Two consecutive frames of a source, with their names (file stems, or frame numbers)."""
+    """Two consecutive frames of a source, with their names (file stems, or frame numbers).
+
+    The pose, if there is one, is a known motion as for `tisfm.interpret`.
+    """
 
     name0: str
     name1: str
     frame0: np.ndarray
     frame1: np.ndarray
+    pose: npt.ArrayLike | None = None
 
     def interpret(
         self, *, camera: Camera | None = None, settings: Settings | None = None
@@ -37,17 +42,21 @@ class FramePair:
         from tisfm.pair import interpret
 
         try:
-            return interpret(self.frame0, self.frame1, camera=camera, settings=settings)
+            return interpret(
+                self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose
+            )
         except (TypeError, ValueError) as error:
             raise type(error)(f"frames {self.name0} and {self.name1}: {error}") from error
 
     @property
     def digest(self) -> str:
-        """A short hash of both frames, to know them again by."""
+        """A short hash of both frames, and of the pose if there is one, to know them again by."""
         pixels = hashlib.blake2b(digest_size=8)
         for frame in (self.frame0, self.frame1):
             pixels.update(f"{frame.shape} {frame.dtype}".encode())
             pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+        if self.pose is not None:
+            pixels.update(np.array(self.pose, np.float64).tobytes())
         return pixels.hexdigest()
 
 
@@ -66,6 +75,9 @@ class FrameSource:
     ----------
     first_file : Path or None
         The image file of the first frame, where frames have files of their own.
+    count : int or None
+        Number of frames, those between the steps included. None where only reading tells: a video
+        may announce a frame or two too many.
 
     Raises
     ------
@@ -83,7 +95,8 @@ class FrameSource:
         self.step = int(step)
         self.title = "frames"
         self.first_file: Path | None = None
-        self._count: int | None = None
+        self.count: int | None = None
+        self._announced: int | None = None
         self._frames: Iterable[tuple[str, np.ndarray]]
         if isinstance(source, (str, os.PathLike)):
             self.title = os.fspath(source)
@@ -95,9 +108,10 @@ class FrameSource:
 
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not."""
-        if self._count is None:
+        count = self._announced if self.count is None else self.count
+        if count is None:
             raise TypeError(f"the length of {self.title} is not known before it is read")
-        return max(0, -(-self._count // self.step) - 1)
+        return max(0, -(-count // self.step) - 1)
 
     def __iter__(self) -> Iterator[FramePair]:
         """Read the frames, and yield every pair of consecutive ones."""
@@ -144,6 +158,7 @@ class FrameSource:
             if not file.exists():
                 raise FileNotFoundError(f"there is no file {file}: check the path")
         self._check_count(len(files))
+        self.count = len(files)
         self.first_file = files[0]
         stems = [file.stem for file in files]
         if len(set(stems)) < len(stems):  # of different folders or suffixes
@@ -154,6 +169,7 @@ class FrameSource:
         video = _Video(path, self.step)
         if video.announced is not None:
             self._check_count(video.announced)
+            self._announced = video.announced
         self._frames = video
 
     def _use_arrays(self, items: Iterable[Any]) -> None:
@@ -167,6 +183,7 @@ class FrameSource:
             )
         if isinstance(items, (Sequence, np.ndarray)):
             self._check_count(len(items))
+            self.count = len(items)
         self._frames = _Arrays(items, self.step)
 
     def _check_count(self, count: int) -> None:
@@ -175,7 +192,6 @@ class FrameSource:
                 f"{self.title} has {count} frame{'s' * (count != 1)}: expected at least "
                 f"{self.step + 1}, to make a pair"
             )
-        self._count = count
 
 
 def interpret_sequence(
@@ -184,6 +200,7 @@ def interpret_sequence(
     camera: Camera | None = None,
     settings: Settings | None = None,
     step: int = 1,
+    poses: Iterable[npt.ArrayLike] | None = None,
 ) -> Iterator[Interpretation]:
     """Interpret every pair of consecutive frames, one at a time.
 
@@ -192,10 +209,17 @@ def interpret_sequence(
     source : path, sequence of paths, or iterable of arrays
         A folder of images, a glob pattern, a video, a list of image files, or any iterable of
         frames. Two frames are in memory at a time.
-    camera, settings
-        As for `tisfm.interpret`; distortion is removed from every frame first.
+    camera : Camera, optional
+        As for `tisfm.interpret`; distortion is removed from every frame first. A focal length that
+        has to be guessed is guessed once, from the first image file, or else from the size of the
+        first frame, with one `GuessedFocalWarning`.
+    settings : Settings, optional
+        By default the preset ``"balanced"``.
     step : int
         Take every `step`-th frame, for slow motion.
+    poses : iterable of (4, 4) or (3, 3) arrays, optional
+        A known motion for every pair, as `pose` for `tisfm.interpret`: from the axes of its first
+        frame to those of its second. It may be made as it goes, and need not end.
 
     Returns
     -------
@@ -204,20 +228,94 @@ def interpret_sequence(
 
     Raises
     ------
-    FileNotFoundError, ValueError
-        At once if the source does not exist or has fewer than two frames; while iterating if a
-        frame cannot be read, or as `tisfm.interpret`, with the names of the frames.
+    FileNotFoundError, TypeError, ValueError
+        At once if the source does not exist or has fewer than two frames, or if there are poses
+        for ``motion="field"``, or not as many as pairs; while iterating if a frame cannot be read,
+        if the poses end too early, or as `tisfm.interpret`, with the names of the frames.
     """
-    camera, settings = check_camera(camera), check_settings(settings)
-    return _interpret_pairs(FrameSource(source, step=step), camera, settings)
+    camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
+    frames = FrameSource(source, step=step)
+    if poses is not None and settings.motion == "field":
+        raise ValueError('poses are given, but motion="field" leaves the motion free')
+    return _interpret_pairs(with_poses(frames, poses), frames.first_file, camera, settings)
+
+
+def with_poses(
+    pairs: FrameSource, poses: Iterable[npt.ArrayLike] | None, *, title: str = "poses"
+) -> Iterator[FramePair]:
+    """Give every pair of a source its pose.
+
+    Parameters
+    ----------
+    pairs : FrameSource
+    poses : iterable of array_like, or None
+        One for every pair; None for none. They are checked when the pair is interpreted.
+    title : str
+        What errors call them.
+
+    Returns
+    -------
+    iterator of FramePair
+
+    Raises
+    ------
+    TypeError, ValueError
+        At once if the poses cannot be iterated or are known not to be as many as the pairs; while
+        iterating if they end too early, or are left over though their number is known.
+    """
+    if poses is None:
+        return iter(pairs)
+    if isinstance(poses, np.ndarray) and poses.ndim != 3:
+        raise ValueError(
+            f"{title} is {poses.shape}: expected one for every pair, (N, 4, 4) or (N, 3, 3)"
+        )
+    if not isinstance(poses, Iterable):
+        raise TypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
+    number = len(poses) if isinstance(poses, Sized) else None
+    if pairs.count is not None and number is not None:
+        _check_poses(number, len(pairs), title)
+    return _posed(pairs, poses, number, title)
+
+
+def _posed(
+    pairs: FrameSource, poses: Iterable[npt.ArrayLike], number: int | None, title: str
+) -> Iterator[FramePair]:
+    following = iter(poses)
+    done = 0
+    for pair in pairs:
+        try:
+            pose = next(following)
+        except StopIteration:
+            raise ValueError(
+                f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
+                "expected one for every pair"
+            ) from None
+        yield replace(pair, pose=pose)
+        del pair  # or it would keep its first frame while the next one is read
+        done += 1
+    if number is not None:
+        _check_poses(number, done, title)
+
+
+def _check_poses(number: int, pairs: int, title: str) -> None:
+    if number != pairs:
+        raise ValueError(
+            f"{title} are {number}, but there {'is' if pairs == 1 else 'are'} {pairs} "
+            f"pair{'s' * (pairs != 1)} of frames: expected one for each"
+        )
 
 
 def _interpret_pairs(
-    pairs: Iterable[FramePair], camera: Camera, settings: Settings
+    pairs: Iterable[FramePair], first_file: Path | None, camera: Camera | None, settings: Settings
 ) -> Iterator[Interpretation]:
     for pair in pairs:
-        yield pair.interpret(camera=camera, settings=settings)
+        if camera is None and first_file is not None and settings.motion != "field":
+            camera = guess_camera(first_file)
+        result = pair.interpret(camera=camera, settings=settings)
+        camera = camera or result.camera  # a guess is made once
         del pair  # or it would keep its first frame while the next one is read
+        yield result
+        del result  # of which the frame may be that of the source
 
 
 class _Arrays:

@@ -29,7 +29,7 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     OSError
         If the file does not exist or cannot be read.
     """
-    rows = _rows(path, columns=4)
+    rows = [numbers for _, numbers in _rows(path, columns=4)]
     if len(rows) != 4:
         raise FormatError(f"{path} has {len(rows)} rows of numbers, expected a 4 × 4 matrix")
     pose = np.array(rows)
@@ -60,13 +60,39 @@ def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
     OSError
         If the file does not exist or cannot be read.
     """
-    rows = _rows(path, columns=12)
+    rows = [numbers for _, numbers in _rows(path, columns=12)]
     if row >= len(rows):
         raise FormatError(
             f"{path} has {len(rows)} rows, so there is no pose of frame {row}: expected a row for "
             "every frame, from 0"
         )
-    return _checked(np.vstack([np.reshape(rows[row], (3, 4)), [0, 0, 0, 1]]), f"{path}, row {row}")
+    return _checked(_of_twelve(rows[row]), f"{path}, row {row}")
+
+
+def read_poses(path: Path) -> list[NDArray[np.float64]]:
+    """Read the poses of all frames of a sequence.
+
+    Parameters
+    ----------
+    path : Path
+        Text of twelve numbers a line, one for every frame, as KITTI's odometry has it: the upper
+        three rows of a 4 × 4 matrix, camera to world. Empty lines do not count.
+
+    Returns
+    -------
+    list of (4, 4) float64 ndarray
+
+    Raises
+    ------
+    FormatError
+        If a line does not hold a pose; it is named.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    return [
+        _checked(_of_twelve(numbers), f"{path}, line {line}")
+        for line, numbers in _rows(path, columns=12)
+    ]
 
 
 def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -83,11 +109,16 @@ def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> N
         Takes points in the axes of the first camera to the axes of the second.
     """
     motion: NDArray[np.float64] = np.linalg.inv(second) @ first
+    motion[3] = 0, 0, 0, 1  # but for rounding
     return motion
 
 
-def _rows(path: Path, *, columns: int) -> list[list[float]]:
-    """Return the rows of a text, which all have so many numbers; empty lines do not count."""
+def _of_twelve(numbers: list[float]) -> NDArray[np.float64]:
+    return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
+
+
+def _rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
+    """Return the rows of a text with the numbers of their lines; empty lines do not count."""
     rows = []
     for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
         words = line.split()
@@ -101,7 +132,7 @@ def _rows(path: Path, *, columns: int) -> list[list[float]]:
             raise FormatError(
                 f"{path}, line {number} has {len(values)} numbers, expected {columns}"
             )
-        rows.append(values)
+        rows.append((number, values))
     return rows
 
 

@@ -17,10 +17,14 @@ from tisfm.show.flow import (
     usual_length,
 )
 from tisfm.show.grey import depth_grey, inverse_depth_limit
+from tisfm.show.labels import label_colors, label_overlay
+from tisfm.show.rigid_figure import rigid_figure
+from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 __all__ = [
     "DEPTH_ERROR_RANGE",
     "ERROR_RANGE",
+    "UNCERTAINTY_RANGE",
     "Arrows",
     "anaglyph",
     "color_wheel",
@@ -34,9 +38,13 @@ __all__ = [
     "flow_radius",
     "flow_to_color",
     "inverse_depth_limit",
+    "label_colors",
+    "label_overlay",
     "panel_figure",
     "quiver_points",
+    "rigid_figure",
     "save_figure",
     "second_view",
+    "uncertainty_to_color",
     "usual_length",
 ]

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 LEGEND_SIZE = (1.3, 1.8)
 WHEEL_SIZE = (1.3, 1.2)
 BAR_SIZE = (1.15, 1.75)
+_SWATCH = 0.14  # side of a swatch
+_SWATCH_LINE = 0.2
+_MOST_SWATCHES = 12  # labels beyond are counted
 _LEGEND_TEXT = 8.0  # points
 _PIXELS_PER_INCH = 250  # of a panel: finer pictures are reduced before they are drawn
 _ARROW_SPACING = 0.17  # inches
@@ -224,6 +227,48 @@ def draw_color_bar(
         axes.plot([right, right + 0.05], [y, y], color="0.3", lw=0.6)
         sign = "≤ " if k == 0 else "≥ " if value >= high * (1 - 1e-9) else ""
         axes.text(right + 0.09, y, f"{sign}{value:.3g} {unit}", va="center", fontsize=_LEGEND_TEXT)
+
+
+def swatches_size(count: int) -> tuple[float, float]:
+    """Return the width and height, inches, of the legend of so many labels."""
+    lines = min(count, _MOST_SWATCHES) + (count > _MOST_SWATCHES)
+    return BAR_SIZE[0], _SWATCH_LINE * lines
+
+
+def draw_swatches(
+    figure: Figure, layout: Layout, colors: NDArray[np.uint8], names: Sequence[str]
+) -> None:
+    """Draw a list of colours and what they stand for.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure of `draw_panels` with room for a legend of `swatches_size`; modified in place.
+    layout : Layout
+        Where that room is.
+    colors : (K, 3) uint8 ndarray
+        Colours red, green, blue.
+    names : sequence of str
+        Names of the first ones; the others are called by their numbers.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    size = swatches_size(len(colors))
+    axes = _inch_axes(figure, layout.legend, size)
+    left = 0.1
+    for k, color in enumerate(colors[:_MOST_SWATCHES]):
+        y = size[1] - (k + 0.5) * _SWATCH_LINE
+        axes.imshow(
+            color[None, None],
+            extent=(left, left + _SWATCH, y - _SWATCH / 2, y + _SWATCH / 2),
+            aspect="auto",
+        )
+        name = names[k] if k < len(names) else str(k)
+        axes.text(left + _SWATCH + 0.08, y, name, va="center", fontsize=_LEGEND_TEXT)
+    if len(colors) > _MOST_SWATCHES:
+        more = f"and {len(colors) - _MOST_SWATCHES} more"
+        axes.text(left, 0.5 * _SWATCH_LINE, more, va="center", fontsize=_LEGEND_TEXT)
+    axes.set(xlim=(0, size[0]), ylim=(0, size[1]))  # which a picture in them changes
 
 
 def backdrop(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

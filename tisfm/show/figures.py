@@ -126,7 +126,7 @@ def comparison_figure(
 
     (shown,) = as_uint8(picture)
     first = [
-        (labels["frame"], shown) if hidden is None else (labels["occlusion"], _tint(shown, hidden)),
+        (labels["frame"], shown) if hidden is None else (labels["occlusion"], tint(shown, hidden)),
         (labels["depth"], depth_grey(depths["inverse_depth"], limit=depth_limit)),
     ]
     if "truth_inverse_depth" in depths:
@@ -220,8 +220,18 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
         figure.savefig(file, format=suffix[1:], dpi=dpi, metadata=_UNDATED.get(suffix))
 
 
-def _tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return a picture in colour, red where the mask is set, with a third of itself kept."""
+def tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return a picture in colour, red where the mask is set, with a third of itself kept.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8 ndarray
+    mask : (H, W) bool ndarray
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+    """
     tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
     red = (tinted[mask].astype(np.uint16) + 2 * np.array(_OCCLUDED, np.uint16)) // 3
     tinted[mask] = red.astype(np.uint8)

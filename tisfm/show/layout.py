@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height, as shares of the figure
 
@@ -13,6 +13,7 @@ HEADING_SIZE = 12.0  # points
 # All lengths in inches.
 _MARGIN = 0.12
 _GAP = 0.12
+_LEGEND_GAP = 0.25  # between legends below one another
 _TITLE_LINE = 0.16
 _TITLE_GAP = 0.04  # between a title and its panel
 _HEADING_LINE = 0.24
@@ -54,6 +55,39 @@ def panel_size(height: int, width: int) -> tuple[float, float]:
     shown_height = _PANEL_AREA / shown_width
     factor = min(1.0, _LONGEST_SIDE / max(shown_width, shown_height))
     return max(shown_width * factor, _SHORTEST_SIDE), max(shown_height * factor, _SHORTEST_SIDE)
+
+
+def stacked_size(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the width and height, inches, of legends of these sizes below one another."""
+    heights = [height for _, height in sizes]
+    return max(width for width, _ in sizes), sum(heights) + _LEGEND_GAP * (len(sizes) - 1)
+
+
+def stack_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[Layout]:
+    """Divide the room for a legend of `stacked_size`.
+
+    Parameters
+    ----------
+    layout : Layout
+        With that room.
+    sizes : sequence of (float, float)
+        Width and height of each legend, inches, from the top down.
+
+    Returns
+    -------
+    list of Layout
+        The layout once for every legend, which it has room for.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    left, bottom, _, height = layout.legend
+    top = bottom + height
+    layouts = []
+    for wide, high in sizes:
+        share = high / layout.size[1]
+        layouts.append(replace(layout, legend=(left, top - share, wide / layout.size[0], share)))
+        top -= share + _LEGEND_GAP / layout.size[1]
+    return layouts
 
 
 def arrange(

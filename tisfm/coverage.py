@@ -1,0 +1,58 @@
+"""How often a standard deviation of the depth covers its error."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def std_coverage(
+    inverse_depth: ArrayLike,
+    inverse_depth_std: ArrayLike,
+    truth: ArrayLike,
+    mask: ArrayLike | None = None,
+) -> float:
+    """Return the share of pixels whose inverse depth is off by less than its standard deviation.
+
+    If the deviations are right it is 0.68.
+
+    Parameters
+    ----------
+    inverse_depth, inverse_depth_std : array_like, shape (H, W)
+        Estimate, in any unit, and its standard deviation. The estimate is compared after scaling
+        by the median of the ratio to the truth, over the pixels where it is positive.
+    truth : array_like, shape (H, W)
+        True depth; unknown where it is not finite and positive.
+    mask : array_like, shape (H, W), optional
+        Nonzero where pixels count.
+
+    Returns
+    -------
+    float
+        From 0 to 1, of the pixels that count and whose truth is known. A deviation that is
+        infinite covers everything, one that is NaN nothing.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or no pixel that counts has a known truth and a positive estimate.
+    """
+    found, deviation = (np.asarray(a, np.float64) for a in (inverse_depth, inverse_depth_std))
+    true = np.asarray(truth, np.float64)
+    counts = np.isfinite(true) & (true > 0)
+    shapes = {"inverse_depth_std": deviation.shape, "truth": true.shape}
+    if mask is not None:
+        shapes["mask"] = np.shape(mask)
+    for name, shape in shapes.items():
+        if shape != found.shape:
+            raise ValueError(
+                f"inverse_depth is {found.shape} and {name} is {shape}: expected the same shape"
+            )
+    if mask is not None:
+        counts &= np.asarray(mask, bool)
+    ratio = found[counts] * true[counts]
+    if not (ratio > 0).any():
+        raise ValueError(
+            f"no pixel of the {found.shape} inverse depth is positive where the truth is known and "
+            "counts"
+        )
+    error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
+    return float((error <= deviation[counts]).mean())

@@ -1,0 +1,87 @@
+"""Which of several motions a pixel has, as colours over the picture."""
+
+import colorsys
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.show.arrays import as_image, as_uint8, require_same_size
+
+_GOLDEN = (5**0.5 - 1) / 2  # of the circle of hues: however many there are, none are near
+_FIRST_HUE = 0.05
+_COVER = 0.55  # share of the colour in what it covers
+_LINES = 400  # outlines are 1 px wide in a picture so wide, and grow with it
+
+
+def label_colors(count: int) -> NDArray[np.uint8]:
+    """Return a colour for each label: light grey for 0, the background, and hues for the others.
+
+    Parameters
+    ----------
+    count : int
+        Number of labels.
+
+    Returns
+    -------
+    (count, 3) uint8 ndarray
+        Red, green, blue. The colour of a label does not depend on the number of labels.
+
+    Raises
+    ------
+    ValueError
+        If `count` is less than 1.
+    """
+    if count < 1:
+        raise ValueError(f"count is {count}, expected 1 or more labels")
+    hues = [colorsys.hsv_to_rgb((_FIRST_HUE + k * _GOLDEN) % 1, 0.9, 1) for k in range(count - 1)]
+    return np.rint(255 * np.array([(0.75, 0.75, 0.75), *hues])).astype(np.uint8)
+
+
+def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
+    """Tint a picture by labels, and draw the boundaries between them.
+
+    What has label 0 is shown in grey levels, the rest in the colours of `label_colors`.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        Picture: uint8, uint16 or float.
+    labels : (H, W) array_like of int
+        Labels from 0.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Red, green, blue.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a shape is wrong, sizes differ, or labels are not integers from 0.
+    """
+    (picture,) = as_uint8(as_image("image", image))
+    label = np.asarray(labels)
+    if label.dtype.kind not in "iu":
+        raise TypeError(f"labels has dtype {label.dtype}, expected integers")
+    if label.ndim != 2:
+        raise ValueError(f"labels is {label.shape}, expected (H, W)")
+    require_same_size("labels", label, "image", picture)
+    if label.min() < 0:
+        raise ValueError(f"labels has {label.min()}, expected integers from 0")
+    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    shown = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
+    colors = label_colors(int(label.max()) + 1)
+    own = label > 0
+    shown[own] += np.float32(_COVER) * (colors[label[own]] - shown[own])
+    shown[_boundaries(label)] = 255
+    return np.rint(shown).astype(np.uint8)
+
+
+def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Mark pixels at which the label changes, as lines of a width that suits the picture."""
+    edge = np.zeros(labels.shape, np.uint8)
+    edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
+    edge[1:] |= labels[1:] != labels[:-1]
+    width = max(1, round(labels.shape[1] / _LINES))
+    return cv2.dilate(edge, np.ones((width, width), np.uint8)).astype(bool)
