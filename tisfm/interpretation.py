@@ -305,7 +305,13 @@ def _bring_up_to_date(data: dict[str, np.ndarray], about: dict[str, Any]) -> Non
         tau = data["rho"][:3] / np.float32(about["camera"]["focal"])
         data.setdefault("inverse_depth", np.sqrt(np.einsum("khw,khw->hw", tau, tau)))
     # They were not in use: files of these formats hold motion="field".
-    for name in ("depth_smoothness", "depth_brightness", "depth_normalization"):
+    for name in (
+        "depth_smoothness",
+        "depth_brightness",
+        "depth_normalization",
+        "max_objects",
+        "align_scales",
+    ):
         settings.setdefault(name, getattr(Settings(), name))
 
 

@@ -98,18 +98,22 @@ class _Search:
             part = _largest_part((labels == len(motions)) & ~tried)
             if len(motions) == most or part.sum() < self.smallest:
                 break
-            tried |= part
             motion = self._fit(part)
-            if motion is None:
-                continue
-            explained = (self._distance(motion) < self._tolerated * UNEXPLAINED) & part
-            if explained.sum() < max(EXPLAINED * part.sum(), self.smallest):
-                continue
-            motions = self._refitted([*motions, motion])
+            found = None if motion is None else self._refitted_with(motions, motion, part)
+            if found is None:
+                tried |= part
+            else:
+                motions = found
         return motions, self._labels(motions)
 
-    def _refitted(self, motions: list[np.ndarray]) -> list[np.ndarray]:
-        """Return the motions fitted to the pixels they have, without those that lost theirs."""
+    def _refitted_with(
+        self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
+    ) -> list[np.ndarray] | None:
+        """Return motions and one more, fitted to the pixels they have; None if it explains few."""
+        explained = (self._distance(motion) < self._tolerated * UNEXPLAINED) & part
+        if explained.sum() < max(EXPLAINED * part.sum(), self.smallest):
+            return None
+        motions = [*motions, motion]
         labels = self._labels(motions)
         kept = []
         for label, motion in enumerate(motions):
@@ -119,7 +123,7 @@ class _Search:
             elif label == 0 or mine.sum() >= self.smallest:
                 found = self._fit(mine)
                 kept.append(motion if found is None else found)
-        return kept
+        return kept if len(kept) == len(motions) else None
 
     def _fit(self, mine: np.ndarray) -> np.ndarray | None:
         try:

@@ -56,7 +56,8 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN or infinite; if `pose` is not one of these, or given for ``motion="field"``; if
+        NaN or infinite; if `pose` is not one of these, or given for a motion that is
+        not ``"camera"``; if
         distortion leaves next to nothing of the frames.
 
     References
@@ -66,8 +67,10 @@ def interpret(
     """
     settings = check_settings(settings)
     known = check_pose(pose)
-    if known is not None and settings.motion == "field":
-        raise ValueError('pose is given, but motion="field" leaves the motion free: leave it out')
+    if known is not None and settings.motion != "camera":
+        raise ValueError(
+            f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
+        )
     grey0, grey1 = grey_pair(frame0, frame1)
     frame = eight_bit(frame0, frame1)
     if camera is None and settings.motion != "field":
@@ -76,6 +79,7 @@ def interpret(
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.camera_reading import camera_reading
+    from tisfm.objects_reading import objects_reading
     from tisfm.pyramid import Pyramid
     from tisfm.reading import field_reading, history_of
 
@@ -86,13 +90,17 @@ def interpret(
     pyramid = Pyramid(grey0, grey1, camera, settings)
     if settings.motion == "field":
         reading = field_reading(pyramid, settings, camera.focal)
-    else:
+    elif settings.motion == "camera":
         reading = camera_reading(pyramid, camera, settings, known)
+    else:
+        reading = objects_reading(pyramid, camera, settings, grey0, grey1)
     flow = reading.flow
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         unseen = occlusion(grey0, grey1, flow, settings)
         if lens is not None:
             unseen |= lens.missing(flow)
+        if reading.inverse_depth_std is not None:
+            reading.inverse_depth_std[unseen] = np.inf
         trust = confidence(reading.evidence, unseen, freedom=reading.freedom)
     return Interpretation(
         rho=reading.rho,

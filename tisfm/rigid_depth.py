@@ -5,6 +5,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
 from tisfm.field import Field
@@ -75,6 +76,8 @@ class RigidSolution:
         window = (WINDOW, WINDOW)
         precision = cv2.blur(evidence[0], window) + TINY
         residual = cv2.blur(evidence[3], window)
+        # Where nothing is seen, nothing is violated either.
+        np.maximum(residual, np.median(evidence[3]), out=residual)
         spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
         variance = spread * np.log1p(1 / (spread * precision))
         return np.sqrt(variance * residual) * np.float32(CALIBRATION)
@@ -198,11 +201,9 @@ class _Level:
         resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
         image_to_lanes(grid, resized, self._labels)
-        self._pure: np.ndarray | None = None
+        self._label_image = resized
         if labels.any():
             field.edges *= _within(field, resized)
-            window = np.ones((MEDIAN, MEDIAN), np.uint8)
-            self._pure = cv2.erode(resized, window) == cv2.dilate(resized, window)
         self._support: np.ndarray | None = None
         if support is not None:
             self._support = grid.allocate(1)
@@ -254,10 +255,7 @@ class _Level:
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        raw = self._field.images()[0]
-        depth = cv2.medianBlur(raw, MEDIAN)
-        if self._pure is not None:  # every label has a scale of its own
-            depth = np.where(self._pure, depth, raw)
+        depth = median_within(self._field.images()[0], self._label_image)
         image_to_lanes(self._field.grid, depth, self._field.rho)
 
     def noise(self) -> float:
@@ -313,6 +311,32 @@ def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera)
         if length > 0:
             motion[:, 3] /= length
     return scaled
+
+
+def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the median of a window around every pixel, of the pixels of its own label only.
+
+    Parameters
+    ----------
+    values : (H, W) float32
+    labels : (H, W) float32
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    medians = cv2.medianBlur(values, MEDIAN)
+    window = np.ones((MEDIAN, MEDIAN), np.uint8)
+    mixed = cv2.erode(labels, window) != cv2.dilate(labels, window)
+    if mixed.any():
+        own, around = (
+            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), window.shape)[mixed]
+            for image in (labels, values)
+        )
+        alike = own == labels[mixed][:, None, None]
+        around = np.where(alike, around, np.nan).reshape(len(around), -1)
+        medians[mixed] = np.nanmedian(around, axis=1)
+    return medians
 
 
 def _stepped(

@@ -7,13 +7,20 @@ from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 Model = Literal["rigid", "translation"]
-Motion = Literal["field", "camera"]
+Motion = Literal["field", "camera", "objects"]
 Derivatives = Literal["cube", "five_tap"]
 Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
-_COUNTS = ("pyramid_levels", "warps", "coarse_warps", "outer_iterations", "sweeps")
+_COUNTS = (
+    "pyramid_levels",
+    "warps",
+    "coarse_warps",
+    "outer_iterations",
+    "sweeps",
+    "max_objects",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +31,11 @@ class Settings:
     ----------
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
-    motion : {"field", "camera"}
+    motion : {"field", "camera", "objects"}
         Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
-        ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel.
+        ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel;
+        ``"objects"`` several rigid motions, a label per pixel, and inverse depth in the unit of
+        each motion.
     smoothness : float
         λ̂, weight of the regularisation. Without unit where constraints are normalised; without
         `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
@@ -66,6 +75,11 @@ class Settings:
     depth_normalization : float or None
         ζ there, in place of `normalization`. One motion leaves a pixel little freedom, so that
         noise is what disturbs it, and weak gradients had better count less than strong ones.
+    max_objects : int
+        How many motions ``motion="objects"`` may find, that of the background included.
+    align_scales : bool
+        Whether objects that stand on the background take its scale where they touch it
+        (``motion="objects"``). Otherwise every object's depth is in the unit of its own motion.
     derivatives : {"cube", "five_tap"}
         Horn and Schunck's 2×2×2 cube, whose estimates belong half a pixel to the south-east of
         the pixel they are given to, or five taps on the mean of both frames.
@@ -114,6 +128,8 @@ class Settings:
     depth_smoothness: float = 6.0
     depth_brightness: float = 1.0
     depth_normalization: float | None = 0.6
+    max_objects: int = 8
+    align_scales: bool = False
     derivatives: Derivatives = "five_tap"
     presmoothing: float = 0.6
     pyramid_factor: float = 0.5
@@ -138,8 +154,10 @@ class Settings:
         _check_real("beta", self.beta, above=0)
         if self.contrast is not None:
             _check_real("contrast", self.contrast, least=1e-3, most=1e6)
-        if not isinstance(self.joint_edges, bool):
-            raise TypeError(f"joint_edges is {self.joint_edges!r}: expected True or False")
+        for name in ("joint_edges", "align_scales"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise TypeError(f"{name} is {value!r}: expected True or False")
         object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
         _check_real("image_edges", self.image_edges, least=0, most=1e6)
         for name in ("brightness", "gradient"):

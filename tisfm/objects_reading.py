@@ -1,0 +1,89 @@
+"""Several rigid motions, a label per pixel, and depth of each object: ``motion="objects"``."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.camera_reading import first_motion
+from tisfm.contacts import aligned
+from tisfm.layers import Layering
+from tisfm.motion_candidates import motion_candidates
+from tisfm.occlusion import occlusion
+from tisfm.pyramid import Pyramid
+from tisfm.reading import Reading
+from tisfm.rigid_depth import rigid_depth
+from tisfm.rigid_reading import with_depth, without_depth
+from tisfm.settings import Settings
+
+
+def objects_reading(
+    pyramid: Pyramid,
+    camera: Camera,
+    settings: Settings,
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+) -> Reading:
+    """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
+
+    The largest motion, the background's, is fitted to the flow field (`tisfm.egomotion`), others
+    to what it leaves unexplained (`tisfm.motion_candidates`). Which of them are needed, and where
+    their boundaries lie, the images decide (`tisfm.layers`); depth and motions then are estimated
+    jointly, as for one motion (`tisfm.rigid_depth`).
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    camera : Camera
+        A pinhole, of the finest level.
+    settings : Settings
+    grey0, grey1 : (H, W) float32
+        Grey levels on the 8-bit scale.
+    """
+    start = first_motion(pyramid, camera, settings)
+    if start.status in ("no_texture", "no_motion") and not start.flow.any():
+        return without_depth(
+            pyramid,
+            camera,
+            settings,
+            rotation=start.rotation,
+            translation=start.translation,
+            status=start.status,
+            history=start.history,
+        )
+    # A background that shows no parallax takes part as one that only turns.
+    background = start.matrix
+    if start.status is not None:
+        background[:, 3] = 0
+    hidden = occlusion(grey0, grey1, np.moveaxis(start.flow, -1, 0), settings)
+    motions, labels = motion_candidates(
+        start.flow,
+        np.where(hidden, 0, start.trust),
+        camera,
+        grey0,
+        background,
+        start.residual,
+        most=settings.max_objects,
+    )
+    layering = Layering(pyramid, settings, camera, grey0, grey1)
+    if len(motions) > 1:
+        layers = layering.pruned(layering.fitted(motions, labels, hidden))
+        motions, labels = layers.motions, layers.labels
+    if len(motions) == 1 and start.status is not None:
+        return without_depth(
+            pyramid,
+            camera,
+            settings,
+            rotation=start.rotation,
+            translation=start.translation,
+            status=start.status,
+            history=start.history,
+        )
+    order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    labels = rank[labels]
+    solution = rigid_depth(pyramid, settings, camera, np.stack([motions[k] for k in order]), labels)
+    reading = with_depth(solution, labels, camera, settings)
+    reading = replace(reading, history=start.history + reading.history)
+    return aligned(reading, hidden) if settings.align_scales else reading
