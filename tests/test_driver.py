@@ -461,7 +461,7 @@ def test_confidence_is_the_share_of_the_data(make_problem):
         evidence[k] = value
     window = 15 * 15 * j @ m
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
-    result = confidence(evidence, np.zeros((40, 40), bool))
+    result = confidence(evidence, np.zeros((40, 40), bool), normalized=True)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
 
 

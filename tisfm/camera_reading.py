@@ -152,7 +152,11 @@ def first_motion(
     field = solution.field
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
-        trust = confidence(solution.minimiser.evidence(solution.terms), leaves_image(flow))
+        trust = confidence(
+            solution.minimiser.evidence(solution.terms),
+            leaves_image(flow),
+            normalized=settings.normalization is not None,
+        )
     flow = np.moveaxis(flow, 0, -1)
     still = FirstMotion(
         rotation=np.eye(3) if rotation is None else rotation,

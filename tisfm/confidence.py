@@ -6,9 +6,14 @@ import numpy as np
 WINDOW = 15  # px: about as far as the regularisation carries data
 ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an image is uniform
 TOLERATED = 4.0  # times the median residual that halves the confidence
+# px, and grey levels where constraints are not normalised: residuals that are no cause for doubt,
+# though all of a background at rest may be smaller.
+QUIET, QUIET_GREY = 0.05, 0.5
 
 
-def confidence(evidence: np.ndarray, occlusion: np.ndarray, *, freedom: int = 2) -> np.ndarray:
+def confidence(
+    evidence: np.ndarray, occlusion: np.ndarray, *, normalized: bool, freedom: int = 2
+) -> np.ndarray:
     """Combine what the data determine with how well they are met.
 
     The share of the data in the two degrees of freedom of a pixel's flow is
@@ -16,7 +21,8 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray, *, freedom: int = 2)
     covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
     is seen (the aperture problem), near 1 at a corner. Where motion is free along one line only,
     it is tr[J M (I + J M)⁻¹]. It is divided by 1 + r/(4·r̃), r the mean
-    squared residual in the window and r̃ its median over the pixels with a gradient: where the
+    squared residual in the window and r̃ its median over the pixels with a gradient, or what
+    hardly matters if that is more: where the
     data constraints are not met, at occlusions above all, texture is no reason for trust.
 
     Parameters
@@ -25,6 +31,8 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray, *, freedom: int = 2)
         J11, J12, J22, squared residual, M11, M12, M22 (`tisfm.kernels.evidence`). Modified.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1.
+    normalized : bool
+        Whether the data constraints are distances in px.
     freedom : {2, 1}
         Degrees of freedom of a pixel's flow.
 
@@ -47,10 +55,8 @@ def confidence(evidence: np.ndarray, occlusion: np.ndarray, *, freedom: int = 2)
     trace *= 1 - 1 / freedom
     trace += 1
     share = 1 - trace / determinant
-    tolerated = TOLERATED * float(np.median(residual[textured])) if textured.any() else 0.0
-    if tolerated > 0:
-        share /= 1 + residual / tolerated
-    else:
-        share[residual > 0] = 0
+    usual = float(np.median(residual[textured])) if textured.any() else 0.0
+    tolerated = TOLERATED * max(usual, (QUIET if normalized else QUIET_GREY) ** 2)
+    share /= 1 + residual / tolerated
     share[occlusion] = 0
     return np.clip(share, 0, 1, out=share)

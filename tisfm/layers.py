@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.confidence import QUIET, QUIET_GREY
 from tisfm.motion_candidates import SMALLEST
 from tisfm.occlusion import leaves_image, occlusion
 from tisfm.potts import Potts
@@ -68,6 +69,7 @@ class Layering:
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._grey0, self._grey1 = grey0, grey1
         self._potts = Potts(grey0)
+        self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self._smallest = max(64, round(SMALLEST * grey0.size))
 
     def fitted(
@@ -82,7 +84,7 @@ class Layering:
                 flows.append(flow)
             stacked, moved = np.stack(residuals), np.stack(flows)
             usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
-            costs = np.minimum(stacked / max(TOLERATED * usual, 1e-12), TRUNCATED)
+            costs = np.minimum(stacked / (TOLERATED * max(usual, self._quiet**2)), TRUNCATED)
             # Where a layer leaves the image, the others have to decide.
             gone = np.stack([leaves_image(flow) for flow in flows])
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)

@@ -12,6 +12,7 @@ TOLERATED, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow 
 UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of that
 SMALLEST = 0.002  # of the pixels: what is smaller is no object
 EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
+CLEARLY = 0.6  # of the median distance under a common motion, at most, under one of its own
 CONFIDENT = 0.02  # least weight of a pixel
 
 
@@ -104,7 +105,32 @@ class _Search:
                 tried |= part
             else:
                 motions = found
+        motions = self._split(motions, most)
         return motions, self._labels(motions)
+
+    def _split(self, motions: list[np.ndarray], most: int) -> list[np.ndarray]:
+        """Give separate parts of a label motions of their own where those fit clearly better.
+
+        One motion, its depths free, often explains two things that move alike only roughly.
+        """
+        labels = self._labels(motions)
+        separate = [motions[0]]
+        for label, motion in enumerate(motions[1:], start=1):
+            parts = _parts(labels == label, self.smallest)
+            fitted = [self._fit(part) for part in parts]
+            own = [found for found in fitted if found is not None]
+            if len(own) < 2 or len(own) < len(parts) or len(separate) + len(own) > most:
+                separate.append(motion)
+                continue
+            joint = self._fit(np.any(parts, axis=0))
+            together = self._distance(motion if joint is None else joint)
+            apart = [self._distance(found) for found in own]
+            better = [
+                np.median(distance[part]) < CLEARLY * np.median(together[part])
+                for distance, part in zip(apart, parts, strict=True)
+            ]
+            separate += own if all(better) else [motion]
+        return separate
 
     def _refitted_with(
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
@@ -157,6 +183,13 @@ class _Search:
         projected = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
         distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
         return distance.reshape(height, width)
+
+
+def _parts(mask: np.ndarray, smallest: int) -> list[np.ndarray]:
+    """Return the connected parts of a mask that are not too small."""
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    each = (parts == index for index in range(1, count))
+    return [part for part in each if part.sum() >= smallest]
 
 
 def _largest_part(mask: np.ndarray) -> np.ndarray:

@@ -101,7 +101,9 @@ def interpret(
             unseen |= lens.missing(flow)
         if reading.inverse_depth_std is not None:
             reading.inverse_depth_std[unseen] = np.inf
-        trust = confidence(reading.evidence, unseen, freedom=reading.freedom)
+        trust = confidence(
+            reading.evidence, unseen, normalized=reading.normalized, freedom=reading.freedom
+        )
     return Interpretation(
         rho=reading.rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),

@@ -22,6 +22,8 @@ class Reading:
     inverse_depth : (H, W) float32
     evidence : (7, H, W) float32
         Of `tisfm.kernels.evidence`.
+    normalized : bool
+        Whether its residual is in squared px.
     freedom : {1, 2}
         Along how many directions the image motion of a pixel was free.
     history : list of (level, warp, Iteration)
@@ -36,6 +38,7 @@ class Reading:
     flow: np.ndarray
     inverse_depth: np.ndarray
     evidence: np.ndarray
+    normalized: bool
     freedom: int
     history: list[tuple[int, int, Iteration]]
     status: Status
@@ -62,6 +65,7 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         flow=field.to_images(field.flow(field.grid.allocate(2))),
         inverse_depth=inverse_depth,
         evidence=solution.minimiser.evidence(solution.terms),
+        normalized=settings.normalization is not None,
         freedom=2,
         history=solution.history,
         status=unmoved(solution) or ended(solution.history, solution.converged, settings),

@@ -119,18 +119,18 @@ def rigid_depth(
     motions = scaled_translations(motions, labels, camera)
     history: list[tuple[int, int, Iteration]] = []
     coarse: np.ndarray | None = None
-    noise = 0.0
+    noise = np.zeros(len(motions))
     for level in reversed(range(pyramid.levels)):
         field = pyramid.field(level, 1, coarse)
         focal = camera.focal * pyramid.scale(level)
         state = _Level(pyramid, level, field, labels, focal, settings, support)
         for warp in range(settings.warps_on(level) * (WARPS if level == 0 else 1)):
             restricted = state.linearise(motions)
-            state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise / QUIET)
+            state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
             iterations, converged = state.minimiser.minimise(restricted)
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
-            noise = state.noise()
+            noise = state.noise(motions)
             if refine != "none" and pyramid.scale(level) >= REFINED:
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, (OUTLYING * noise) ** 2 + TINY)
@@ -204,10 +204,15 @@ class _Level:
         self._label_image = resized
         if labels.any():
             field.edges *= _within(field, resized)
-        self._support: np.ndarray | None = None
+        counted: np.ndarray | None = None
         if support is not None:
-            self._support = grid.allocate(1)
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        elif labels.any() and pyramid.scale(level) >= REFINED:
+            # Stencils that reach over a boundary see two motions.
+            counted = (~_mixed(resized)).astype(np.float32)
+        self._support: np.ndarray | None = None
+        if counted is not None:
+            self._support = grid.allocate(1)
             image_to_lanes(grid, counted, self._support)
         self._data_term = pyramid.data_term(
             level,
@@ -258,11 +263,17 @@ class _Level:
         depth = median_within(self._field.images()[0], self._label_image)
         image_to_lanes(self._field.grid, depth, self._field.rho)
 
-    def noise(self) -> float:
-        """Return the median residual of the last linearisation."""
-        return float(np.sqrt(np.median(self.minimiser.residual(self._restricted))))
+    def noise(self, motions: np.ndarray) -> np.ndarray:
+        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none."""
+        residual = self.minimiser.residual(self._restricted)
+        noise = np.zeros(len(motions))
+        for label, motion in enumerate(motions):
+            mine = residual[self._label_image == label]
+            if mine.size and motion[:, 3].any():
+                noise[label] = np.sqrt(np.median(mine))
+        return noise
 
-    def refined(self, motions: np.ndarray, unknowns: int, tolerated: float) -> np.ndarray:
+    def refined(self, motions: np.ndarray, unknowns: int, tolerated: np.ndarray) -> np.ndarray:
         """Return the motions after steps of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
@@ -284,7 +295,7 @@ class _Level:
                     focal=self._focal,
                     scales=self._data_term.scales,
                     alpha=HELD * self.minimiser.alpha,
-                    tolerated=tolerated,
+                    tolerated=float(tolerated[label]),
                 )
                 motions[label] = _stepped(motion, matrix, vector, unknowns)
         return motions
@@ -326,17 +337,22 @@ def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
     (H, W) float32
     """
     medians = cv2.medianBlur(values, MEDIAN)
-    window = np.ones((MEDIAN, MEDIAN), np.uint8)
-    mixed = cv2.erode(labels, window) != cv2.dilate(labels, window)
+    mixed = _mixed(labels)
     if mixed.any():
         own, around = (
-            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), window.shape)[mixed]
+            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[mixed]
             for image in (labels, values)
         )
         alike = own == labels[mixed][:, None, None]
         around = np.where(alike, around, np.nan).reshape(len(around), -1)
         medians[mixed] = np.nanmedian(around, axis=1)
     return medians
+
+
+def _mixed(labels: np.ndarray) -> np.ndarray:
+    """Return where a window around a pixel holds more than one label, (H, W) bool."""
+    window = np.ones((MEDIAN, MEDIAN), np.uint8)
+    return cv2.erode(labels, window) != cv2.dilate(labels, window)
 
 
 def _stepped(
