@@ -7,7 +7,7 @@ from tisfm.camera import Camera
 from tisfm.egomotion import camera_motion, triangulate
 from tisfm.potts import Potts
 
-PIXELS = 80_000  # of the flow that is looked at: labels are made sharp later
+PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
 TOLERATED, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow may be off by
 UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of that
 SMALLEST = 0.002  # of the pixels: what is smaller is no object

@@ -14,7 +14,7 @@ The ready scenes add shorter waves to larger pictures, unless told how many.
 from tisfm.rigid import rigid_motion
 
 from .geometry import Box, Plane
-from .ready import STATIC_KINDS, bare_patches, static_scene, two_blocks
+from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
 from .texture import Patch, Texture
 
@@ -29,5 +29,6 @@ __all__ = [
     "bare_patches",
     "rigid_motion",
     "static_scene",
+    "three_blocks",
     "two_blocks",
 ]

@@ -99,6 +99,49 @@ def two_blocks(
     return scene.render(samples=samples, dtype=dtype)
 
 
+def three_blocks(
+    height: int = 240,
+    width: int = 320,
+    *,
+    seed: int = 0,
+    focal: float | None = None,
+    detail: int | None = None,
+    camera_motion: ArrayLike = (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
+    block_motions: ArrayLike | None = None,
+    samples: int = 3,
+    dtype: str = "uint8",
+) -> SyntheticPair:
+    """Render three blocks that move on their own, each in translation, before a moving camera.
+
+    One goes away and to the right, one to the left and down, the small one in front comes closer.
+
+    Parameters
+    ----------
+    height, width, seed, focal, detail, camera_motion
+        As in `two_blocks`.
+    block_motions : array_like, shape (3, 6), optional
+        Twists (T, ω) of the blocks as seen by a camera at rest.
+    samples, dtype
+        As in `Scene.render`.
+
+    Returns
+    -------
+    SyntheticPair
+        Labels are 0 for the background, 1 for the floor, 2 to 4 for the blocks.
+
+    Raises
+    ------
+    ValueError
+        If an option is impossible.
+    """
+    if block_motions is None:
+        block_motions = np.zeros((3, 6))
+        block_motions[:, :3] = (0.02, 0.0, 0.03), (-0.03, 0.02, 0.0), (0.01, -0.01, -0.05)
+    own = finite(block_motions, (3, 6), "block_motions")
+    scene = _room(_THREE_BLOCKS, own, camera_motion, height, width, seed, focal, detail)
+    return scene.render(samples=samples, dtype=dtype)
+
+
 def static_scene(
     kind: str,
     height: int = 240,
