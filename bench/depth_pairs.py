@@ -16,7 +16,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
 
-SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px, of the seeds 0, 1, 2, 3
+SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
 AT_REST = 2  # labels below are the background's and the floor's
 
@@ -107,9 +107,8 @@ def scene_entries(height: int, width: int) -> list[Entry]:
         for seed, focal in enumerate(SCENE_FOCALS):
             name = f"{kind}-f{focal:g}"
             group = f"scenes, {kind}"
-            entries.append(Entry(name, group, partial(_scene, name, group, kind, seed, focal)))
-    # The focal lengths are those of pictures of 320 px of width.
-    entries = [Entry(e.name, e.group, partial(e.load, height, width)) for e in entries]
+            load = partial(_scene, name, group, kind, seed, focal, height, width)
+            entries.append(Entry(name, group, load))
     for seed in BLOCK_SEEDS:
         name = f"two-blocks-{seed}"
         entries.append(Entry(name, MOVING, partial(_blocks, name, seed, height, width)))

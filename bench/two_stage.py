@@ -14,7 +14,6 @@ from tisfm.camera import Camera
 CORRESPONDENCES = 4800  # about so many, on a regular grid
 CONFIDENCE, ITERATIONS = 0.9999, 10_000  # of the random sampling
 FEWEST = 5  # correspondences of a sample
-HORIZON = 10.0  # medians of depth: what is triangulated beyond, or behind the camera, is put there
 
 
 class NoMotion(ValueError):  # noqa: N818 (it says what was found, not what went wrong)
@@ -105,23 +104,6 @@ def triangulated(flow: NDArray, camera: Camera, pose: NDArray) -> NDArray[np.flo
     inverse_depth = np.zeros((height, width))
     np.divide(slope_x * rest_x + slope_y * rest_y, square, out=inverse_depth, where=square > 0)
     return inverse_depth
-
-
-def before_the_camera(inverse_depth: NDArray) -> NDArray[np.float64]:
-    """Return inverse depth that is positive everywhere, at least 1/`HORIZON` of its median.
-
-    A depth that is infinite or negative has no error that could be averaged.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) array
-        Signed. Not modified.
-    """
-    positive = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
-    if not positive.size:
-        return np.full(inverse_depth.shape, np.nan)
-    least = float(np.median(positive)) / HORIZON
-    return np.where(np.isfinite(inverse_depth), np.maximum(inverse_depth, least), least)
 
 
 def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDArray, NDArray]:
