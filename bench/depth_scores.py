@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bench.depth_methods import Estimate
 from bench.depth_pairs import DepthPair
+from tisfm.evaluation import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors
 from tisfm.poses import pose_errors
 
@@ -64,7 +65,7 @@ class Score:
     @property
     def without_depth(self) -> bool:
         """Whether the method itself says that there is no depth to see."""
-        return not self.failure and self.status != "" and self.density is None
+        return self.status in LITTLE_PARALLAX
 
 
 def score(estimate: Estimate, pair: DepthPair) -> Score:
