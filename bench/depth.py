@@ -34,11 +34,11 @@ from bench.depth_report import show, write
 from bench.peer_process import Peer, Survey, survey
 from bench.sequences import data_folder
 from tisfm import runtime
-from tisfm.settings import Preset
+from tisfm.settings import Motion, Preset
 
 FLOWS = ("OpenCV DeepFlow", "OpenCV DIS medium")
 SCENE_SIZE = (240, 320)
-MOTIONS = ("camera",)
+MOTIONS: tuple[Motion, ...] = ("camera",)
 REMARKS = (
     "Flows of other libraries run with their defaults, each in a process of its own, on 8-bit grey "
     "frames whose conversion is not timed. tisfm takes the frames as they were read.",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bench.sequences import FlowPair
 from tisfm.camera import Camera
-from tisfm.datasets import LAYOUTS, DatasetPair
+from tisfm.datasets import LAYOUTS, DatasetPair, Layout
 from tisfm.datasets.depth_maps import read_depth
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
@@ -88,7 +88,7 @@ class Selection:
     step: int
 
 
-SELECTIONS = {
+SELECTIONS: dict[Layout, list[Selection]] = {
     "new_tsukuba": [
         Selection(group=RENDERED_STUDIO, folder="new_tsukuba", first=range(74), step=1)
     ],
@@ -133,9 +133,8 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     return entries, missing
 
 
-def _selected(data: Path, layout: str, selection: Selection) -> Iterator[Entry]:
-    rule = LAYOUTS[layout]  # type: ignore[index]
-    for pair in rule.find(data / selection.folder, step=selection.step):
+def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entry]:
+    for pair in LAYOUTS[layout].find(data / selection.folder, step=selection.step):
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
             load = partial(_loaded, pair, pair.name, selection.group)

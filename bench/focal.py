@@ -190,7 +190,10 @@ def finding(outcomes: Sequence[Outcome]) -> str:
 
 def _changes(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
     """Return what becomes of abs-rel and direction from the one focal length to the other."""
-    depths, directions, same, other = [], [], [], []
+    depths: list[str] = []
+    directions: list[str] = []
+    same: list[str] = []
+    other: list[str] = []
     for right, wrong in compared:
         if right.abs_rel is None or wrong.abs_rel is None:
             depths.append(f"{right.kind} {wrong.status}")
