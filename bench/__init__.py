@@ -1,5 +1,6 @@
-"""Benchmarks of tisfm: ``python -m bench``, and ``bench.peers``, ``bench.ablation``, ``bench.depth``.
+"""Benchmarks of tisfm: ``python -m bench`` and the commands below, all with ``--help``.
 
-The first stands beside the NumPy reference, the others beside other libraries and settings;
-``bench.untextured`` and ``bench.focal`` measure what is hard. All have ``--help``.
+The first stands beside the NumPy reference; ``bench.peers`` and ``bench.depth`` beside other
+libraries, ``bench.ablation`` beside other settings; ``bench.untextured`` and ``bench.focal``
+measure what is hard.
 """
