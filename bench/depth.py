@@ -53,6 +53,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
     )
     parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    parser.add_argument("--remark", metavar="TEXT", help="what else to say beside the tables")
     options = parser.parse_args(arguments)
     check_counts(parser, options)
     return options
@@ -149,7 +150,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"bench.depth: {error}", file=sys.stderr)
         return 2
     path = RESULTS / (options.output or ("smoke-depth" if options.smoke else "depth"))
-    write(contest, path, remarks=REMARKS)
+    remarks = [*REMARKS, *([options.remark] if options.remark else [])]
+    write(contest, path, remarks=remarks)
     show(contest, wide_console())
     return 1 if contest.failures() else 0
 

@@ -225,12 +225,13 @@ def test_smoke_of_the_comparison(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(depth, "RESULTS", tmp_path)
     options = ["--smoke", "--preset", "fast", "--threads", THREADS]
     chosen = ["--pairs", "forward-f320", "two-blocks-0", "--methods", "fast", "DIS"]
-    assert depth.main([*options, *chosen]) == 0
+    assert depth.main([*options, *chosen, "--remark", "a noisy machine"]) == 0
     printed = capsys.readouterr().out
     assert "tisfm fast, camera" in printed and "OpenCV DIS medium + essential matrix" in printed
     assert {path.name for path in tmp_path.iterdir()} == {"smoke-depth.md", "smoke-depth.json"}
     text = (tmp_path / "smoke-depth.md").read_text(encoding="utf-8")
     assert "- command: `python -m bench.depth --preset fast" in text
+    assert "\n- a noisy machine\n" in text
     assert "movers, mean" in text and "within σ, %" in text and "time / field" in text
     assert sys.prefix not in text
 
