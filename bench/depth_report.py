@@ -20,6 +20,7 @@ from bench.depth_pairs import (
 from bench.depth_scores import HORIZON, Score
 
 STATIC = "scenes, all static ones"
+COMMON = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
 
 Reduce = Callable[[Sequence[float]], float]
@@ -41,15 +42,40 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
 
 
 def groups(contest: DepthContest) -> list[Group]:
-    """Return the groups, all static scenes together before them."""
+    """Return the groups, all static scenes together before them.
+
+    A group of which a method says of some pairs that they show no depth is followed by what is
+    left of it without these: there, all methods are averaged over the same pairs.
+    """
+    found = []
+    for group in _whole_groups(contest):
+        found.append(group)
+        if 0 < len(common(contest, group).pairs) < len(group.pairs):
+            found.append(common(contest, group))
+    return found
+
+
+def common(contest: DepthContest, group: Group) -> Group:
+    """Return a group without the pairs that show no depth in the words of a method."""
+    declined = {
+        score.pair
+        for method in contest.methods
+        for score in contest.best(method, group)
+        if score.without_depth
+    }
+    kept = tuple(pair for pair in group.pairs if pair not in declined)
+    return Group(name=group.name + COMMON, pairs=kept) if declined else group
+
+
+def _whole_groups(contest: DepthContest) -> list[Group]:
     static = [group for group in contest.groups if group.name.startswith(_STATIC_PREFIX)]
     together = Group(name=STATIC, pairs=tuple(pair for group in static for pair in group.pairs))
     return [together, *contest.groups] if len(static) > 1 else list(contest.groups)
 
 
 def summary(contest: DepthContest) -> Cells:
-    """Return a row for every method, at its best threshold."""
-    found = {group.name: group for group in groups(contest)}
+    """Return a row for every method, at its best threshold; all over the same pairs."""
+    found = {group.name: common(contest, group) for group in _whole_groups(contest)}
     columns = [column for column in SUMMARY if column[1] in found]
     rows = []
     for method in contest.methods:
@@ -92,7 +118,8 @@ def notes(contest: DepthContest) -> list[str]:
         "off by less than its standard deviation; 68% of a normal error are.",
         "No depth: pairs of which the method itself says that the parallax is too little for "
         "depth, of all. They have no direction and no depth, and enter none of these means. "
-        "Two stages have no such status.",
+        "Two stages have no such status; where some pairs of a group have none, a second table has "
+        "the others, and so has the first table of all.",
         "Seconds: median over the pairs of a group of the median over rounds; of two stages, all "
         "of them together. Time over that of the field: over the flow field of the same preset, "
         "which the two stages start from that are named after it.",

@@ -22,7 +22,7 @@ from bench.depth_pairs import (
     data_entries,
     scene_entries,
 )
-from bench.depth_report import STATIC, details, groups, notes, summary, thresholds, write
+from bench.depth_report import COMMON, STATIC, details, groups, notes, summary, thresholds, write
 from bench.depth_scores import HORIZON, limited, score
 from bench.focal_plot import picture
 from bench.two_stage import NoMotion, triangulated, two_stage
@@ -216,8 +216,13 @@ class Silent:
 
 
 def test_pairs_without_depth_are_named():
-    held = contest([Silent()], "forward-f320", "sideways-f320")
-    assert "1 of 2" in details(held)[STATIC].rows[0]
+    pipeline = FlowThenDepth(true_flow(), thresholds=(0.02,))
+    held = contest([Silent(), pipeline], "forward-f320", "forward-f300", "sideways-f320")
+    assert [group.name for group in groups(held)][:2] == [STATIC, STATIC + COMMON]
+    assert groups(held)[1].pairs == ("forward-f300", "sideways-f320")
+    mean = np.mean([s.abs_rel for s in held.scores if s.method == pipeline.name][1:])
+    assert summary(held).rows[1][1] == f"{mean:.4f}"  # over the pairs that both have
+    assert "1 of 3" in details(held)[STATIC].rows[0]
     assert any("silent: forward-f320 (little_parallax)" in note for note in notes(held))
 
 
