@@ -16,7 +16,7 @@ from tisfm.evaluation import LITTLE_PARALLAX
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 
-THRESHOLDS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # px, of the essential matrix
+THRESHOLDS = (0.001, 0.002, 0.005, 0.02, 0.1, 0.5)  # px, of the essential matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

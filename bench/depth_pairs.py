@@ -90,7 +90,7 @@ class Selection:
 
 SELECTIONS: dict[Layout, list[Selection]] = {
     "new_tsukuba": [
-        Selection(group=RENDERED_STUDIO, folder="new_tsukuba", first=range(74), step=1)
+        Selection(group=RENDERED_STUDIO, folder="new_tsukuba", first=range(0, 74, 3), step=1)
     ],
     "sevenscenes": [
         Selection(group=HAND_HELD, folder="sevenscenes", first=range(41, 57), step=3),

@@ -261,7 +261,7 @@ def test_the_pairs_are_those_of_every_group(shared_data):
     assert not missing
     count = {name: sum(entry.group == name for entry in entries) for name in (HAND_HELD, MOVING)}
     assert count == {HAND_HELD: 16, MOVING: 0}
-    assert sum(entry.group == RENDERED_STUDIO for entry in entries) == 74
+    assert sum(entry.group == RENDERED_STUDIO for entry in entries) == 25
     first = next(entry for entry in entries if entry.group == HARDLY_MOVED).load()
     assert first.depth.shape == first.raw_depth.shape == first.frame0.shape[:2]
     assert not first.pose_given and first.pose.shape == (4, 4)
