@@ -6,10 +6,10 @@ with multiples of them.
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,13 @@ RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
 PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, ratio
 EXACT = 0.01  # px, threshold of the essential matrix of the true flow
 HARDLY = 1.2  # times the error at the true focal length
+NOTES = (
+    "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
+    'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
+    "eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the true flow: what "
+    "an essential matrix and triangulation make of it with the same focal length, so that what "
+    "remains is geometry. A scene is one pair of frames."
+)
 COLUMNS = {
     "abs_rel": ("abs-rel", ".4f"),
     "offset": ("offset of 1/Z", "+.3f"),
@@ -158,54 +165,60 @@ def finding(outcomes: Sequence[Outcome]) -> str:
     kinds = list(dict.fromkeys(o.kind for o in outcomes))
     sentences = []
     for focal, ratio in PAPER:
-        compared = [
-            (at[kind, focal, 1.0], at[kind, focal, round(ratio, 3)])
-            for kind in kinds
-            if (kind, focal, 1.0) in at and (kind, focal, round(ratio, 3)) in at
-        ]
+        keys = [((kind, focal, 1.0), (kind, focal, round(ratio, 3))) for kind in kinds]
+        compared = [(at[right], at[wrong]) for right, wrong in keys if right in at and wrong in at]
         if compared:
-            sentences.append(f"f = {focal:g} px taken as {focal * ratio:.0f} px: ")
-            sentences[-1] += _changes(compared) + "."
+            sentences.append(_comparison(compared))
     turned = [o for o in outcomes if "rotation" in o.kind and o.offset is not None]
     if turned:
         low, high = (pick(turned, key=lambda o: o.offset or 0.0) for pick in (min, max))
+        ends = " and ".join(
+            f"{o.offset:+.2f} of its median ({o.kind}, {_taken(o)})" for o in (low, high)
+        )
         sentences.append(
             "What a rotation leaves unexplained at a wrong focal length is taken for parallax, "
-            "much as a constant added to 1/Z: between "
-            + " and ".join(
-                f"{o.offset:+.2f} of its median ({o.kind}, {o.focal:g} px taken as "
-                f"{o.focal * o.ratio:.0f} px)"
-                for o in (low, high)
-            )
-            + ". Where that brings 1/Z to 0 or below, depth is lost, and the direction found may "
-            "be the opposite."
+            f"much as a constant added to 1/Z, between {ends}. Where that brings 1/Z to 0 or "
+            "below, depth is lost, and the direction found may be the opposite; the true flow leads there "
+            "as well."
         )
-    rises = [o.field_flow / at[o.kind, o.focal, 1.0].field_flow for o in outcomes]
-    sentences.append(
-        f"The flow of the field changes its error by factors of {min(rises):.2f} to "
-        f"{max(rises):.2f} over all ratios."
-    )
+    for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
+        factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
+        sentences.append(
+            f"The field's {title} changes its error by factors of {min(factors):.2f} to "
+            f"{max(factors):.2f} over all ratios."
+        )
     return " ".join(sentences)
 
 
-def _changes(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
-    """Return what becomes of abs-rel and direction from the one focal length to the other."""
-    depths: list[str] = []
-    directions: list[str] = []
+def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
+    """Return where depth at the second focal length is about as good as at the first."""
     same: list[str] = []
     other: list[str] = []
     for right, wrong in compared:
         if right.abs_rel is None or wrong.abs_rel is None:
-            depths.append(f"{right.kind} {wrong.status}")
+            other.append(f"{right.kind} ({right.status} → {wrong.status})")
             continue
-        depths.append(f"{right.kind} {right.abs_rel:.4f} → {wrong.abs_rel:.4f}")
-        if right.direction is not None and wrong.direction is not None:
-            directions.append(f"{right.direction:.2f}° → {wrong.direction:.2f}°")
-        (same if wrong.abs_rel <= HARDLY * right.abs_rel else other).append(right.kind)
-    text = f"abs-rel is {', '.join(depths)}; direction {', '.join(directions)}"
-    text += f". So for depth it hardly matters (at most {HARDLY - 1:.0%} worse) in: "
-    text += f"{', '.join(same) or 'none'}; it does in: {', '.join(other) or 'none'}"
-    return text
+        text = f"{right.kind} ({right.abs_rel:.4f} → {wrong.abs_rel:.4f}, direction "
+        text += f"{right.direction:.2f}° → {wrong.direction:.2f}°, rotation "
+        text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
+        (same if wrong.abs_rel <= HARDLY * right.abs_rel else other).append(text)
+    return (
+        f"To take {_taken(compared[0][1])} hardly matters to depth (abs-rel at most "
+        f"{HARDLY - 1:.0%} worse) in: {', '.join(same) or 'none'}. It matters in: "
+        f"{', '.join(other) or 'none'}."
+    )
+
+
+def _taken(outcome: Outcome) -> str:
+    return f"{outcome.focal:g} px for {outcome.focal * outcome.ratio:.0f} px"
+
+
+def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
+    """Return all of it as Markdown."""
+    lines = ["# A wrong focal length", ""]
+    lines += [f"- {name}: {value}" for name, value in conditions.items()]
+    lines += ["", NOTES, "", "![Errors over the ratio of the two focal lengths](focal.png)", ""]
+    return "\n".join([*lines, finding(outcomes), "", tables(outcomes)])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -233,20 +246,10 @@ def main(arguments: list[str] | None = None) -> int:
         "threads": options.threads,
         **machine(),
     }
-    text = finding(outcomes) + "\n\n" + tables(outcomes)
+    text = report(outcomes, conditions)
     print(text)
-    heading = "# A wrong focal length\n\n"
-    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
-    notes = (
-        "\nabs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are "
-        'errors of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose '
-        "depth is by eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the "
-        "true flow: what an essential matrix and triangulation make of it with the same focal "
-        "length, so that what remains is geometry. A scene is one pair of frames.\n\n"
-        "![Errors over the ratio of the focal length taken to the true one](focal.png)\n\n"
-    )
     options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "focal.md").write_text(heading + notes + text, encoding="utf-8")
+    (options.output / "focal.md").write_text(text, encoding="utf-8")
     record = {**conditions, "found": [asdict(outcome) for outcome in outcomes]}
     (options.output / "focal.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
     draw([asdict(outcome) for outcome in outcomes], options.output / "focal.png")

@@ -292,7 +292,7 @@ def test_wrong_focal_lengths(tmp_path, monkeypatch, capsys):
     assert {path.name for path in tmp_path.iterdir()} == {"focal.md", "focal.json", "focal.png"}
     text = (tmp_path / "focal.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out.strip() in text
-    assert "f = 600 px taken as 1000 px: abs-rel is forward" in text
+    assert "To take 600 px for 1000 px hardly matters to depth" in text
     record = json.loads((tmp_path / "focal.json").read_text(encoding="utf-8"))
     assert len(record["found"]) == 4
     exact_depth = {(o["kind"], o["ratio"]): o["exact_abs_rel"] for o in record["found"]}
