@@ -178,8 +178,8 @@ def finding(outcomes: Sequence[Outcome]) -> str:
         sentences.append(
             "What a rotation leaves unexplained at a wrong focal length is taken for parallax, "
             f"much as a constant added to 1/Z, between {ends}. Where that brings 1/Z to 0 or "
-            "below, depth is lost, and the direction found may be the opposite; the true flow leads there "
-            "as well."
+            "below, depth is lost, and the direction found may be the opposite; the true flow "
+            "leads there as well."
         )
     for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
         factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
