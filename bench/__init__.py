@@ -1,4 +1,6 @@
-"""Benchmarks of tisfm: ``python -m bench``, ``bench.peers`` and ``bench.ablation``, ``--help``.
+"""Benchmarks of tisfm: ``python -m bench`` and the commands below, all with ``--help``.
 
-The first stands beside the NumPy reference, the others beside other libraries and settings.
+The first stands beside the NumPy reference; ``bench.peers`` and ``bench.depth`` beside other
+libraries, ``bench.ablation`` beside other settings; ``bench.untextured`` and ``bench.focal``
+measure what is hard.
 """

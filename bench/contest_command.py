@@ -23,7 +23,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that all contests have."""
     parser.add_argument("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
     parser.add_argument("--pairs", nargs="+", metavar="WORD", help="pairs with a WORD in the name")
-    parser.add_argument("--only", nargs="+", metavar="WORD", help="methods with a WORD in the name")
+    parser.add_argument(
+        "--only", "--methods", nargs="+", metavar="WORD", help="methods with a WORD in the name"
+    )
     parser.add_argument("--threads", type=int, default=2, metavar="N")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="timed calls of each")
     parser.add_argument("--smoke", action="store_true", help="small scenes, one round, no data")
