@@ -266,6 +266,19 @@ def test_potts_labels_are_smooth_and_cut_at_edges():
     assert not one.any()
 
 
+def test_specks_are_given_to_their_surroundings():
+    from tisfm.layers import without_specks
+
+    labels = np.zeros((30, 40), np.int32)
+    labels[:, 20:] = 1
+    clean = labels.copy()
+    labels[5:8, 5:8], labels[20:22, 30:33], labels[10, 10] = 1, 0, 2
+    found = without_specks(labels, 20)
+    clean[10, 10] = 2  # the largest part of a label stays, so that none is lost
+    np.testing.assert_array_equal(found, clean)
+    np.testing.assert_array_equal(without_specks(clean, 1), clean)
+
+
 def test_median_is_within_labels():
     from tisfm.rigid_depth import median_within
 

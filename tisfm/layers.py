@@ -11,6 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.confidence import QUIET, QUIET_GREY
+from tisfm.egomotion import camera_motion
 from tisfm.motion_candidates import SMALLEST
 from tisfm.occlusion import leaves_image, occlusion
 from tisfm.potts import Potts
@@ -70,7 +71,7 @@ class Layering:
         self._grey0, self._grey1 = grey0, grey1
         self._potts = Potts(grey0)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
-        self._smallest = max(64, round(SMALLEST * grey0.size))
+        self.smallest = max(64, round(SMALLEST * grey0.size))
 
     def fitted(
         self, motions: list[np.ndarray], labels: np.ndarray, hidden: np.ndarray, rounds: int = 2
@@ -117,12 +118,31 @@ class Layering:
             )
             mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
             gain = float((_own_cost(without) - _own_cost(layers))[mine].sum())
-            if gain >= GAIN * self._smallest and areas[label] >= self._smallest:
+            if gain >= GAIN * self.smallest and areas[label] >= self.smallest:
                 needed.add(label)
                 continue
             layers = without
             needed = {rest.index(k) for k in needed}
         return layers
+
+    def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
+        """Return the motions fitted to a flow field within their layers, (3, 4) each.
+
+        A motion without translation, and one whose layer has too few pixels to trust, stays.
+        """
+        motions = []
+        for label, motion in enumerate(layers.motions):
+            mine = _core(layers.labels == label) & ~layers.hidden
+            try:
+                found = camera_motion(flow, np.where(mine, trust, 0), self._camera)
+            except ValueError:
+                motions.append(motion)
+                continue
+            still = not motion[:, 3].any()
+            motions.append(
+                motion if still else np.column_stack([found.rotation, found.translation])
+            )
+        return motions
 
     def _continued(self, motion: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residual and flow of a surface fitted on its support, everywhere."""
@@ -142,6 +162,34 @@ class Layering:
             solution.motions[0],
             solution.inverse_depth,
         )
+
+
+def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
+    """Return the labels with small connected parts given to what is nearest.
+
+    A label of which nothing would be left stays.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+    smallest : int
+        Fewest pixels of a part.
+    """
+    kept = np.zeros(labels.shape, bool)
+    for label in np.unique(labels):
+        parts = cv2.connectedComponents((labels == label).astype(np.uint8), connectivity=4)[1]
+        areas = np.bincount(parts.ravel())
+        large = areas >= smallest
+        large[0] = False
+        if not large.any():
+            large[1 + int(np.argmax(areas[1:]))] = True
+        kept |= large[parts]
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~kept).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    label_of = np.zeros(int(nearest.max()) + 1, labels.dtype)
+    label_of[nearest[kept]] = labels[kept]
+    return np.where(kept, labels, label_of[nearest])
 
 
 def _core(mask: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of 
 SMALLEST = 0.002  # of the pixels: what is smaller is no object
 EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
 CLEARLY = 0.6  # of the median distance under a common motion, at most, under one of its own
+FASTEST_SPIN = 0.2  # rad/frame
 CONFIDENT = 0.02  # least weight of a pixel
 
 
@@ -155,6 +156,10 @@ class _Search:
         try:
             found = camera_motion(self._flow, self._trust * mine, self._camera)
         except ValueError:  # too few are trusted
+            return None
+        # Nothing seen from frame to frame spins faster: such a fit is one of noise.
+        spin = np.linalg.norm(cv2.Rodrigues(found.rotation)[0])
+        if spin > FASTEST_SPIN:
             return None
         return np.column_stack([found.rotation, found.translation])
 

@@ -7,7 +7,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_reading import first_motion
 from tisfm.contacts import aligned
-from tisfm.layers import Layering
+from tisfm.layers import Layering, without_specks
 from tisfm.motion_candidates import motion_candidates
 from tisfm.occlusion import occlusion
 from tisfm.pyramid import Pyramid
@@ -51,24 +51,22 @@ def objects_reading(
             status=start.status,
             history=start.history,
         )
-    # A background that shows no parallax takes part as one that only turns.
-    background = start.matrix
-    if start.status is not None:
-        background[:, 3] = 0
     hidden = occlusion(grey0, grey1, np.moveaxis(start.flow, -1, 0), settings)
     motions, labels = motion_candidates(
         start.flow,
         np.where(hidden, 0, start.trust),
         camera,
         grey0,
-        background,
+        start.matrix,
         start.residual,
         most=settings.max_objects,
     )
     layering = Layering(pyramid, settings, camera, grey0, grey1)
     if len(motions) > 1:
         layers = layering.pruned(layering.fitted(motions, labels, hidden))
-        motions, labels = layers.motions, layers.labels
+        motions = layering.refitted(layers, start.flow, start.trust)
+        layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
+        motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
         return without_depth(
             pyramid,
@@ -84,6 +82,8 @@ def objects_reading(
     rank[order] = np.arange(len(order))
     labels = rank[labels]
     solution = rigid_depth(pyramid, settings, camera, np.stack([motions[k] for k in order]), labels)
-    reading = with_depth(solution, labels, camera, settings)
+    reading = with_depth(
+        solution, labels, camera, settings, unseen=int(rank[0]) if start.status else None
+    )
     reading = replace(reading, history=start.history + reading.history)
     return aligned(reading, hidden) if settings.align_scales else reading

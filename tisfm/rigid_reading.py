@@ -18,6 +18,7 @@ def with_depth(
     settings: Settings,
     *,
     unit: float | None = None,
+    unseen: int | None = None,
 ) -> Reading:
     """Bring a solution to ‖T‖ = 1 and depth in that unit.
 
@@ -30,6 +31,8 @@ def with_depth(
     settings : Settings
     unit : float, optional
         ‖t‖ of a given motion, in whose unit depth then is.
+    unseen : int, optional
+        The label whose parallax is too little to return its depth.
     """
     twists = np.empty((len(solution.motions), 6))
     for_twist = np.empty(len(twists), np.float32)  # d over D, for ‖T‖ = 1
@@ -45,6 +48,8 @@ def with_depth(
         twists[label] = [*(twist[:3] / speed), *twist[3:]]
         for_twist[label] = length * speed / camera.focal
         for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
+    if unseen is not None:
+        for_twist[unseen] = for_output[unseen] = 0
     evidence = solution.minimiser.evidence(solution.terms)
     factor = for_output[labels]
     deviation = solution.deviation(evidence) * factor
