@@ -13,6 +13,8 @@ THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essent
 FEW = 2000  # of the samples, by which the best of several starts is found
 ITERATIONS = 30
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
+SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
+CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 
@@ -50,6 +52,7 @@ def camera_motion(
     camera: Camera,
     *,
     rotation: np.ndarray | None = None,
+    near: np.ndarray | None = None,
 ) -> CameraMotion:
     """Fit one rigid motion to a flow field in which other things may move as well.
 
@@ -67,6 +70,11 @@ def camera_motion(
         In [0, 1]; pixels of confidence 0 take no part.
     camera : Camera
         Without distortion: that of the result which the flow is from.
+    rotation : (3, 3) array, optional
+        R, where it is known: only the direction of translation is fitted then.
+    near : (3, 3) array, optional
+        A rotation that R is likely to be near to, for parts of an image that alone show too
+        little to tell rotation from translation.
 
     Returns
     -------
@@ -87,13 +95,13 @@ def camera_motion(
     before, after, trust = _correspondences(flow, confidence, camera)
     focal = camera.focal
     few = slice(None, None, max(1, len(trust) // FEW))
-    unknowns = 6 if rotation is None else 3
+    free = _Free(unknowns=6 if rotation is None else 3, near=near)
     if rotation is None:
         starts = _starts(before[few], after[few], trust[few], focal)
     else:
         starts = _turned_starts(before[few], after[few], trust[few], np.asarray(rotation, float))
     candidates = [
-        _refine(before[few], after[few], trust[few], focal, start, iterations=10, unknowns=unknowns)
+        _refine(before[few], after[few], trust[few], focal, start, free, iterations=10)
         for start in starts
     ]
     scale = min(candidate[2] for candidate in candidates)
@@ -102,7 +110,7 @@ def camera_motion(
         key=lambda pose: _cost(before[few], after[few], trust[few], focal, pose, scale),
     )
     turn, translation, scale = _refine(
-        before, after, trust, focal, best[:2], iterations=ITERATIONS, unknowns=unknowns
+        before, after, trust, focal, best[:2], free, iterations=ITERATIONS
     )
     distance, _, inverse_depth = _epipolar(before, after, turn, translation, focal)
     if (trust * np.sign(inverse_depth)).sum() < 0:
@@ -117,6 +125,24 @@ def camera_motion(
         parallax=focal * float(np.median(np.linalg.norm(left, axis=1))),
         inliers=float((np.abs(distance) <= 3 * scale).mean()),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Free:
+    """What of a motion is free: the first unknowns of (t, ω), and a rotation it lies near to."""
+
+    unknowns: int
+    near: np.ndarray | None
+
+
+def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[float, np.ndarray]:
+    """Return stiffness and offset, rad, of the prior that draws a rotation to another.
+
+    It is a normal distribution of `SPIN` rad, weighed against data whose errors of `noise` px are
+    common to `CORRELATED` of the pixels.
+    """
+    offset = cv2.Rodrigues(near @ rotation.T)[0][:, 0]
+    return CORRELATED * (noise / SPIN) ** 2, offset
 
 
 def triangulate(
@@ -211,14 +237,12 @@ def _refine(
     trust: np.ndarray,
     focal: float,
     start: Pose,
+    free: "_Free",
     *,
     iterations: int,
-    unknowns: int,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
-
-    Of the translation and rotation, the first `unknowns` of six numbers are free.
-    """
+    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px."""
+    unknowns = free.unknowns
     rotation, translation = start
     scale = 0.0
     for _ in range(iterations):
@@ -234,6 +258,10 @@ def _refine(
         along = np.concatenate([translation, np.zeros(3)])
         normal += (np.trace(normal) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(6))
         pull = slope.T @ (weight * distance)
+        if free.near is not None:
+            stiffness, offset = spin_prior(rotation, free.near, scale)
+            normal[3:, 3:] += stiffness * np.eye(3)
+            pull[3:] += stiffness * offset
         step = np.zeros(6)
         step[:unknowns] = np.linalg.solve(normal[:unknowns, :unknowns], pull[:unknowns])
         turn = cv2.Rodrigues(step[3:])[0]

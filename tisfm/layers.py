@@ -134,7 +134,8 @@ class Layering:
         for label, motion in enumerate(layers.motions):
             mine = _core(layers.labels == label) & ~layers.hidden
             try:
-                found = camera_motion(flow, np.where(mine, trust, 0), self._camera)
+                near = layers.motions[0][:, :3] if label else None
+                found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
             except ValueError:
                 motions.append(motion)
                 continue

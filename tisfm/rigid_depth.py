@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
+from tisfm.egomotion import spin_prior
 from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.kernels.epipolar import along, displacement
@@ -133,7 +134,7 @@ def rigid_depth(
             noise = state.noise(motions)
             if refine != "none" and pyramid.scale(level) >= REFINED:
                 unknowns = 6 if refine == "motion" else 3
-                motions = state.refined(motions, unknowns, (OUTLYING * noise) ** 2 + TINY)
+                motions = state.refined(motions, unknowns, noise)
         if level > 0:
             coarse = field.images()
     state.displace(motions)
@@ -273,7 +274,7 @@ class _Level:
                 noise[label] = np.sqrt(np.median(mine))
         return noise
 
-    def refined(self, motions: np.ndarray, unknowns: int, tolerated: np.ndarray) -> np.ndarray:
+    def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
         """Return the motions after steps of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
@@ -295,8 +296,12 @@ class _Level:
                     focal=self._focal,
                     scales=self._data_term.scales,
                     alpha=HELD * self.minimiser.alpha,
-                    tolerated=float(tolerated[label]),
+                    tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
                 )
+                if label > 0:  # objects hardly spin relative to the background
+                    stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
+                    matrix[3:, 3:] += stiffness * np.eye(3)
+                    vector[3:] -= stiffness * offset
                 motions[label] = _stepped(motion, matrix, vector, unknowns)
         return motions
 
