@@ -771,7 +771,7 @@ def test_source_is_required(tisfm_run):
      ["run", "frames", "-o", "out", "--presett", "paper"],
      ["run", "frames", "-o", "out", "--preset", "best"],
      ["run", "frames", "-o", "out", "--preset"],
-     ["run", "frames", "-o", "out", "--motion", "objects"],
+     ["run", "frames", "-o", "out", "--motion", "layers"],
      ["run", "frames", "-o", "out", "--focal", "wide"]],
     ids=" ".join,
 )  # fmt: skip

@@ -293,6 +293,9 @@ def test_stops_when_the_variables_cease_to_evolve(blocks):
         {"depth_smoothness": 20.0},
         {"depth_brightness": 0.2},
         {"depth_normalization": None},
+        {"motion": "objects"},
+        {"max_objects": 1},
+        {"align_scales": True},
         {"derivatives": "cube"},
         {"presmoothing": 1.0},
         {"pyramid_factor": 0.7},
@@ -310,11 +313,14 @@ def test_stops_when_the_variables_cease_to_evolve(blocks):
 def test_every_setting_changes_the_result(change, blocks):
     frames = (blocks.frame0, blocks.frame1)
     # Settings of depth are those of one motion of the camera.
-    common = {"motion": "camera"} if next(iter(change)).startswith("depth_") else {}
+    name = next(iter(change))
+    common = {"motion": "camera"} if name.startswith("depth_") else {}
+    if name in ("max_objects", "align_scales"):
+        common = {"motion": "objects"}
     camera = blocks.camera
     default = tisfm.interpret(*frames, camera=camera, settings=tisfm.Settings(**common))
     changed = tisfm.interpret(*frames, camera=camera, settings=tisfm.Settings(**common, **change))
-    assert not np.array_equal(default.rho, changed.rho)
+    assert not np.array_equal(default.inverse_depth, changed.inverse_depth)
     if "solver" in change:  # and this one only by rounding
         assert np.quantile(np.abs(default.flow - changed.flow), 0.99) < 0.01
 

@@ -16,7 +16,14 @@ import tisfm
 from tisfm.settings import PAPER_SMOOTHNESS, Preset
 
 PRESETS = get_args(Preset)
-COUNTS = ("pyramid_levels", "warps", "coarse_warps", "outer_iterations", "sweeps")
+COUNTS = (
+    "pyramid_levels",
+    "warps",
+    "coarse_warps",
+    "outer_iterations",
+    "sweeps",
+    "max_objects",
+)
 NUMBERS = (
     "smoothness",
     "beta",
@@ -36,7 +43,7 @@ NUMBERS = (
 )
 NONE_IS_MEANT = ("contrast", "normalization", "data_contrast", "depth_normalization")
 CHOICES = ("model", "motion", "derivatives", "solver")
-OTHERS = ("joint_edges", "stiffness")
+OTHERS = ("joint_edges", "align_scales", "stiffness")
 
 positive = st.floats(1e-3, 1e5)
 
@@ -112,10 +119,11 @@ def test_one_of_the_constraints_needs_a_weight():
         tisfm.Settings(brightness=0, gradient=0)
 
 
+@pytest.mark.parametrize("name", ["joint_edges", "align_scales"])
 @pytest.mark.parametrize("value", [1, None, "yes"])
-def test_joint_edges_is_true_or_false(value):
-    with pytest.raises(TypeError, match=r"joint_edges is .*expected True or False"):
-        tisfm.Settings(joint_edges=value)
+def test_switches_are_true_or_false(name, value):
+    with pytest.raises(TypeError, match=f"{name} is .*expected True or False"):
+        tisfm.Settings(**{name: value})
 
 
 @pytest.mark.parametrize("value", [3.0, None, "111111", (1, 1, 1), (1,) * 7])
@@ -140,7 +148,7 @@ def test_stiffness_may_come_as_a_list():
     ("name", "value", "possible"),
     [
         ("model", "affine", ("'rigid'", "'translation'")),
-        ("motion", "objects", ("'field'", "'camera'")),
+        ("motion", "layers", ("'field'", "'camera'", "'objects'")),
         ("derivatives", "sobel", ("'cube'", "'five_tap'")),
         ("solver", "svd", ("'cholesky'", "'closed_form'")),
         ("model", None, ("'rigid'", "'translation'")),
