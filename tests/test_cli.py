@@ -834,7 +834,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         (
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
-            | {"--no-joint-edges", "--help"}
+            | {"--no-joint-edges", "--no-align-scales", "--help"}
             | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),
     ],
@@ -859,7 +859,7 @@ def test_demo(tisfm_run):
     assert code == 0
     assert err.startswith("Pictures and data in out: look at demo_figure.png first")
     rows = [line for line in out.splitlines() if line.startswith("│")]
-    assert len(rows) == 5
+    assert len(rows) == 6
     for row, label in zip(rows[:3], ("paper", "balanced", "Horn–Schunck"), strict=True):
         cells = [cell.strip() for cell in row.strip("│").split("│")]
         assert label in cells[0]

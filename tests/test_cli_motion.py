@@ -163,7 +163,7 @@ def test_outputs_without_depth(tisfm_run, place, status):
     two = [place / "a.png", place / "b.png"]
     write_png(two[0], frame0)
     write_png(two[1], frame1)
-    focal = 60 if status == "little_parallax" else 600  # wide: a shift is no rotation there
+    focal = 100 if status == "little_parallax" else 600  # wide: a shift is no rotation there
     code, _, err = tisfm_run(
         "run", *two, "-o", "out", "--motion", "camera", "--focal", focal, "--ply"
     )
@@ -391,7 +391,7 @@ def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
 
 def test_demo_compares_readings_of_motion(tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
-    assert code == 0 and err.endswith("and at camera/demo_figure.png.\n")
+    assert code == 0 and err.endswith("and at camera/demo_figure.png and objects/demo_figure.png.\n")
     rows = {
         cells[0]: cells[1:]
         for line in out.splitlines()
@@ -404,8 +404,10 @@ def test_demo_compares_readings_of_motion(tisfm_run):
     assert float(camera[2]) < 0.1 and float(field[2]) < 0.1
     assert float(camera[3]) < 2 and float(camera[4]) < 0.1
     assert field[5] == camera[5] == "converged"
+    objects = rows["objects, moving"]
+    assert float(objects[0]) < 0.1 and 40 < float(objects[1].removesuffix(" %")) < 95
     expected = {f"demo{ending}" for ending in ENDINGS} | {"run.json"}
-    assert set(files("out/camera")) == expected
+    assert set(files("out/camera")) == set(files("out/objects")) == expected
     result = load("out/camera", "demo")
     assert result.settings == tisfm.Settings(motion="camera")
 
@@ -422,4 +424,4 @@ def test_demo_interprets_no_pair_twice(tisfm_run, monkeypatch):
     monkeypatch.setattr(paper_figures, "interpret", interpret)
     assert tisfm_run("demo", "--height", "24", "--width", "32", "-o", "out")[0] == 0
     whole = [key for key in seen if len(key[0]) == 24 * 32][3:]  # what compiles is as large here
-    assert len(set(whole)) == len(whole) == 7
+    assert len(set(whole)) == len(whole) == 8
