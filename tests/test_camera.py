@@ -297,7 +297,6 @@ def test_noise_alone_is_no_motion(small):
 
 def test_too_little_parallax_is_said():
     """A rotation of pixels and a translation of hundredths of one, under noise."""
-    scene = static_scene("sideways+rotation", *SIZE, seed=4)
     rng = np.random.default_rng(1)
     motion = np.array([-0.008, 0, 0, 0.004, -0.008, 0.003])
     scene = moved_scene(motion)

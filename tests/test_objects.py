@@ -118,7 +118,7 @@ def test_a_static_scene_is_one_thing(kind):
     assert depth_errors(result.depth, scene.depth, mask=scene.visible).abs_rel < 0.013
 
 
-def test_a_camera_at_rest(small):
+def test_a_camera_at_rest():
     """The background shows no depth, and is none; the blocks do."""
     scene = two_blocks(240, 320, seed=3, camera_motion=np.zeros(6))
     result = interpreted(scene)

@@ -66,15 +66,7 @@ def camera_reading(
     rotation = None if pose is None else pose.rotation
     start = first_motion(pyramid, camera, settings, rotation=rotation, density=START)
     if start.status is not None:
-        return without_depth(
-            pyramid,
-            camera,
-            settings,
-            rotation=start.rotation,
-            translation=start.translation,
-            status=start.status,
-            history=start.history,
-        )
+        return only_turned(pyramid, camera, settings, start, start.status)
     solution = rigid_depth(
         pyramid,
         settings,
@@ -184,6 +176,21 @@ def first_motion(
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
     return replace(known, rotation=found.rotation, translation=found.translation)
+
+
+def only_turned(
+    pyramid: Pyramid, camera: Camera, settings: Settings, start: FirstMotion, status: Status
+) -> Reading:
+    """Return what is left of a first motion whose depth is not to be seen, and why."""
+    return without_depth(
+        pyramid,
+        camera,
+        settings,
+        rotation=start.rotation,
+        translation=start.translation,
+        status=status,
+        history=start.history,
+    )
 
 
 def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:

@@ -77,7 +77,8 @@ class Interpretation:
         Relative inverse depth. For ``motion="field"`` it is ‖τ‖ (eq. 24), for ‖T‖ = 1: true where
         the scene translates parallel to the image plane, elsewhere see the README. For
         ``motion="camera"`` it is signed, for ‖T‖ = 1, or in the inverse unit of a given pose's
-        translation; 0 everywhere where the status says that there is no depth to see.
+        translation; for ``"objects"`` in that of each label's own T. 0 where there is no depth to
+        see: everywhere if the status says so, or on a background that shows no parallax.
     inverse_depth_std : (H, W) float32 or None
         Its standard deviation: about 68% of the pixels that are visible in frame 1 are off by
         less. Infinite where there is no depth. None for ``motion="field"``.
@@ -88,9 +89,9 @@ class Interpretation:
         Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
         `load` of a file of format 1, which has no such map, only what leaves the image.
     motions : (K, 6) float64 or None
-        Twists (T, ω) of the rigid motions, per frame, with ‖T‖ = 1; `tisfm.rigid.rigid_motion`
-        gives R and t of P₁ = R P₀ + t. T is 0 where the camera only turned or did not move. None
-        for ``motion="field"``.
+        Twists (T, ω) of the rigid motions, per frame, with ‖T‖ = 1, or, with `align_scales`, in
+        the unit of the background's. `tisfm.rigid.rigid_motion` gives R and t of P₁ = R P₀ + t. T
+        is 0 where the camera only turned or did not move. None for ``motion="field"``.
     labels : (H, W) int32 or None
         Which of `motions` a pixel has. None for ``motion="field"``.
     frame : (H, W) or (H, W, 3) uint8

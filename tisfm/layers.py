@@ -12,7 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.confidence import QUIET, QUIET_GREY
 from tisfm.egomotion import camera_motion
-from tisfm.motion_candidates import SMALLEST
+from tisfm.motion_candidates import smallest_object
 from tisfm.occlusion import leaves_image, occlusion
 from tisfm.potts import Potts
 from tisfm.pyramid import Pyramid
@@ -71,7 +71,7 @@ class Layering:
         self._grey0, self._grey1 = grey0, grey1
         self._potts = Potts(grey0)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
-        self.smallest = max(64, round(SMALLEST * grey0.size))
+        self.smallest = smallest_object(grey0.size)
 
     def fitted(
         self, motions: list[np.ndarray], labels: np.ndarray, hidden: np.ndarray, rounds: int = 2

@@ -90,7 +90,7 @@ class _Search:
         self._tolerated = tolerated
         self._potts = Potts(frame)
         self._weight = np.maximum(trust, CONFIDENT)
-        self.smallest = max(64, round(SMALLEST * trust.size))
+        self.smallest = smallest_object(trust.size)
 
     def run(self, background: np.ndarray, most: int) -> tuple[list[np.ndarray], np.ndarray]:
         motions = [background]
@@ -188,6 +188,11 @@ class _Search:
         projected = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
         distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
         return distance.reshape(height, width)
+
+
+def smallest_object(pixels: int) -> int:
+    """Return the fewest pixels that an object may have, of an image of so many."""
+    return max(64, round(SMALLEST * pixels))
 
 
 def _parts(mask: np.ndarray, smallest: int) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_reading import first_motion
+from tisfm.camera_reading import first_motion, only_turned
 from tisfm.contacts import aligned
 from tisfm.layers import Layering, without_specks
 from tisfm.motion_candidates import motion_candidates
@@ -13,7 +13,7 @@ from tisfm.occlusion import occlusion
 from tisfm.pyramid import Pyramid
 from tisfm.reading import Reading
 from tisfm.rigid_depth import rigid_depth
-from tisfm.rigid_reading import with_depth, without_depth
+from tisfm.rigid_reading import with_depth
 from tisfm.settings import Settings
 
 
@@ -42,15 +42,7 @@ def objects_reading(
     """
     start = first_motion(pyramid, camera, settings)
     if start.status in ("no_texture", "no_motion") and not start.flow.any():
-        return without_depth(
-            pyramid,
-            camera,
-            settings,
-            rotation=start.rotation,
-            translation=start.translation,
-            status=start.status,
-            history=start.history,
-        )
+        return only_turned(pyramid, camera, settings, start, start.status)
     hidden = occlusion(grey0, grey1, np.moveaxis(start.flow, -1, 0), settings)
     motions, labels = motion_candidates(
         start.flow,
@@ -68,15 +60,7 @@ def objects_reading(
         layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
         motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
-        return without_depth(
-            pyramid,
-            camera,
-            settings,
-            rotation=start.rotation,
-            translation=start.translation,
-            status=start.status,
-            history=start.history,
-        )
+        return only_turned(pyramid, camera, settings, start, start.status)
     order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))

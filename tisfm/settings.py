@@ -68,8 +68,8 @@ class Settings:
         ε, px/frame (grey levels without `normalization`): residuals beyond it count in proportion
         rather than squared (Charbonnier). None for squares: the paper's.
     depth_smoothness : float
-        Weight of the regularisation of inverse depth with ``motion="camera"``, in place of
-        `smoothness`.
+        Weight of the regularisation of inverse depth with ``motion="camera"`` and ``"objects"``, in
+        place of `smoothness`.
     depth_brightness : float
         Weight of the constancy of brightness there, in place of `brightness`.
     depth_normalization : float or None
