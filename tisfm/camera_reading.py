@@ -6,13 +6,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.confidence import confidence
+from tisfm.depth_start import depth_start
 from tisfm.egomotion import CameraMotion, camera_motion
 from tisfm.interpretation import Status
 from tisfm.occlusion import leaves_image
 from tisfm.pyramid import Iteration, Pyramid, coarse_to_fine
 from tisfm.reading import Reading, unmoved
 from tisfm.rigid import KnownPose
-from tisfm.rigid_depth import rigid_depth
+from tisfm.rigid_depth import rigid_depth, scaled_translations
 from tisfm.rigid_reading import with_depth, without_depth
 from tisfm.settings import Settings
 
@@ -58,8 +59,19 @@ def camera_reading(
                 ),
                 history=[],
             )
-        matrix = np.column_stack([pose.rotation, pose.translation])
-        solution = rigid_depth(pyramid, settings, camera, matrix[None], labels, refine="none")
+        start = first_motion(pyramid, camera, settings, rotation=pose.rotation, density=START)
+        motions = scaled_translations(
+            np.column_stack([pose.rotation, pose.translation])[None], labels, camera
+        )
+        solution = rigid_depth(
+            pyramid,
+            settings,
+            camera,
+            motions,
+            labels,
+            refine="none",
+            start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
+        )
         unit = float(np.linalg.norm(pose.translation))
         return with_depth(solution, labels, camera, settings, unit=unit)
 
@@ -67,13 +79,15 @@ def camera_reading(
     start = first_motion(pyramid, camera, settings, rotation=rotation, density=START)
     if start.status is not None:
         return only_turned(pyramid, camera, settings, start, start.status)
+    motions = scaled_translations(start.matrix[None], labels, camera)
     solution = rigid_depth(
         pyramid,
         settings,
         camera,
-        start.matrix[None],
+        motions,
         labels,
         refine="motion" if pose is None else "translation",
+        start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
     )
     return with_depth(solution, labels, camera, settings)
 
@@ -95,6 +109,8 @@ class FirstMotion:
         The flow field, px of its level.
     trust : (h, w) float32
         Its confidence.
+    level : int
+        Of the flow field.
     """
 
     rotation: np.ndarray
@@ -104,6 +120,7 @@ class FirstMotion:
     history: list[tuple[int, int, Iteration]]
     flow: np.ndarray
     trust: np.ndarray
+    level: int
 
     @property
     def matrix(self) -> np.ndarray:
@@ -158,6 +175,7 @@ def first_motion(
         history=solution.history,
         flow=flow,
         trust=trust,
+        level=level,
     )
     if still.status is not None:
         return still

@@ -93,8 +93,9 @@ def rigid_depth(
     *,
     refine: Refinement = "motion",
     support: np.ndarray | None = None,
+    start: tuple[int, np.ndarray] | None = None,
 ) -> RigidSolution:
-    """Estimate the inverse depth of every pixel from the coarsest level to the finest, from zero.
+    """Estimate the inverse depth of every pixel, from coarse to fine.
 
     The data are those of `coarse_to_fine`, weighted as `settings.depth_brightness`,
     `settings.gradient` and `settings.depth_normalization` say and seen along epipolar lines only;
@@ -116,13 +117,19 @@ def rigid_depth(
         What of the motions is refined on the finer levels, jointly with depth.
     support : (H, W) bool array, optional
         Where the data count, by default everywhere; elsewhere depth is continued smoothly.
+    start : (int, (h, w) float32), optional
+        The level to start on and D there, for motions of the length that `scaled_translations`
+        gives them; by default the coarsest level, and zero.
     """
     motions = scaled_translations(motions, labels, camera)
     history: list[tuple[int, int, Iteration]] = []
     coarse: np.ndarray | None = None
     noise = np.zeros(len(motions))
-    for level in reversed(range(pyramid.levels)):
+    coarsest, depth = (pyramid.levels - 1, None) if start is None else start
+    for level in reversed(range(coarsest + 1)):
         field = pyramid.field(level, 1, coarse)
+        if level == coarsest and depth is not None:
+            field.set_images(depth[None])
         focal = camera.focal * pyramid.scale(level)
         state = _Level(pyramid, level, field, labels, focal, settings, support)
         for warp in range(settings.warps_on(level) * (WARPS if level == 0 else 1)):
