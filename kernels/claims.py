@@ -3,6 +3,7 @@
 import taichi as ti
 
 from tisfm.kernels.lanes import check_array
+from tisfm.kernels.launch import Kernel
 
 
 def splat(flow, residual, claims) -> None:
@@ -60,7 +61,7 @@ def _check(flow, residual, claims) -> None:
 _Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be aligned
 
 
-@ti.kernel
+@Kernel
 def _splat(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
@@ -88,7 +89,7 @@ def _splat(
             claims[below, right] = claims[below, right] + across * lower
 
 
-@ti.kernel
+@Kernel
 def _defeated(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)

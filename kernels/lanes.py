@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.launch import Kernel
+
 ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
 
 
@@ -46,7 +48,7 @@ def lane_kernel(function):
             else kind
             for name, kind in function.__annotations__.items()
         }
-        return ti.kernel(copy)
+        return Kernel(copy)
 
     return {1: typed(ti.f32), 8: typed(ti.types.vector(8, ti.f32))}
 

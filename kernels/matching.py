@@ -4,6 +4,7 @@ import taichi as ti
 
 from tisfm.kernels.epipolar import NEAREST
 from tisfm.kernels.lanes import check_array
+from tisfm.kernels.launch import Kernel
 
 
 def matching_cost(
@@ -75,7 +76,7 @@ def matching_cost(
     )
 
 
-@ti.kernel
+@Kernel
 def _matching_cost(
     features0: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=2),  # (H, W)
     features1: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=2),  # (H, W)

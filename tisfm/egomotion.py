@@ -7,10 +7,10 @@ import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
 
-SAMPLES = 20_000  # pixels that take part: more hardly help, and all of them are neighbours
+SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are neighbours
 CONFIDENT = 0.1  # least confidence of those that the essential matrix is drawn from
 THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essential matrices
-FEW = 2000  # of the samples, by which the best of several starts is found
+FEW = 1000  # of the samples, by which the best of several starts is found
 ITERATIONS = 30
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation

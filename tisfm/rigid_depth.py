@@ -18,7 +18,6 @@ from tisfm.pyramid import Pyramid
 from tisfm.settings import Settings
 
 REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
-REFINEMENTS = 2  # Gauss–Newton steps of the motions after each linearisation
 HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
 MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
@@ -29,7 +28,7 @@ TINY = 1e-12
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
-SAMPLES = 4000  # pixels by which the length of a translation is set
+SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
 
 Refinement = Literal["none", "translation", "motion"]
 
@@ -210,6 +209,9 @@ class _Level:
         self._labels = grid.allocate(1)
         image_to_lanes(grid, resized, self._labels)
         self._label_image = resized
+        self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
+        inside = grid.inside()[0, self._rows, 1:-1]
+        self._sample = np.where(inside > 0, self._labels[0, self._rows, 1:-1], -1)
         if labels.any():
             field.edges *= _within(field, resized)
         counted: np.ndarray | None = None
@@ -272,44 +274,48 @@ class _Level:
         image_to_lanes(self._field.grid, depth, self._field.rho)
 
     def noise(self, motions: np.ndarray) -> np.ndarray:
-        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none."""
-        residual = self.minimiser.residual(self._restricted)
+        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
+
+        Of a sample of rows, and with the weights that the last iteration solved for.
+        """
+        depth = self._field.rho[0, self._rows, 1:-1]
+        tensor = self.minimiser.tensor[:, self._rows, 1:-1]
+        residual = np.maximum((tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5], 0)
         noise = np.zeros(len(motions))
         for label, motion in enumerate(motions):
-            mine = residual[self._label_image == label]
+            mine = residual[self._sample == label]
             if mine.size and motion[:, 3].any():
                 noise[label] = np.sqrt(np.median(mine))
         return noise
 
     def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
-        """Return the motions after steps of Gauss–Newton on the last linearisation."""
+        """Return the motions after a step of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
-        for _ in range(REFINEMENTS):
-            self.displace(motions)
-            for label, motion in enumerate(motions):
-                matrix, vector = motion_system(
-                    field.grid,
-                    self._terms,
-                    field.rho,
-                    self._labels,
-                    self.minimiser.weights,
-                    field.x_hat,
-                    field.y_hat,
-                    self.flow,
-                    self._direction,
-                    motions=motions.astype(np.float32),
-                    label=label,
-                    focal=self._focal,
-                    scales=self._data_term.scales,
-                    alpha=HELD * self.minimiser.alpha,
-                    tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
-                )
-                if label > 0:  # objects hardly spin relative to the background
-                    stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
-                    matrix[3:, 3:] += stiffness * np.eye(3)
-                    vector[3:] -= stiffness * offset
-                motions[label] = _stepped(motion, matrix, vector, unknowns)
+        self.displace(motions)
+        for label, motion in enumerate(motions):
+            matrix, vector = motion_system(
+                field.grid,
+                self._terms,
+                field.rho,
+                self._labels,
+                self.minimiser.weights,
+                field.x_hat,
+                field.y_hat,
+                self.flow,
+                self._direction,
+                motions=motions.astype(np.float32),
+                label=label,
+                focal=self._focal,
+                scales=self._data_term.scales,
+                alpha=HELD * self.minimiser.alpha,
+                tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
+            )
+            if label > 0:  # objects hardly spin relative to the background
+                stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
+                matrix[3:, 3:] += stiffness * np.eye(3)
+                vector[3:] -= stiffness * offset
+            motions[label] = _stepped(motion, matrix, vector, unknowns)
         return motions
 
 

@@ -158,7 +158,7 @@ def rho_of(
     y = ((np.arange(height)[:, None] - cy) / camera.focal).astype(np.float32)
     rho = np.empty((6, height, width), np.float32)
     for k, component in enumerate((camera.focal * twists.T).astype(np.float32)):
-        np.take(component, labels, out=rho[k])
+        rho[k] = component[labels] if len(component) > 1 else component[0]
     rho[:3] *= inverse_depth
     # (u, v) = G ρ̂ for the components 3 to 6; the first two take the rest.
     _, _, t3, w1, w2, w3 = rho
