@@ -11,7 +11,8 @@ SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are n
 CONFIDENT = 0.1  # least confidence of those that the essential matrix is drawn from
 THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essential matrices
 FEW = 1000  # of the samples, by which the best of several starts is found
-ITERATIONS = 30
+STARTING, ITERATIONS = 6, 30  # at most, for each start and for the best of them
+SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
@@ -101,7 +102,7 @@ def camera_motion(
     else:
         starts = _turned_starts(before[few], after[few], trust[few], np.asarray(rotation, float))
     candidates = [
-        _refine(before[few], after[few], trust[few], focal, start, free, iterations=10)
+        _refine(before[few], after[few], trust[few], focal, start, free, iterations=STARTING)
         for start in starts
     ]
     scale = min(candidate[2] for candidate in candidates)
@@ -268,7 +269,7 @@ def _refine(
         rotation = turn @ rotation
         translation = turn @ translation + step[:3]
         translation = translation / np.linalg.norm(translation)
-        if np.linalg.norm(step) < 1e-8:
+        if np.linalg.norm(step) < SETTLED:
             break
     return rotation, translation, scale
 
@@ -328,19 +329,15 @@ def _rotation_alone(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     for _ in range(10):
         left = _beyond(before, after, rotation)
         x, y = (after[:, :2] - left).T
-        slope = np.stack(
-            [
-                np.stack([-x * y, 1 + x * x, -y], axis=1),
-                np.stack([-1 - y * y, x * y, x], axis=1),
-            ],
-            axis=1,
-        )
+        horizontal = np.stack([-x * y, 1 + x * x, -y], axis=1)
+        vertical = np.stack([-1 - y * y, x * y, x], axis=1)
+        slope = np.concatenate([horizontal, vertical])
         length = np.linalg.norm(left, axis=1)
         weight = 1 / np.maximum(length, max(float(np.median(length)), 1e-12))  # Huber's
-        normal = np.einsum("nik,n,nil->kl", slope, weight, slope)
-        step = np.linalg.solve(normal, np.einsum("nik,n,ni->k", slope, weight, left))
+        weighted = slope * np.tile(weight, 2)[:, None]
+        step = np.linalg.solve(weighted.T @ slope, weighted.T @ left.T.ravel())
         rotation = cv2.Rodrigues(step)[0] @ rotation
-        if np.linalg.norm(step) < 1e-9:
+        if np.linalg.norm(step) < SETTLED:
             break
     return rotation
 

@@ -223,7 +223,7 @@ def coarse_to_fine(
             stiffness=settings.stiffness[:components],
         )
         flow = field.grid.allocate(2)
-        for warp in range(settings.warps_on(level)):
+        for warp in range(settings.warps_on(level - finest)):
             terms = data_term.linearise(field.flow(flow))
             iterations, converged = minimiser.minimise(terms)
             history += [(level, warp, iteration) for iteration in iterations]

@@ -125,13 +125,16 @@ def rigid_depth(
     coarse: np.ndarray | None = None
     noise = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
+    warps = [settings.warps * WARPS] + coarsest * [
+        settings.coarse_warps if start is None else settings.warps
+    ]
     for level in reversed(range(coarsest + 1)):
         field = pyramid.field(level, 1, coarse)
         if level == coarsest and depth is not None:
             field.set_images(depth[None])
         focal = camera.focal * pyramid.scale(level)
         state = _Level(pyramid, level, field, labels, focal, settings, support)
-        for warp in range(settings.warps_on(level) * (WARPS if level == 0 else 1)):
+        for warp in range(warps[level]):
             restricted = state.linearise(motions)
             state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
             iterations, converged = state.minimiser.minimise(restricted)
