@@ -1,0 +1,81 @@
+"""Launching kernels without Taichi's own checks of every argument.
+
+Taichi looks at each argument anew on every launch, for longer than a small grid takes to compute.
+What its look can find, the wrappers of kernels have checked already.
+"""
+
+from typing import Any
+
+import taichi as ti
+
+FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
+
+
+class Kernel:
+    """A Taichi kernel, called like one.
+
+    Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, numbers,
+    and values known while compiling (``ti.template()``).
+
+    Parameters
+    ----------
+    function : callable
+        What ``ti.kernel`` takes.
+    """
+
+    def __init__(self, function) -> None:
+        self._call = ti.kernel(function)
+        self._program: Any = None
+        self._compiled: dict[tuple, tuple[Any, Any]] = {}
+        self._constants: list[int] = []
+        self._arrays: list[tuple[int, int, int | None]] = []
+        self._floats: list[tuple[int, int]] = []
+        self._integers: list[tuple[int, int]] = []
+        slot = 0
+        for index, argument in enumerate(self._call._primal.arguments):
+            kind = argument.annotation
+            if isinstance(kind, ti.template):
+                self._constants.append(index)
+                continue
+            if any(kind is real for real in FLOATS):
+                self._floats.append((index, slot))
+            elif any(kind is whole for whole in INTEGERS):
+                self._integers.append((index, slot))
+            else:
+                element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
+                self._arrays.append((index, slot, -element or None))
+            slot += 1
+
+    def __call__(self, *arguments) -> None:
+        """Run the kernel; the first call for the same constants compiles it."""
+        program = ti.lang.impl.get_runtime().prog
+        if program is not self._program:
+            self._program, self._compiled = program, {}
+        constants = tuple([arguments[index] for index in self._constants])
+        known = self._compiled.get(constants)
+        if known is None:
+            self._call(*arguments)
+            self._compiled[constants] = self._prepared(arguments)
+            return
+        kernel, compiled = known
+        context = kernel.make_launch_context()
+        for index, slot, axes in self._arrays:
+            array = arguments[index]
+            address = array.__array_interface__["data"][0]
+            context.set_arg_external_array_with_shape(
+                (slot,), address, array.nbytes, array.shape[:axes], 0
+            )
+        for index, slot in self._floats:
+            context.set_arg_float((slot,), float(arguments[index]))
+        for index, slot in self._integers:
+            context.set_arg_int((slot,), int(arguments[index]))
+        program.launch_kernel(compiled, context)
+
+    def _prepared(self, arguments: tuple) -> tuple[Any, Any]:
+        """Return the kernel that a call with such arguments has compiled, as launches need it."""
+        primal = self._call._primal
+        program = ti.lang.impl.get_runtime().prog
+        kernel = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        compiled = program.compile_kernel(program.config(), program.get_device_caps(), kernel)
+        self._program = program
+        return kernel, compiled
