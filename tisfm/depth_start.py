@@ -15,15 +15,18 @@ PULL = 0.05  # weight of a pixel's surroundings where its epipolar line is as we
 AROUND, MEDIAN = 7, 5  # px: windows of means and medians
 # px of parallax between near and far from which a plane sweep finds what coarse to fine cannot:
 # things that are smaller than they move.
-RANGE = 12.0
-REACH = 0.3  # share by which the hypotheses reach beyond what the flow shows, at both ends
+RANGE = 20.0
+COARSE = 2**15  # pixels of the level on which the range of depths is found
+LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
+COMMON = (1, 99)  # percentiles: what is nearer or further is rare
+REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
 ENTRIES = 2**25  # of costs, pixels times hypotheses: the sweep is of a level that needs no more
 # Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
 # by more than so many, and its derivatives by more than a quarter of that, are no worse.
 COST = 2.4
 # And what it costs to be more than `NEAR` px/frame from a guess that nobody trusts, and how much
 # more from one that is certain. Where nothing is to be compared, it has to do.
-NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.1), np.float32(0.3)
+NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.05), np.float32(0.3)
 STEP, JUMP = 0.3, 5.0  # of a change of depth along a path
 EDGE = 1.2  # steps between neighbours at which a jump costs half
 FAINTEST = 0.01  # grey levels: the least mean step
@@ -66,20 +69,62 @@ def depth_start(
     """
     size = pyramid.frames0[0].shape
     depth = triangulated(flow, motion, camera.scaled(pyramid.scale(level), *size))
-    low, high = np.percentile(depth, (1, 99)) / pyramid.scale(level)
+    sweep = _Sweep(pyramid, camera, motion, level, depth, trust)
+    low, high = sweep.range()
     if high - low < RANGE:
         return level, depth
     low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
-    for finer in range(pyramid.levels):
-        scale = pyramid.scale(finer)
-        hypotheses = np.arange(low * scale, high * scale, 1.0)
-        if finer >= level or hypotheses.size * pyramid.frames0[finer].size <= ENTRIES:
+    for finer in range(level + 1):
+        entries = (high - low) * pyramid.scale(finer) * pyramid.frames0[finer].size
+        if entries <= ENTRIES:
             break
-    frame0, frame1 = pyramid.frames0[finer], pyramid.frames1[finer]
-    guess = cv2.resize(depth, frame0.shape[::-1]) * np.float32(scale / pyramid.scale(level))
-    trust = cv2.resize(trust, frame0.shape[::-1])
-    here = camera.scaled(scale, *size)
-    return finer, swept(frame0, frame1, motion, here, hypotheses, guess, trust)
+    return finer, sweep.run(finer, low, high)
+
+
+class _Sweep:
+    """A plane sweep, on any level of a pyramid, led by a depth that is known roughly."""
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        camera: Camera,
+        motion: np.ndarray,
+        level: int,
+        guess: np.ndarray,
+        trust: np.ndarray,
+    ) -> None:
+        self._pyramid, self._camera, self._motion = pyramid, camera, motion
+        self._level, self._guess, self._trust = level, guess, trust
+
+    def range(self) -> tuple[float, float]:
+        """Return the least and the largest D that are not rare, px/frame of the finest level."""
+        frames = self._pyramid.frames0
+        coarse = next(
+            (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
+        )
+        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scale(self._level)
+        side = max(frames[0].shape)
+        depth = self.run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
+        low, high = np.percentile(depth, COMMON) / self._pyramid.scale(coarse)
+        return low, high
+
+    def run(self, level: int, low: float, high: float) -> np.ndarray:
+        """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
+        pyramid = self._pyramid
+        frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+        scale, width_height = pyramid.scale(level), frame0.shape[::-1]
+        guess = cv2.resize(self._guess, width_height) * np.float32(
+            scale / pyramid.scale(self._level)
+        )
+        return swept(
+            frame0,
+            frame1,
+            self._motion,
+            self._camera.scaled(scale, *pyramid.frames0[0].shape),
+            np.arange(low * scale, high * scale + 1),
+            guess,
+            cv2.resize(self._trust, width_height),
+        )
 
 
 def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
@@ -102,6 +147,7 @@ def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.nda
         D = f·d, px/frame.
     """
     height, width = flow.shape[:2]
+    flow = np.nan_to_num(flow.astype(np.float32), nan=0, posinf=0, neginf=0)  # where it diverged
     x, y = _rays(height, width, camera)
     rotation, translation = motion[:, :3].astype(np.float32), motion[:, 3].astype(np.float32)
     p1, p2, p3 = (row[0] * x + row[1] * y + row[2] for row in rotation)

@@ -48,6 +48,7 @@ from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
 )
+from tisfm.reference.plane_sweep import aggregate, matching_cost
 from tisfm.reference.pyramid import (
     coarse_to_fine,
     prolong,
@@ -65,6 +66,7 @@ from tisfm.reference.uniqueness import claims, defeated
 __all__ = [
     "Minimisation",
     "Smoothness",
+    "aggregate",
     "along",
     "aubert",
     "brightness_tensor",
@@ -83,6 +85,7 @@ __all__ = [
     "image_edges",
     "local_matrices",
     "local_right_sides",
+    "matching_cost",
     "minimise",
     "motion_matrix",
     "motion_system",

@@ -1,0 +1,72 @@
+"""A plane sweep: costs of hypotheses of inverse depth, and their sums along paths."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reference.epipolar import displacement
+
+
+def matching_cost(
+    features0: np.ndarray,
+    features1: np.ndarray,
+    hypotheses: np.ndarray,
+    camera: Camera,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> np.ndarray:
+    """Return min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|) of every hypothesis, (H, W, N).
+
+    It is 1 where a hypothesis takes the pixel out of the image.
+
+    Parameters
+    ----------
+    features0, features1 : (3, H, W)
+        I, I_x and I_y of both frames; read between pixels by bilinear interpolation.
+    hypotheses : (N,)
+        D = f·d, px/frame.
+    """
+    height, width = features0.shape[1:]
+    rows, columns = np.mgrid[:height, :width]
+    costs = []
+    for hypothesis in hypotheses:
+        u, v = displacement(np.full((height, width), hypothesis), camera, rotation, translation)
+        x, y = columns + u, rows + v
+        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        x, y = np.where(inside, x, 0), np.where(inside, y, 0)
+        left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+        right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+        a, b = x - left, y - top
+        there = (1 - b) * ((1 - a) * features1[:, top, left] + a * features1[:, top, right])
+        there += b * ((1 - a) * features1[:, below, left] + a * features1[:, below, right])
+        apart = np.abs(there - features0)
+        cost = np.minimum(1, apart[0]) + np.minimum(1, apart[1] + apart[2])
+        costs.append(np.where(inside, cost, 1))
+    return np.stack(costs, axis=-1)
+
+
+def aggregate(
+    cost: np.ndarray, guide: np.ndarray, *, step: float, jump: float, edge: float
+) -> np.ndarray:
+    """Return the sums along four paths of Hirschmüller (2008), eq. 13, (H, W, N).
+
+    Parameters
+    ----------
+    cost : (H, W, N)
+    guide : (H, W)
+        Where its grey level changes by `edge`, a jump costs half.
+    """
+    total = np.zeros_like(cost)
+    # Four views of the image, in each of which the path runs down.
+    for turn in range(4):
+        path = np.rot90(cost, turn).copy()
+        grey = np.rot90(guide, turn)
+        for row in range(1, len(path)):
+            before = path[row - 1]
+            least = before.min(axis=-1, keepdims=True)
+            leap = np.maximum(step, jump / (1 + np.abs(grey[row] - grey[row - 1]) / edge))
+            best = np.minimum(before, least + leap[:, None])
+            best[:, 1:] = np.minimum(best[:, 1:], before[:, :-1] + step)
+            best[:, :-1] = np.minimum(best[:, :-1], before[:, 1:] + step)
+            path[row] += best - least
+        total += np.rot90(path, -turn)
+    return total
