@@ -126,24 +126,26 @@ def _energy(
                         length += square
                     else:
                         b = weights[n * side + k, y, s] / (stiffness[k] * ti.max(g, TINY))
-                        smooth += g * _aubert(square, inverse_squared_contrast)
-                        half += g * (b * square + _penalty(b, squared_contrast))
+                        smooth += g * aubert(square, inverse_squared_contrast)
+                        half += g * (b * square + penalty(b, squared_contrast))
                 if ti.static(joint):
                     b = weights[n * side, y, s] / (stiffness[0] * ti.max(g, TINY))
-                    smooth += g * _aubert(length, inverse_squared_contrast)
-                    half += g * (b * length + _penalty(b, squared_contrast))
+                    smooth += g * aubert(length, inverse_squared_contrast)
+                    half += g * (b * length + penalty(b, squared_contrast))
         store_sum(partial, row, block, 0, data, ti.static(lane_count(rho)))
         store_sum(partial, row, block, 1, smooth, ti.static(lane_count(rho)))
         store_sum(partial, row, block, 2, half, ti.static(lane_count(rho)))
 
 
 @ti.func
-def _aubert(square, inverse_squared_contrast):
+def aubert(square, inverse_squared_contrast):
+    """Return Φ_δ of a squared difference."""
     return 2.0 * square / (1.0 + ti.sqrt(1.0 + square * inverse_squared_contrast))
 
 
 @ti.func
-def _penalty(b, squared_contrast):
+def penalty(b, squared_contrast):
+    """Return δ²(b + 1/b − 2)."""
     # (1 − b)²/b is b + 1/b − 2 without its cancellation.
     gap = 1.0 - b
     return squared_contrast * gap * gap / ti.max(b, TINY)

@@ -30,7 +30,7 @@ def robust_tensor(grid: LaneGrid, terms, x_hat, y_hat, rho, out, *, scales) -> N
     scales : sequence of float
         m_i ε² of each term; infinite for a quadratic one.
     """
-    count = _check(grid, terms, x_hat, y_hat, rho, scales)
+    count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
     grid.check(out, 6, "out")
     _robust_tensor[grid.lanes](
         terms, x_hat, y_hat, rho, *finite_scales(scales), rho.shape[0], count, out
@@ -42,14 +42,15 @@ def robust_energy(grid: LaneGrid, terms, x_hat, y_hat, rho, *, scales) -> float:
 
     Parameters are those of `robust_tensor`.
     """
-    count = _check(grid, terms, x_hat, y_hat, rho, scales)
+    count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
     partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 1))
     inverse = finite_scales(scales)[::2]
     _robust_energy[grid.lanes](terms, x_hat, y_hat, rho, *inverse, rho.shape[0], count, partial)
     return float(partial.sum(axis=1).sum(axis=0)[0])
 
 
-def _check(grid, terms, x_hat, y_hat, rho, scales) -> int:
+def check_terms(grid, terms, x_hat, y_hat, rho, scales) -> int:
+    """Raise unless the arguments are what `robust_tensor` says; return the number of terms."""
     count = len(scales)
     if count not in (1, 2):
         raise ValueError(f"scales has {count} values: expected 1 or 2")

@@ -354,6 +354,57 @@ def test_energy(size, components, lanes, kind, contrast, make_problem):
     assert data + half_quadratic == pytest.approx(expected_half, rel=2e-6)
 
 
+@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
+@each_model
+@each_lanes
+@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
+@pytest.mark.parametrize("contrast", [0.3, np.inf])
+@pytest.mark.parametrize("scales", [(np.inf,), (5.0,), (3.0, np.inf), (3.0, 50.0)], ids=str)
+def test_advance(size, components, lanes, kind, contrast, scales, make_problem):
+    from tisfm.kernels.iteration import advance
+
+    problem = make_problem(*size, components, lanes)
+    grid, field = problem.grid, problem.field
+    terms = [problem.tensor, make_problem(*size, components, lanes, seed=1).tensor][: len(scales)]
+    smoothness, options, edges = smoothness_of(problem, contrast, kind)
+    options = {"stiffness": (1.0,) * components, "joint": False} | options
+    before = np.random.default_rng(5).normal(size=problem.rho.shape).astype(np.float32)
+    old_weights = reference.edge_weights(before.astype(float), smoothness)
+    weights, tensor = problem.to_lanes(old_weights), problem.to_lanes(0.5 * problem.tensor)
+    previous = problem.to_lanes(before)
+    sums = advance(
+        grid,
+        problem.to_lanes(np.concatenate(terms)),
+        edges,
+        field.x_hat,
+        field.y_hat,
+        field.rho,
+        weights,
+        tensor,
+        previous,
+        alpha=40.0,
+        contrast=contrast,
+        scales=scales,
+        **options,
+    )
+    where = (problem.motion, problem.rho)
+    expected = reference.robust_tensor(terms, *where, scales)
+    close(problem.from_lanes(tensor), expected, scale=np.abs(expected).max())
+    new_weights = reference.edge_weights(problem.rho, smoothness)
+    close(problem.from_lanes(weights), new_weights)
+    close(weights[:components], problem.to_lanes(new_weights)[:components])  # halo columns too
+    np.testing.assert_array_equal(problem.from_lanes(previous), problem.rho)
+    energy = reference.robust_energy(terms, *where, scales)
+    energy += 40.0 * reference.smoothness_energy(problem.rho, smoothness)
+    assert sums.energy == pytest.approx(energy, rel=5e-6)
+    half = reference.half_quadratic_energy(
+        0.5 * problem.tensor, *where, old_weights, 40.0, smoothness
+    )
+    assert sums.half_quadratic == pytest.approx(half, rel=5e-6)
+    assert sums.moved == pytest.approx(np.linalg.norm(problem.rho - before), rel=1e-6)
+    assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
+
+
 @each_size
 @each_model
 @each_lanes

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.field import Field
-from tisfm.kernels.diffusivity import edge_weights
 from tisfm.kernels.evidence import evidence
-from tisfm.kernels.reductions import change, energy
+from tisfm.kernels.iteration import Sums, advance
 from tisfm.kernels.relaxation import sweep
-from tisfm.kernels.robust import robust_energy, robust_tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +82,6 @@ class HalfQuadratic:
         self.weights = field.grid.allocate(2 * field.components)
         self._previous = field.grid.allocate(field.components)
 
-    def update_weights(self, terms: np.ndarray) -> None:
-        """Compute the auxiliary fields of the current ρ̂: b, and the weights of the data."""
-        field = self.field
-        edge_weights(field.grid, field.rho, field.edges, self.weights, **self._penalty)
-        robust_tensor(
-            field.grid, terms, field.x_hat, field.y_hat, field.rho, self.tensor, scales=self.scales
-        )
-
     def evidence(self, terms: np.ndarray) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
 
@@ -106,7 +96,7 @@ class HalfQuadratic:
 
     def _evidence(self, terms: np.ndarray) -> np.ndarray:
         field = self.field
-        self.update_weights(terms)
+        self._advance(terms)
         out = field.grid.allocate(7)
         evidence(
             field.grid,
@@ -135,13 +125,11 @@ class HalfQuadratic:
             Whether the last relative change was within the tolerance.
         """
         field = self.field
-        grid = field.grid
         iterations: list[Iteration] = []
-        self._previous[...] = field.rho
+        self._advance(terms)
         for _ in range(self.outer_iterations):
-            self.update_weights(terms)
             sweep(
-                grid,
+                field.grid,
                 self.tensor,
                 self.weights,
                 field.x_hat,
@@ -152,28 +140,32 @@ class HalfQuadratic:
                 solver=self.solver,
                 sweeps=self.sweeps,
             )
-            moved, size = change(grid, field.rho, self._previous)
-            data = robust_energy(
-                grid, terms, field.x_hat, field.y_hat, field.rho, scales=self.scales
-            )
-            half_data, smoothness, half_smoothness = energy(
-                grid,
-                self.tensor,
-                self.weights,
-                field.edges,
-                field.x_hat,
-                field.y_hat,
-                field.rho,
-                alpha=self.alpha,
-                **self._penalty,
-            )
+            sums = self._advance(terms)
             iterations.append(
                 Iteration(
-                    energy=data + smoothness,
-                    half_quadratic=half_data + half_smoothness,
-                    change=moved / size if size > 0 else 0.0,
+                    energy=sums.energy,
+                    half_quadratic=sums.half_quadratic,
+                    change=sums.moved / sums.size if sums.size > 0 else 0.0,
                 )
             )
-            if moved <= self.tolerance * size:
+            if sums.moved <= self.tolerance * sums.size:
                 return iterations, True
         return iterations, False
+
+    def _advance(self, terms: np.ndarray) -> Sums:
+        """Compute the auxiliary fields of the current ρ̂, b and the weights of the data."""
+        field = self.field
+        return advance(
+            field.grid,
+            terms,
+            field.edges,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            self.weights,
+            self.tensor,
+            self._previous,
+            alpha=self.alpha,
+            scales=self.scales,
+            **self._penalty,
+        )
