@@ -68,9 +68,7 @@ def _lanes_to_images(
 ):
     strip = array.shape[2] - 2
     lanes = ti.static(lane_count(array))
-    for k, y, s in ti.ndrange(out.shape[0], out.shape[1], strip):
-        value = array[k, y + 1, s + 1]
+    for k, y in ti.ndrange(out.shape[0], out.shape[1]):
         for lane in ti.static(range(lanes)):
-            x = lane * strip + s
-            if x < out.shape[2]:
-                out[k, y, x] = lane_of(value, lane, lanes)
+            for s in range(ti.min(strip, out.shape[2] - lane * strip)):
+                out[k, y, lane * strip + s] = lane_of(array[k, y + 1, s + 1], lane, lanes)

@@ -10,6 +10,7 @@ from tisfm.kernels.lanes import (
     lane_kernel,
     store_lane,
 )
+from tisfm.kernels.small_spd import bind
 
 
 def prolong(grid: LaneGrid, coarse, out, *, ratio: float) -> None:
@@ -42,21 +43,33 @@ def _prolong(
     out: LaneArray(3),  # (n, H+2, S+2)
 ):
     strip = out.shape[2] - 2
+    lanes = ti.static(lane_count(out))
     last_row, last_column = coarse.shape[1] - 1, coarse.shape[2] - 1
-    for k, row, position in ti.ndrange(out.shape[0], out.shape[1] - 2, strip + 2):
+    for row, position in ti.ndrange(out.shape[1] - 2, strip + 2):
         y = ti.max(0.0, ti.min((row + 0.5) * ratio - 0.5, last_row))
         top = ti.min(ti.cast(y, ti.i32), ti.max(last_row - 1, 0))
         bottom = ti.min(top + 1, last_row)
         down = y - top
-        for lane in ti.static(range(lane_count(out))):
-            column = lane * strip + position - 1
-            value = 0.0
-            if column >= 0 and column < width:
-                x = ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last_column))
-                left = ti.min(ti.cast(x, ti.i32), ti.max(last_column - 1, 0))
-                right = ti.min(left + 1, last_column)
-                across = x - left
-                upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
-                lower = coarse[k, bottom, left] * (1.0 - across) + coarse[k, bottom, right] * across
-                value = (upper * (1.0 - down) + lower * down) / ratio
-            store_lane(out, k, row + 1, position, lane, value)
+        columns = ti.static(
+            [_column(lane * strip + position - 1, ratio, last_column) for lane in range(lanes)]
+        )
+        for k in range(out.shape[0]):
+            for lane in ti.static(range(lanes)):
+                left, right, across = ti.static(columns[lane])
+                column = lane * strip + position - 1
+                value = 0.0
+                if column >= 0 and column < width:
+                    upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
+                    lower = (
+                        coarse[k, bottom, left] * (1.0 - across)
+                        + coarse[k, bottom, right] * across
+                    )
+                    value = (upper * (1.0 - down) + lower * down) / ratio
+                store_lane(out, k, row + 1, position, lane, value)
+
+
+def _column(column, ratio, last):
+    """Return the two coarse columns around a fine one, and how far it is past the first."""
+    x = bind(ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last)))
+    left = bind(ti.min(ti.cast(x, ti.i32), ti.max(last - 1, 0)))
+    return left, bind(ti.min(left + 1, last)), bind(x - left)

@@ -79,11 +79,12 @@ def _sample(image: ti.template(), spline: ti.template(), x, y):
     else:
         weight_x = _weights(x - left)
         weight_y = _weights(y - top)
+        columns = ti.Vector([_mirror(column + i - 1, width) for i in ti.static(range(4))])
         for j in ti.static(range(4)):
             yy = _mirror(row + j - 1, height)
             line = 0.0
             for i in ti.static(range(4)):
-                line += weight_x[i] * spline[yy, _mirror(column + i - 1, width)]
+                line += weight_x[i] * spline[yy, columns[i]]
             value += weight_y[j] * line
     return value
 
