@@ -61,8 +61,7 @@ def _prolong(
                 if column >= 0 and column < width:
                     upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
                     lower = (
-                        coarse[k, bottom, left] * (1.0 - across)
-                        + coarse[k, bottom, right] * across
+                        coarse[k, bottom, left] * (1.0 - across) + coarse[k, bottom, right] * across
                     )
                     value = (upper * (1.0 - down) + lower * down) / ratio
                 store_lane(out, k, row + 1, position, lane, value)

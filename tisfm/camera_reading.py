@@ -162,7 +162,7 @@ def first_motion(
     flow = field.to_images(field.flow(field.grid.allocate(2)))
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
         trust = confidence(
-            solution.minimiser.evidence(solution.terms),
+            solution.minimiser.evidence(),
             leaves_image(flow),
             normalized=settings.normalization is not None,
         )

@@ -259,9 +259,9 @@ def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray
     nearest = np.full(depth.shape, -np.inf, np.float32)
     np.maximum.at(nearest, (rows, columns), after[inside])
     # Rounding leaves gaps in a surface that is stretched.
-    nearest = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
-    hidden = ~inside
-    hidden[inside] = nearest[rows, columns] > after[inside] + BEHIND
+    around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
+    hidden: np.ndarray = ~inside
+    hidden[inside] = around[rows, columns] > after[inside] + BEHIND
     return hidden
 
 

@@ -82,21 +82,19 @@ class HalfQuadratic:
         self.weights = field.grid.allocate(2 * field.components)
         self._previous = field.grid.allocate(field.components)
 
-    def evidence(self, terms: np.ndarray) -> np.ndarray:
+    def evidence(self) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
 
-        See `tisfm.kernels.evidence`; the weights become those of the current ρ̂, and the residual
-        is the robust one.
+        See `tisfm.kernels.evidence`; the residual is the robust one.
         """
-        return self.field.to_images(self._evidence(terms))
+        return self.field.to_images(self._evidence())
 
-    def residual(self, terms: np.ndarray) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """Return the squared residual alone, (H, W) float32."""
-        return self.field.to_images(self._evidence(terms)[3:4])[0]
+        return self.field.to_images(self._evidence()[3:4])[0]
 
-    def _evidence(self, terms: np.ndarray) -> np.ndarray:
+    def _evidence(self) -> np.ndarray:
         field = self.field
-        self._advance(terms)
         out = field.grid.allocate(7)
         evidence(
             field.grid,
@@ -126,7 +124,7 @@ class HalfQuadratic:
         """
         field = self.field
         iterations: list[Iteration] = []
-        self._advance(terms)
+        self.renew(terms)
         for _ in range(self.outer_iterations):
             sweep(
                 field.grid,
@@ -140,7 +138,7 @@ class HalfQuadratic:
                 solver=self.solver,
                 sweeps=self.sweeps,
             )
-            sums = self._advance(terms)
+            sums = self.renew(terms)
             iterations.append(
                 Iteration(
                     energy=sums.energy,
@@ -152,8 +150,11 @@ class HalfQuadratic:
                 return iterations, True
         return iterations, False
 
-    def _advance(self, terms: np.ndarray) -> Sums:
-        """Compute the auxiliary fields of the current ρ̂, b and the weights of the data."""
+    def renew(self, terms: np.ndarray) -> Sums:
+        """Compute the auxiliary fields of the current ρ̂, b and the weights of the data.
+
+        `minimise` leaves them so.
+        """
         field = self.field
         return advance(
             field.grid,

@@ -1,5 +1,6 @@
 """Where the image has edges, motion may have them: the image-driven factor of the smoothness."""
 
+import cv2
 import numpy as np
 
 from tisfm.kernels.images import image_to_lanes
@@ -8,9 +9,11 @@ from tisfm.kernels.lanes import LaneGrid
 
 def mean_step(frame: np.ndarray) -> float:
     """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast."""
-    steps = [np.abs(np.diff(frame, axis=axis)) for axis in (0, 1)]
-    count = max(sum(step.size for step in steps), 1)
-    return sum(float(step.sum(dtype=np.float64)) for step in steps) / count
+    height, width = frame.shape
+    count = height * (width - 1) + (height - 1) * width
+    total = cv2.norm(frame[:, 1:], frame[:, :-1], cv2.NORM_L1) if width > 1 else 0.0
+    total += cv2.norm(frame[1:], frame[:-1], cv2.NORM_L1) if height > 1 else 0.0
+    return total / max(count, 1)
 
 
 def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
@@ -32,16 +35,19 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
         Eastern and southern edges; 0 across the border.
     """
     height, width = frame.shape
-    steps = np.zeros((2, height, width), np.float32)
-    steps[0, :, :-1] = np.abs(np.diff(frame, axis=1))
-    steps[1, :-1] = np.abs(np.diff(frame, axis=0))
-    inside = np.ones(steps.shape, bool)
-    inside[0, :, -1] = inside[1, -1] = False
-    count = max(int(inside.sum()), 1)
+    edges = np.empty((2, height, width), np.float32)
+    np.subtract(frame[:, 1:], frame[:, :-1], out=edges[0, :, :-1])
+    np.subtract(frame[1:], frame[:-1], out=edges[1, :-1])
+    edges[0, :, -1] = edges[1, -1] = 0
+    np.abs(edges, out=edges)
     # A uniform frame has no edges; what float32 tells apart is about 1e-5 grey levels.
-    edges = np.float32(1) / (1 + np.float32(strength / max(mean_step(frame), 1e-5)) * steps)
-    edges *= inside
-    edges /= np.float32(max(float(edges.sum(dtype=np.float64)) / count, 1e-12))
+    edges *= np.float32(strength / max(mean_step(frame), 1e-5))
+    edges += 1
+    np.reciprocal(edges, out=edges)
+    edges[0, :, -1] = edges[1, -1] = 0
+    count = height * (width - 1) + (height - 1) * width
+    mean = sum(cv2.sumElems(side)[0] for side in edges) / max(count, 1)
+    edges /= np.float32(max(mean, 1e-12))
     return edges
 
 

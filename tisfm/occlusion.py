@@ -49,8 +49,8 @@ def occlusion(
     from tisfm.kernels.lanes import aligned_zeros
 
     # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
-    flow = np.nan_to_num(flow, nan=FAR, posinf=FAR, neginf=-FAR)
-    np.clip(flow, -FAR, FAR, out=flow)
+    flow = np.clip(flow, -FAR, FAR)
+    flow[np.isnan(flow)] = FAR
     residual = _residual(grey0, grey1, flow, settings)
     claims = aligned_zeros((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.uint8)

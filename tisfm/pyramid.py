@@ -29,8 +29,6 @@ class Solution:
         ρ̂, px/frame.
     minimiser : HalfQuadratic
         With the weights b of the last iteration.
-    terms : lane array, 6 components for each data term
-        Motion tensors of the last warp.
     history : list of (level, warp, Iteration)
         Every half-quadratic iteration; level 0 is the finest.
     converged : bool
@@ -39,7 +37,6 @@ class Solution:
 
     field: Field
     minimiser: HalfQuadratic
-    terms: np.ndarray
     history: list[tuple[int, int, Iteration]]
     converged: bool
 
@@ -229,6 +226,4 @@ def coarse_to_fine(
             history += [(level, warp, iteration) for iteration in iterations]
         if level > finest:
             coarse = field.images()
-    return Solution(
-        field=field, minimiser=minimiser, terms=terms, history=history, converged=converged
-    )
+    return Solution(field=field, minimiser=minimiser, history=history, converged=converged)

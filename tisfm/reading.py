@@ -64,7 +64,7 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         rho=rho,
         flow=field.to_images(field.flow(field.grid.allocate(2))),
         inverse_depth=inverse_depth,
-        evidence=solution.minimiser.evidence(solution.terms),
+        evidence=solution.minimiser.evidence(),
         normalized=settings.normalization is not None,
         freedom=2,
         history=solution.history,

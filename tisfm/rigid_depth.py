@@ -46,8 +46,6 @@ class RigidSolution:
     flow : (2, H, W) float32
         The exact displacement, px/frame.
     minimiser : HalfQuadratic
-    terms : lane array, 6 components for each data term
-        Motion tensors of the last linearisation, restricted to epipolar lines.
     history : list of (level, warp, Iteration)
     converged : bool
     """
@@ -56,7 +54,6 @@ class RigidSolution:
     inverse_depth: np.ndarray
     flow: np.ndarray
     minimiser: HalfQuadratic
-    terms: np.ndarray
     history: list[tuple[int, int, Iteration]]
     converged: bool
 
@@ -146,13 +143,13 @@ def rigid_depth(
                 motions = state.refined(motions, unknowns, noise)
         if level > 0:
             coarse = field.images()
+    state.minimiser.renew(restricted)  # depth was despeckled
     state.displace(motions)
     return RigidSolution(
         motions=motions,
         inverse_depth=field.images()[0],
         flow=field.to_images(state.flow),
         minimiser=state.minimiser,
-        terms=restricted,
         history=history,
         converged=converged,
     )
@@ -189,7 +186,8 @@ def residual_under(
     labels = np.zeros(inverse_depth.shape, np.int32)
     state = _Level(pyramid, 0, field, labels, camera.focal, settings)
     restricted = state.linearise(motion[None])
-    return state.minimiser.residual(restricted), field.to_images(state.flow)
+    state.minimiser.renew(restricted)
+    return state.minimiser.residual(), field.to_images(state.flow)
 
 
 class _Level:

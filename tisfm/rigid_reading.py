@@ -50,7 +50,7 @@ def with_depth(
         for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
     if unseen is not None:
         for_twist[unseen] = for_output[unseen] = 0
-    evidence = solution.minimiser.evidence(solution.terms)
+    evidence = solution.minimiser.evidence()
     factor = for_output[labels]
     deviation = solution.deviation(evidence) * factor
     deviation[factor == 0] = np.inf
@@ -100,6 +100,7 @@ def without_depth(
     )
     flow = rotation_flow(rotation, camera, height, width)
     field.set_images(flow)
+    minimiser.renew(data_term.linearise(field.flow(field.grid.allocate(2))))
     twists = rigid_twist(rotation, translation)[None]
     if twists[0, :3].any():
         twists[0, :3] /= np.linalg.norm(twists[0, :3])
@@ -109,7 +110,7 @@ def without_depth(
         flow=flow,
         inverse_depth=nothing,
         inverse_depth_std=np.full_like(nothing, np.inf),
-        evidence=minimiser.evidence(data_term.linearise(field.flow(field.grid.allocate(2)))),
+        evidence=minimiser.evidence(),
         normalized=settings.normalization is not None,
         freedom=2,
         history=history,
