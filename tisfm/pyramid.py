@@ -166,7 +166,6 @@ class Pyramid:
         alpha: float,
         contrast: float,
         stiffness: Sequence[float],
-        outer_iterations: int | None = None,
     ) -> HalfQuadratic:
         """Return the minimiser of a level's unknown; iterations are those of the settings."""
         settings = self._settings
@@ -174,7 +173,7 @@ class Pyramid:
             field,
             alpha=alpha,
             contrast=contrast,
-            outer_iterations=outer_iterations or settings.outer_iterations,
+            outer_iterations=settings.outer_iterations,
             sweeps=settings.sweeps,
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,

@@ -21,7 +21,7 @@ REFINED = 0.45  # of the finest level's sampling density: coarser levels do not 
 HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
 MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
-WARPS = 2  # linearisations on the finest level for one of the field's; iterations for half of one
+WARPS = 3  # linearisations on the finest level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
 TINY = 1e-12
@@ -238,7 +238,6 @@ class _Level:
             alpha=settings.depth_smoothness,
             contrast=settings.contrast_for(focal),
             stiffness=(1.0,),
-            outer_iterations=-(-settings.outer_iterations // WARPS),
         )
         self.flow, self._direction = grid.allocate(2), grid.allocate(2)
         self._restricted = grid.allocate(6 * len(self._data_term.scales))

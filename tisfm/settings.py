@@ -94,8 +94,9 @@ class Settings:
     warps : int
         Linearisations on the finest level.
     coarse_warps : int
-        Linearisations on each of the others. They cost little there, and what a coarse level gets
-        wrong no finer one mends; untextured parts are small there, and soon filled.
+        Linearisations on each of the others, at most: twice as many as on the next finer one. They
+        cost little there, and what a coarse level gets wrong no finer one mends; untextured parts
+        are small there, and soon filled.
     outer_iterations : int
         Most half-quadratic iterations per warp.
     sweeps : int
@@ -125,7 +126,7 @@ class Settings:
     gradient: float = 1.0
     normalization: float | None = 0.02
     data_contrast: float | None = 0.1
-    depth_smoothness: float = 6.0
+    depth_smoothness: float = 5.0
     depth_brightness: float = 1.0
     depth_normalization: float | None = 0.6
     max_objects: int = 8
@@ -134,12 +135,12 @@ class Settings:
     presmoothing: float = 0.6
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
-    warps: int = 3
-    coarse_warps: int = 6
-    outer_iterations: int = 10
-    sweeps: int = 8
-    relaxation: float = 1.9
-    tolerance: float = 2e-2
+    warps: int = 2
+    coarse_warps: int = 8
+    outer_iterations: int = 2
+    sweeps: int = 6
+    relaxation: float = 1.97
+    tolerance: float = 1e-2
     solver: Solver = "cholesky"
 
     def __post_init__(self) -> None:
@@ -227,7 +228,7 @@ class Settings:
 
     def warps_on(self, level: int) -> int:
         """Return the number of linearisations on a level of the pyramid, 0 the finest."""
-        return self.coarse_warps if level > 0 else self.warps
+        return self.warps if level == 0 else min(self.coarse_warps, self.warps * 2**level)
 
     def contrast_for(self, focal: float) -> float:
         """Return δ, px/frame, for a focal length in px."""
@@ -314,9 +315,10 @@ _PRESETS: dict[str, Settings] = {
         coarse_warps=1,
         outer_iterations=200,
         sweeps=20,
+        relaxation=1.9,
         tolerance=2e-3,
     ),
-    "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
+    "fast": Settings(warps=1, sweeps=4),
     "balanced": Settings(),
-    "accurate": Settings(pyramid_factor=0.7, outer_iterations=15, sweeps=10, tolerance=1e-2),
+    "accurate": Settings(pyramid_factor=0.7, sweeps=8, tolerance=5e-3),
 }
