@@ -170,7 +170,7 @@ class Operations:
     def defeated(self) -> Timed:
         arguments = self._arrivals()
         claims.splat(*arguments)
-        out = np.empty((self.problem.height, self.problem.width), np.uint8)
+        out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
             lambda: claims.defeated(*arguments, out, **UNIQUENESS),
             lambda _: mask_moments(out),

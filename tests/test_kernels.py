@@ -420,7 +420,8 @@ def test_evidence(size, components, lanes, make_problem):
 
 
 @each_size
-def test_claims_and_who_loses_them(size):
+@pytest.mark.parametrize("any_order", [False, True])
+def test_claims_and_who_loses_them(size, any_order):
     from tisfm.kernels.claims import defeated, splat
     from tisfm.kernels.lanes import aligned_zeros
 
@@ -434,10 +435,10 @@ def test_claims_and_who_loses_them(size):
     residual = rng.uniform(0, 5, size).astype(np.float32)
     claims = aligned_zeros((*size, 4))
     claims[...] = 7
-    splat(flow, residual, claims)
+    splat(flow, residual, claims, any_order=any_order)
     close(np.moveaxis(claims, -1, 0), reference.claims(flow, residual))
 
-    out = np.full(size, 9, np.uint8)
+    out = np.full(size, 9, np.int32)
     defeated(flow, residual, claims, out, density=1.2, apart=0.1)
     expected = reference.defeated(flow, residual, density=1.2, apart=0.1)
     np.testing.assert_array_equal(out, expected)
@@ -450,7 +451,7 @@ def test_claims_check_their_arrays():
     from tisfm.kernels.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
-    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.uint8)
+    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
     with pytest.raises(ValueError, match=r"flow is \(2, 6, 5\): expected \(2, 5, 6\)"):
         splat(np.zeros((2, 6, 5), np.float32), residual, claims)
     with pytest.raises(TypeError, match="residual is float64: expected a NumPy array of float32"):
@@ -464,5 +465,5 @@ def test_claims_check_their_arrays():
     ):
         with pytest.raises(ValueError, match="claims must be aligned to 32 bytes"):
             call()
-    with pytest.raises(TypeError, match="out is bool: expected a NumPy array of uint8"):
-        defeated(flow, residual, claims, out.view(bool), density=1.2, apart=0.1)
+    with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
+        defeated(flow, residual, claims, out > 0, density=1.2, apart=0.1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.field import Field
+from tisfm.field import Field, LaneData
 from tisfm.kernels.diffusivity import edge_weights
 from tisfm.kernels.evidence import evidence
 from tisfm.kernels.reductions import change, energy
@@ -84,7 +84,7 @@ class HalfQuadratic:
         self.weights = field.grid.allocate(2 * field.components)
         self._previous = field.grid.allocate(field.components)
 
-    def update_weights(self, terms: np.ndarray) -> None:
+    def update_weights(self, terms: LaneData) -> None:
         """Compute the auxiliary fields of the current ρ̂: b, and the weights of the data."""
         field = self.field
         edge_weights(field.grid, field.rho, field.edges, self.weights, **self._penalty)
@@ -92,7 +92,7 @@ class HalfQuadratic:
             field.grid, terms, field.x_hat, field.y_hat, field.rho, self.tensor, scales=self.scales
         )
 
-    def evidence(self, terms: np.ndarray) -> np.ndarray:
+    def evidence(self, terms: LaneData) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
 
         See `tisfm.kernels.evidence`; the weights become those of the current ρ̂, and the residual
@@ -100,11 +100,11 @@ class HalfQuadratic:
         """
         return self.field.to_images(self._evidence(terms))
 
-    def residual(self, terms: np.ndarray) -> np.ndarray:
+    def residual(self, terms: LaneData) -> np.ndarray:
         """Return the squared residual alone, (H, W) float32."""
-        return self.field.to_images(self._evidence(terms)[3:4])[0]
+        return self.field.to_image(self._evidence(terms), 3)
 
-    def _evidence(self, terms: np.ndarray) -> np.ndarray:
+    def _evidence(self, terms: LaneData) -> LaneData:
         field = self.field
         self.update_weights(terms)
         out = field.grid.allocate(7)
@@ -120,7 +120,7 @@ class HalfQuadratic:
         )
         return out
 
-    def minimise(self, terms: np.ndarray) -> tuple[list[Iteration], bool]:
+    def minimise(self, terms: LaneData) -> tuple[list[Iteration], bool]:
         """Iterate until ρ̂ ceases to evolve, or the limit of iterations.
 
         Parameters
@@ -137,7 +137,7 @@ class HalfQuadratic:
         field = self.field
         grid = field.grid
         iterations: list[Iteration] = []
-        self._previous[...] = field.rho
+        grid.copy(field.rho, self._previous)
         for _ in range(self.outer_iterations):
             self.update_weights(terms)
             sweep(
