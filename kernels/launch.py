@@ -17,7 +17,9 @@ class Kernel:
 
     Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, arrays of
     floats on the device (``ti.ndarray``), numbers, and values known while compiling
-    (``ti.template()``). On a GPU, Taichi copies NumPy arrays there and back at every launch.
+    (``ti.template()``). On a GPU, Taichi copies NumPy arrays there and back at every launch; on
+    Vulkan and Metal, those that are only written are not copied there, and come back with anything
+    where the kernel has left them alone.
 
     Parameters
     ----------

@@ -49,6 +49,29 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
     lanes_to_images(grid, problem.field.rho, stack)
     np.testing.assert_array_equal(stack, problem.rho)
 
+    lanes_to_images(grid, problem.field.rho, stack[:2], component=3)
+    np.testing.assert_array_equal(stack[:2], problem.rho[3:5])
+    with pytest.raises(ValueError, match="component is 5: array has 6, and out takes 2"):
+        lanes_to_images(grid, problem.field.rho, stack[:2], component=5)
+
+
+@each_size
+@each_lanes
+def test_multiply(size, lanes, make_problem):
+    from tisfm.kernels.images import multiply
+
+    problem = make_problem(*size, 6, lanes)
+    grid, rho = problem.grid, problem.field.rho
+    factor = problem.to_lanes(np.random.default_rng(1).normal(size=(6, *size)))
+    expected = rho * factor
+    multiply(grid, factor, rho)
+    np.testing.assert_array_equal(rho, expected)
+    expected = rho * factor[:1]
+    multiply(grid, factor[:1], rho)
+    np.testing.assert_array_equal(rho, expected)
+    with pytest.raises(ValueError, match="factor has 2 components: expected 1 or 6"):
+        multiply(grid, grid.allocate(2), rho)
+
 
 @each_size
 @each_lanes
