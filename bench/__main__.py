@@ -16,6 +16,7 @@ from rich.console import Console
 
 from bench.bars import LANES, SELECTION, SIZE, THREADS, bars
 from bench.report import collect, show, write_markdown
+from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
 ROOT = Path(__file__).parents[1]
@@ -56,6 +57,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--smoke", action="store_true", help="a small size, in less than a minute")
     kind.add_argument("--bars", action="store_true", help="only what the bars need; must meet them")
+    parser.add_argument("--arch", choices=ARCHS, default="cpu", help="where kernels run")
     parser.add_argument("--sizes", nargs="+", metavar="HxW")
     parser.add_argument("--threads", nargs="+", type=int, metavar="N")
     parser.add_argument("--only", metavar="KEYWORD", help="as pytest -k; memory for memory")
@@ -66,6 +68,12 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
         if getattr(options, name, None) is None:
             setattr(options, name, value)
+    if options.arch != "cpu":  # one lane there; memory, bars and contests are those of the CPU
+        if options.bars:
+            parser.error("the bars are those of the CPU: leave --arch or --bars out")
+        options.lanes, options.memory, options.contests = "1", False, False
+        options.threads = [max(options.threads)]
+        options.output = f"{options.output}-{options.arch}"
     return options
 
 
@@ -76,7 +84,7 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> b
     command += ["-W", "ignore::DeprecationWarning:taichi._lib.utils"]
     command += ["-p", "no:cacheprovider", "--benchmark-quiet", f"--benchmark-json={report}"]
     command += [f"--threads={threads}", f"--lanes={options.lanes}", f"--seconds={options.seconds}"]
-    command += [f"--sizes={','.join(options.sizes)}"]
+    command += [f"--sizes={','.join(options.sizes)}", f"--arch={options.arch}"]
     if options.full_reference:
         command.append("--full-reference")
     if options.only:

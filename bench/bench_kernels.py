@@ -11,7 +11,7 @@ from bench.operations import Operations
 from bench.problems import ALPHA, RELAXATION, Problem
 from bench.references import References
 from bench.traffic import TRAFFIC
-from tisfm import reference
+from tisfm import reference, runtime
 
 MODELS = {6: "rigid", 3: "translation"}
 SOLVERS = ("cholesky", "closed_form")
@@ -103,7 +103,8 @@ def bench_numpy(problem, case, measure):
 @pytest.mark.parametrize("case", CASES, ids=str)
 def bench_taichi(problem, case, lanes, measure):
     components = case.components or 6
-    operations = Operations(problem, lanes, components, case.scheme or case.solver)
+    option, on_device = case.scheme or case.solver, runtime.on_gpu()
+    operations = Operations(problem, lanes, components, option, on_device=on_device)
     run, read = getattr(operations, case.kernel)()
     reference_case = case.without_solver()
     if reference_case not in problem.expected:

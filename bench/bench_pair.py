@@ -13,7 +13,8 @@ import taichi as ti
 
 from bench.agreement import check_quantile
 from bench.problems import Problem, problem_at
-from tisfm import pyramid, reference
+from tisfm import pyramid, reference, runtime
+from tisfm.kernels.lanes import LaneGrid
 from tisfm.settings import Settings
 
 REFERENCE_SIZE = (240, 320)  # the reference takes minutes beyond
@@ -111,7 +112,10 @@ def bench_pair_numpy(problem, preset, model, measure, full_reference):
 @each_model
 @each_solver
 def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatch):
-    monkeypatch.setattr(pyramid, "lanes", lambda: lanes)
+    on_device = runtime.on_gpu()
+    monkeypatch.setattr(
+        pyramid, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
+    )
     pair = PAIRS[preset]
     settings = replace(pair.settings, model=model, solver=solver)
     known = ("pair", preset, model) in problem.expected

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from tisfm.kernels.lanes import LaneArray, aligned_zeros, lane_kernel
+from tisfm import runtime
+from tisfm.kernels.lanes import LaneArray, aligned_zeros, lane_kernel, on_host
 
 LENGTH = 2**26  # float32, 256 MiB an array: beyond the caches
-LANES = 8
 
 
 @lane_kernel
@@ -24,21 +24,25 @@ def _triad(a: LaneArray(1), b: LaneArray(1), out: LaneArray(1)):
 
 @pytest.fixture(scope="module")
 def arrays():
-    a, b, out = (aligned_zeros((LENGTH // LANES, LANES)) for _ in range(3))
-    a[...] = np.arange(LANES)
+    lanes, grid = runtime.lanes(), runtime.lane_grid(1, 1)
+    a, b, out = (aligned_zeros((LENGTH // lanes, lanes)) for _ in range(3))
+    a[...] = np.arange(lanes) + 1
     b[...] = 1
-    return a, b, out
+    shape = (LENGTH,) if lanes == 1 else a.shape
+    return tuple(grid.place(array.reshape(shape)) for array in (a, b, out))
 
 
 STREAMS = {
-    "copy": (2, lambda a, b, out: _copy[LANES](a, out)),
-    "triad": (3, lambda a, b, out: _triad[LANES](a, b, out)),
+    "copy": (2, lambda a, b, out: _copy[runtime.lanes()](a, out)),
+    "triad": (3, lambda a, b, out: _triad[runtime.lanes()](a, b, out)),
     "NumPy copy": (2, lambda a, b, out: np.copyto(out, a)),
 }
 
 
 @pytest.mark.parametrize("name", STREAMS)
 def bench_stream(name, arrays, measure):
+    if name == "NumPy copy" and runtime.on_gpu():
+        pytest.skip("NumPy reaches no memory of a GPU")
     words, move = STREAMS[name]
 
     def call():
@@ -46,6 +50,6 @@ def bench_stream(name, arrays, measure):
         ti.sync()
 
     call()
-    a, b, out = arrays
+    a, b, out = map(on_host, arrays)
     assert np.array_equal(out, a + 3 * b if name == "triad" else a)
     measure(call, implementation="stream", kernel=name, bytes=4 * words * LENGTH)

@@ -1,5 +1,6 @@
 """Options and fixtures of the benchmarks; `python -m bench` sets the options."""
 
+import subprocess
 import time
 
 import cv2
@@ -14,6 +15,7 @@ SLOW = 2.0  # s, of a call that is timed once
 
 def pytest_addoption(parser):
     group = parser.getgroup("tisfm")
+    group.addoption("--arch", default="cpu", help="where kernels run")
     group.addoption("--threads", type=int, default=2, help="threads of Taichi in this process")
     group.addoption("--sizes", default="240x320", help="sizes, HxW, separated by commas")
     group.addoption("--lanes", default="8", help="lane counts, separated by commas")
@@ -24,7 +26,7 @@ def pytest_addoption(parser):
 def pytest_sessionstart(session):
     """Taichi and OpenCV take their threads once per process."""
     threads = session.config.getoption("threads")
-    runtime.start(threads=threads)
+    runtime.start(session.config.getoption("arch"), threads=threads)
     cv2.setNumThreads(threads)
 
 
@@ -44,6 +46,18 @@ def pytest_benchmark_update_machine_info(config, machine_info):
     machine_info["numpy"] = np.__version__
     machine_info["taichi"] = ".".join(map(str, taichi.__version__))
     machine_info["threads"] = config.getoption("threads")
+    machine_info["arch"] = config.getoption("arch")
+    machine_info["gpu"] = nvidia_gpu() if machine_info["arch"] == "cuda" else None
+
+
+def nvidia_gpu() -> str | None:
+    """Return the name of the GPU, where NVIDIA's tool is there to ask."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return (lines.splitlines() or [None])[0]
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from bench.problems import (
     Problem,
 )
 from bench.references import mask_moments
-from tisfm.field import Field
+from tisfm.field import Field, LaneData
 from tisfm.interpolation import spline_coefficients
 from tisfm.kernels import (
     claims,
@@ -32,7 +32,7 @@ from tisfm.kernels import (
     transfer,
     warp,
 )
-from tisfm.kernels.lanes import LaneGrid, aligned_zeros
+from tisfm.kernels.lanes import LaneGrid, aligned_zeros, on_host
 
 Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
 
@@ -41,14 +41,23 @@ class Operations:
     """One method per kernel, which returns the call to be timed and a reader of its answer.
 
     The reader takes what the call returned and gives images, (k, H, W), or sums, (k, 1). Calls
-    that work in place go on from where the last one ended, as they do in the solver.
+    that work in place go on from where the last one ended, as they do in the solver. On a device,
+    lane arrays are there before the call, and stay.
     """
 
-    def __init__(self, problem: Problem, lanes: int, components: int, option: str) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        lanes: int,
+        components: int,
+        option: str,
+        *,
+        on_device: bool = False,
+    ) -> None:
         self.problem, self.n, self.option = problem, components, option
-        self.grid = LaneGrid(problem.height, problem.width, lanes)
+        self.grid = LaneGrid(problem.height, problem.width, lanes, on_device=on_device)
         self.field = Field(self.grid, problem.camera, components)
-        self.field.rho[...] = self.lay(problem.rho[:components])
+        self.field.rho = self.lay(problem.rho[:components])
 
     def image_to_lanes(self) -> Timed:
         image = self.problem.frames[0].astype(np.float32)
@@ -81,22 +90,27 @@ class Operations:
         )
 
     def warp(self) -> Timed:
-        image = self.problem.frames[1].astype(np.float32)
-        spline = spline_coefficients(image)
-        motion, out, mask = self.lay(self.problem.flow), np.empty_like(image), self.grid.allocate(1)
+        frame = self.problem.frames[1].astype(np.float32)
+        image, spline, out = map(
+            self.grid.place, (frame, spline_coefficients(frame), np.empty_like(frame))
+        )
+        motion, mask = self.lay(self.problem.flow), self.grid.allocate(1)
         return (
             lambda: warp.warp(self.grid, image, spline, motion, out, mask),
-            lambda _: np.stack([out, self.read(mask)[0]]),
+            lambda _: np.stack([on_host(out), self.read(mask)[0]]),
         )
 
     def constancy_tensors(self) -> Timed:
         p = self.problem
         halo = derivatives.DERIVATIVE_HALO
-        gradients = self.grid.allocate(3, halo=halo)
+        gradients = aligned_zeros(self.grid.shape(3, halo))
         for component, image in enumerate(p.gradients):
             padded = np.ascontiguousarray(image, np.float32)
             gradients[component] = self.lay_with_border(padded, halo)
-        inputs = [gradients, *(self.lay(array) for array in (p.flow, p.mask[None]))]
+        inputs = [
+            self.grid.place(gradients),
+            *(self.lay(array) for array in (p.flow, p.mask[None])),
+        ]
         out = self.grid.allocate(12)
         return (
             lambda: motion_tensor.constancy_tensors(self.grid, *inputs, out, **CONSTRAINTS),
@@ -165,12 +179,16 @@ class Operations:
 
     def splat(self) -> Timed:
         arguments = self._arrivals()
-        return lambda: claims.splat(*arguments), lambda _: np.moveaxis(arguments[-1], -1, 0)
+        options = {"any_order": self.grid.on_device}
+        return (
+            lambda: claims.splat(*arguments, **options),
+            lambda _: np.moveaxis(arguments[-1], -1, 0),
+        )
 
     def defeated(self) -> Timed:
         arguments = self._arrivals()
         claims.splat(*arguments)
-        out = np.empty((self.problem.height, self.problem.width), np.uint8)
+        out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
             lambda: claims.defeated(*arguments, out, **UNIQUENESS),
             lambda _: mask_moments(out),
@@ -181,20 +199,20 @@ class Operations:
         flow_images, residual = (array.astype(np.float32) for array in (p.flow, p.residual))
         return flow_images, residual, aligned_zeros((p.height, p.width, 4))
 
-    def _system(self) -> tuple[np.ndarray, np.ndarray]:
+    def _system(self) -> tuple[LaneData, LaneData]:
         return self.lay(self.problem.tensor), self.lay(self.problem.weights(self.n))
 
-    def lay(self, stack: np.ndarray) -> np.ndarray:
+    def lay(self, stack: np.ndarray) -> LaneData:
         """Lay (k, H, W) into a new lane array, halo columns included, without a kernel."""
         grid = self.grid
-        out = grid.allocate(len(stack))
+        out = aligned_zeros(grid.shape(len(stack)))
         array = out if grid.lanes > 1 else out[..., None]
         padded = np.pad(stack, ((0, 0), (0, 0), (0, grid.lanes * grid.strip - grid.width)))
         strips = padded.reshape(len(stack), grid.height, grid.lanes, grid.strip)
         array[:, 1:-1, 1:-1] = np.swapaxes(strips, 2, 3)
         array[:, 1:-1, 0, 1:] = array[:, 1:-1, -2, :-1]
         array[:, 1:-1, -1, :-1] = array[:, 1:-1, 1, 1:]
-        return out
+        return grid.place(out)
 
     def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
         """Lay (H + 2·halo, W + 2·halo) into one component of a lane array, border included."""
@@ -203,12 +221,13 @@ class Operations:
         table = image[:, np.minimum(columns, image.shape[1] - 1)]
         return table if grid.lanes > 1 else table[..., 0]
 
-    def read(self, array: np.ndarray, halo: int = 0) -> np.ndarray:
+    def read(self, array: LaneData, halo: int = 0) -> np.ndarray:
         """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border."""
         grid = self.grid
         around = halo or 1
         x = np.arange(-halo, grid.width + halo)
         lane = np.clip(x // grid.strip, 0, grid.lanes - 1)
+        array = on_host(array)
         rows = array if halo else array[:, 1:-1]
         return (rows if grid.lanes > 1 else rows[..., None])[
             :, :, x - lane * grid.strip + around, lane

@@ -174,6 +174,8 @@ def describe(results: Results) -> list[str]:
             f"{machine['system']}; Python {machine['python_version']}, "
             f"NumPy {machine['numpy']}, Taichi {machine['taichi']}"
         )
+        if (arch := machine.get("arch", "cpu")) != "cpu":
+            lines.append(f"Kernels on {arch}: {machine.get('gpu') or 'a GPU without a name'}")
     for threads in sorted({count for count, _ in results.streams}):
         names = {n: v for (count, n), v in results.streams.items() if count == threads}
         lines.append(

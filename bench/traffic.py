@@ -42,5 +42,5 @@ TRAFFIC = {
     "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
     "evidence": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | claims
-    "defeated": Traffic(read=(7, 0), written=(0.25, 0)),  # u, v, residual, claims | a byte
+    "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, claims | out
 }

@@ -1,12 +1,13 @@
 """Which pixels of frame 0 go to the same place of frame 1, and which of them is not seen there."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.lanes import check_array
 from tisfm.kernels.launch import Kernel
 
 
-def splat(flow, residual, claims) -> None:
+def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     """Add every pixel, bilinearly, to the four pixels of frame 1 around the place it goes to.
 
     Parameters
@@ -17,13 +18,16 @@ def splat(flow, residual, claims) -> None:
     claims : (H, W, 4) float32
         Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
         A pixel whose flow leaves the image adds nothing. Allocated by `aligned_zeros`.
+    any_order : bool
+        Whether to add up in parallel, as a GPU must: in an order, and with roundings, that differ
+        from run to run.
 
     Notes
     -----
     Flow and residual must be finite: under fast arithmetic, comparisons with NaN prove nothing.
     """
     _check(flow, residual, claims)
-    _splat(flow, residual, claims)
+    (_splat_in_any_order if any_order else _splat)(flow, residual, claims)
 
 
 def defeated(flow, residual, claims, out, *, density: float, apart: float) -> None:
@@ -36,7 +40,7 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
     residual : (H, W) float32
     claims : (H, W, 4) float32
         Of `splat`.
-    out : (H, W) uint8
+    out : (H, W) int32
         1 where more than `density` pixels go to the pixel's place, their mean flow is more than
         `apart` from the pixel's, and their mean residual is less than the pixel's; else 0. The
         means include the pixel itself.
@@ -47,7 +51,7 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
         one moves by 2·apart relative to the other.
     """
     _check(flow, residual, claims)
-    check_array(out, residual.shape, "out", dtype="uint8", aligned=False)
+    check_array(out, residual.shape, "out", dtype=np.int32, aligned=False)
     _defeated(flow, residual, claims, density, apart, out)
 
 
@@ -72,21 +76,54 @@ def _splat(
     # One thread: sums whose order, and so whose bits, are always the same.
     ti.loop_config(serialize=True)
     for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
-        u, v = flow[0, y, x], flow[1, y, x]
-        target_x, target_y = x + u, y + v
-        if _is_inside(target_x, target_y, residual):
-            column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
-            across, down = target_x - column, target_y - row
-            # The last row and column have no neighbour beyond them, nor any weight for it.
-            below = ti.min(row + 1, residual.shape[0] - 1)
-            right = ti.min(column + 1, residual.shape[1] - 1)
-            claim = _Claims(1.0, residual[y, x], u, v)
-            upper, lower = (1.0 - down) * claim, down * claim
-            # Not +=, which Taichi makes an atomic addition: several times the time.
-            claims[row, column] = claims[row, column] + (1.0 - across) * upper
-            claims[row, right] = claims[row, right] + across * upper
-            claims[below, column] = claims[below, column] + (1.0 - across) * lower
-            claims[below, right] = claims[below, right] + across * lower
+        _claim(flow, residual, claims, y, x, False)
+
+
+@Kernel
+def _splat_in_any_order(
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(claims.shape[0], claims.shape[1]):
+        claims[y, x] = _Claims(0.0)
+    for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
+        _claim(flow, residual, claims, y, x, True)
+
+
+@ti.func
+def _claim(
+    flow: ti.template(),
+    residual: ti.template(),
+    claims: ti.template(),
+    y,
+    x,
+    atomic: ti.template(),
+):
+    """Add one pixel to the four around the place it goes to."""
+    u, v = flow[0, y, x], flow[1, y, x]
+    target_x, target_y = x + u, y + v
+    if _is_inside(target_x, target_y, residual):
+        column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
+        across, down = target_x - column, target_y - row
+        # The last row and column have no neighbour beyond them, nor any weight for it.
+        below = ti.min(row + 1, residual.shape[0] - 1)
+        right = ti.min(column + 1, residual.shape[1] - 1)
+        claim = _Claims(1.0, residual[y, x], u, v)
+        upper, lower = (1.0 - down) * claim, down * claim
+        _add(claims, row, column, (1.0 - across) * upper, atomic)
+        _add(claims, row, right, across * upper, atomic)
+        _add(claims, below, column, (1.0 - across) * lower, atomic)
+        _add(claims, below, right, across * lower, atomic)
+
+
+@ti.func
+def _add(claims: ti.template(), row, column, value, atomic: ti.template()):
+    if ti.static(atomic):
+        for k in ti.static(range(4)):
+            ti.atomic_add(claims[row, column][k], value[k])
+    else:  # several times faster
+        claims[row, column] = claims[row, column] + value
 
 
 @Kernel
@@ -96,7 +133,7 @@ def _defeated(
     claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
     density: ti.f32,
     apart: ti.f32,
-    out: ti.types.ndarray(dtype=ti.u8, ndim=2),  # (H, W)
+    out: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
 ):
     for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
         u, v = flow[0, y, x], flow[1, y, x]
@@ -114,7 +151,7 @@ def _defeated(
             worse = residual[y, x] * total[0] > total[1]
             if total[0] > density and du * du + dv * dv > apart * apart and worse:
                 loses = 1
-        out[y, x] = ti.cast(loses, ti.u8)
+        out[y, x] = loses
 
 
 @ti.func

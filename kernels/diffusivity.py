@@ -3,7 +3,7 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_kernel, refresh_halo
+from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel, refresh_halo
 
 
 def edge_weights(
@@ -85,5 +85,6 @@ def _edge_weights(
                 out[k, y, s] = stiffness[k] * open_east / east
                 out[n + k, y, s] = stiffness[k] * open_south / south
     # The western weight of a strip's first column is the eastern one of its neighbour's last.
-    for k, row in ti.ndrange(n, height):
-        refresh_halo(out, k, row + 1)
+    if ti.static(lane_count(out) > 1):
+        for k, row in ti.ndrange(n, height):
+            refresh_halo(out, k, row + 1)

@@ -47,23 +47,30 @@ def _image_to_lanes(
             store_lane(out, component, row, position, lane, image[y, x])
 
 
-def lanes_to_images(grid: LaneGrid, array, out) -> None:
-    """Copy a lane array into a stack of images.
+def lanes_to_images(grid: LaneGrid, array, out, *, component: int = 0) -> None:
+    """Copy components of a lane array into a stack of images.
 
     Parameters
     ----------
     grid : LaneGrid
-    array : lane array, k components
+    array : lane array
     out : (k, H, W) float32
+    component : int
+        The first of k.
     """
-    grid.check(array, out.shape[0], "array")
+    grid.check(array, array.shape[0], "array")
     grid.check_image(out, "out", components=out.shape[0])
-    _lanes_to_images[grid.lanes](array, out)
+    if not 0 <= component <= array.shape[0] - out.shape[0]:
+        raise ValueError(
+            f"component is {component}: array has {array.shape[0]}, and out takes {out.shape[0]}"
+        )
+    _lanes_to_images[grid.lanes](array, component, out)
 
 
 @lane_kernel
 def _lanes_to_images(
-    array: LaneArray(3),  # (k, H+2, S+2)
+    array: LaneArray(3),  # (component + k or more, H+2, S+2)
+    component: ti.i32,
     out: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (k, H, W)
 ):
     strip = array.shape[2] - 2
@@ -71,4 +78,32 @@ def _lanes_to_images(
     for k, y in ti.ndrange(out.shape[0], out.shape[1]):
         for lane in ti.static(range(lanes)):
             for s in range(ti.min(strip, out.shape[2] - lane * strip)):
-                out[k, y, lane * strip + s] = lane_of(array[k, y + 1, s + 1], lane, lanes)
+                out[k, y, lane * strip + s] = lane_of(
+                    array[component + k, y + 1, s + 1], lane, lanes
+                )
+
+
+def multiply(grid: LaneGrid, factor, out) -> None:
+    """Multiply a lane array in place, by a factor for each component or one for all.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    factor : lane array, 1 component or as many as `out`
+    out : lane array
+    """
+    grid.check(out, out.shape[0], "out")
+    grid.check(factor, factor.shape[0], "factor")
+    if factor.shape[0] not in (1, out.shape[0]):
+        raise ValueError(f"factor has {factor.shape[0]} components: expected 1 or {out.shape[0]}")
+    _multiply[grid.lanes](factor, out)
+
+
+@lane_kernel
+def _multiply(
+    factor: LaneArray(3),  # (1 or k, H+2, S+2)
+    out: LaneArray(3),  # (k, H+2, S+2), in place
+):
+    for k, y, s in ti.ndrange(out.shape[0], out.shape[1], out.shape[2]):
+        own = ti.min(k, factor.shape[0] - 1)
+        out[k, y, s] = out[k, y, s] * factor[own, y, s]

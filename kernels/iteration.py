@@ -6,8 +6,23 @@ import numpy as np
 import taichi as ti
 
 from tisfm.kernels.diffusivity import stiffness_table
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel, refresh_halo
-from tisfm.kernels.reductions import BLOCK, TINY, aubert, penalty, store_sum
+from tisfm.kernels.lanes import (
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    lane_count,
+    lane_kernel,
+    refresh_halo,
+)
+from tisfm.kernels.reductions import (
+    BLOCK,
+    TINY,
+    add_blocks,
+    aubert,
+    block_sums,
+    penalty,
+    store_sum,
+)
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.robust import check_terms, finite_scales, quadratic
 
@@ -89,7 +104,7 @@ def advance(
     grid.check(previous, components, "previous")
     if not contrast > 0:
         raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")
-    partial = np.empty((grid.height, -(-grid.strip // BLOCK), 6))
+    partial = block_sums(grid, 6)
     _advance[grid.lanes](
         terms,
         edges,
@@ -109,7 +124,7 @@ def advance(
         previous,
         partial,
     )
-    data, half_data, smooth, half_smooth, moved, size = partial.sum(axis=1).sum(axis=0)
+    data, half_data, smooth, half_smooth, moved, size = add_blocks(partial)
     return Sums(
         energy=float(data + alpha * smooth),
         half_quadratic=float(half_data + alpha * half_smooth),
@@ -138,7 +153,7 @@ def _advance(
     weights: LaneArray(3),  # (2n, H+2, S+2), in place
     tensor: LaneArray(3),  # (6, H+2, S+2), in place
     previous: LaneArray(3),  # (n, H+2, S+2), in place
-    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 6)
+    partial: SumArray(3),  # (H, blocks, 6)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
     blocks = partial.shape[1]

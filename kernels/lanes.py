@@ -9,6 +9,9 @@ in every lane at once (the strip is even).
 The halo columns repeat the border columns of the neighbouring strips; rows and columns outside
 the image are zero unless a function says otherwise. Columns between the image's width and
 ``lanes * strip`` are padding: no data and no edge to the image, so the unknowns there stay zero.
+
+On a GPU there is one lane, and the arrays of a grid stay on the device (``ti.ndarray``): `place`
+and `on_host` take them there and back.
 """
 
 import types
@@ -29,28 +32,39 @@ class LaneArray:
     ndim: int
 
 
+@dataclass(frozen=True)
+class SumArray:
+    """Annotation of a kernel argument that holds sums, float64; or, for one lane, float32.
+
+    A block of one lane is summed in float32 anyway, and not every GPU has float64.
+    """
+
+    ndim: int
+
+
 def lane_kernel(function):
     """Make a Taichi kernel for each lane count out of one function.
 
-    Arguments annotated with `LaneArray` become arrays of 8-lane vectors or of plain floats; the
-    kernel for n lanes is ``result[n]``.
+    Arguments annotated with `LaneArray` become arrays of 8-lane vectors or of plain floats, those
+    with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
     """
 
-    def typed(element):
+    def typed(element, sums):
+        elements = {LaneArray: element, SumArray: sums}
         copy = types.FunctionType(
             function.__code__, function.__globals__, function.__name__, function.__defaults__
         )
         copy.__qualname__, copy.__module__ = function.__qualname__, function.__module__
         copy.__doc__ = function.__doc__
         copy.__annotations__ = {
-            name: ti.types.ndarray(dtype=element, ndim=kind.ndim)
-            if isinstance(kind, LaneArray)
+            name: ti.types.ndarray(dtype=elements[type(kind)], ndim=kind.ndim)
+            if type(kind) in elements
             else kind
             for name, kind in function.__annotations__.items()
         }
         return Kernel(copy)
 
-    return {1: typed(ti.f32), 8: typed(ti.types.vector(8, ti.f32))}
+    return {1: typed(ti.f32, ti.f32), 8: typed(ti.types.vector(8, ti.f32), ti.f64)}
 
 
 def lane_count(array) -> int:
@@ -103,17 +117,22 @@ class LaneGrid:
         Size of the image, px.
     lanes : {8, 1}
         Strips side by side: 8 for SIMD on a CPU, 1 for plain floats.
+    on_device : bool
+        Whether its arrays stay on the device, for a single lane.
     """
 
     height: int
     width: int
     lanes: int = 8
+    on_device: bool = False
 
     def __post_init__(self):
         if self.height < 1 or self.width < 1:
             raise ValueError(f"a grid of {self.height} × {self.width} pixels has no pixel")
         if self.lanes not in (1, 8):
             raise ValueError(f"lanes is {self.lanes}: expected 1 or 8")
+        if self.on_device and self.lanes != 1:
+            raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
 
     @property
     def strip(self) -> int:
@@ -125,12 +144,28 @@ class LaneGrid:
         """Return the shape of a lane array of this grid."""
         return (components, self.height + 2 * halo, *self._strip_shape(halo))
 
-    def allocate(self, components: int, halo: int = 1) -> np.ndarray:
+    def allocate(self, components: int, halo: int = 1):
         """Return a lane array of zeros, aligned for vector loads."""
-        return aligned_zeros(self.shape(components, halo))
+        shape = self.shape(components, halo)
+        return ti.ndarray(ti.f32, shape) if self.on_device else aligned_zeros(shape)
+
+    def place(self, array: np.ndarray):
+        """Return a float32 array where the kernels of this grid want it: itself, or a copy."""
+        if not self.on_device:
+            return array
+        copy = ti.ndarray(ti.f32, array.shape)
+        copy.from_numpy(np.ascontiguousarray(array))
+        return copy
+
+    def copy(self, source, out) -> None:
+        """Copy an array that this grid has allocated to another."""
+        if self.on_device:
+            out.copy_from(source)
+        else:
+            out[...] = source
 
     def columns(self, values: np.ndarray, halo: int = 1) -> np.ndarray:
-        """Lay a function of the column into lanes.
+        """Lay a function of the column into lanes; not placed.
 
         Parameters
         ----------
@@ -151,31 +186,31 @@ class LaneGrid:
         return np.arange(self.lanes * self.strip, dtype=np.float64)
 
     def inside(self) -> np.ndarray:
-        """Return a lane array (1 component) that is 1 on pixels of the image, else 0."""
-        mask = self.allocate(1)
+        """Return 1 on pixels of the image, else 0, as a lane array of 1 component; not placed."""
+        mask = aligned_zeros(self.shape(1))
         mask[0, 1:-1] = self.columns(self.column_index() < self.width)
         return mask
 
-    def open_edges(self) -> np.ndarray:
+    def open_edges(self):
         """Return a lane array that is 1 where a pixel has an eastern, a southern neighbour."""
-        edges = self.allocate(2)
+        edges = aligned_zeros(self.shape(2))
         edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
         edges[1, 1:-2] = self.columns(self.column_index() < self.width)
-        return edges
+        return self.place(edges)
 
-    def check(self, array: np.ndarray, components: int, name: str, halo: int = 1) -> None:
+    def check(self, array, components: int, name: str, halo: int = 1) -> None:
         """Raise unless `array` is a lane array of this grid that a kernel may write to."""
         check_array(array, self.shape(components, halo), name)
 
-    def check_columns(self, table: np.ndarray, name: str, halo: int = 1) -> None:
+    def check_columns(self, table, name: str, halo: int = 1) -> None:
         """Raise unless `table` is a column table of this grid."""
         check_array(table, self._strip_shape(halo), name)
 
-    def check_rows(self, table: np.ndarray, name: str) -> None:
+    def check_rows(self, table, name: str) -> None:
         """Raise unless `table` has one float32 per row, halo included."""
         check_array(table, (self.height + 2,), name)
 
-    def check_image(self, image: np.ndarray, name: str, components: int | None = None) -> None:
+    def check_image(self, image, name: str, components: int | None = None) -> None:
         """Raise unless `image` is a float32 image of this grid, or a stack of `components`."""
         size = (self.height, self.width)
         check_array(image, size if components is None else (components, *size), name, aligned=False)
@@ -193,10 +228,17 @@ def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
     return buffer[start : start + count * 4].view(np.float32).reshape(shape)
 
 
+def on_host(array) -> np.ndarray:
+    """Return an array that a grid has allocated or placed as NumPy's: itself, or a copy."""
+    return array if isinstance(array, np.ndarray) else array.to_numpy()
+
+
 def check_array(
-    array: np.ndarray, shape: tuple[int, ...], name: str, dtype=np.float32, aligned: bool = True
+    array, shape: tuple[int, ...], name: str, dtype=np.float32, aligned: bool = True
 ) -> None:
     """Raise unless `array` can be handed to a kernel.
+
+    An array of floats on the device need have the shape alone.
 
     Raises
     ------
@@ -205,6 +247,10 @@ def check_array(
     ValueError
         If its shape differs, or it is not C-contiguous, writable and (if asked) aligned.
     """
+    if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
+        if array.shape != tuple(shape):
+            raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
+        return
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         kind = getattr(array, "dtype", type(array).__name__)
         raise TypeError(f"{name} is {kind}: expected a NumPy array of {np.dtype(dtype).name}")

@@ -6,6 +6,7 @@ What its look can find, the wrappers of kernels have checked already.
 
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
@@ -14,8 +15,11 @@ FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
 class Kernel:
     """A Taichi kernel, called like one.
 
-    Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, numbers,
-    and values known while compiling (``ti.template()``).
+    Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, arrays of
+    floats on the device (``ti.ndarray``), numbers, and values known while compiling
+    (``ti.template()``). On a GPU, Taichi copies NumPy arrays there and back at every launch; on
+    Vulkan and Metal, those that are only written are not copied there, and come back with anything
+    where the kernel has left them alone.
 
     Parameters
     ----------
@@ -61,10 +65,13 @@ class Kernel:
         context = kernel.make_launch_context()
         for index, slot, axes in self._arrays:
             array = arguments[index]
-            address = array.__array_interface__["data"][0]
-            context.set_arg_external_array_with_shape(
-                (slot,), address, array.nbytes, array.shape[:axes], 0
-            )
+            if isinstance(array, np.ndarray):
+                address = array.__array_interface__["data"][0]
+                context.set_arg_external_array_with_shape(
+                    (slot,), address, array.nbytes, array.shape[:axes], 0
+                )
+            else:
+                context.set_arg_ndarray((slot,), array.arr)
         for index, slot in self._floats:
             context.set_arg_float((slot,), float(arguments[index]))
         for index, slot in self._integers:

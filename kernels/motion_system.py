@@ -4,8 +4,8 @@ import numpy as np
 import taichi as ti
 
 from tisfm.kernels.epipolar import NEAREST, check_geometry
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel
-from tisfm.kernels.reductions import BLOCK, store_sum
+from tisfm.kernels.lanes import LaneArray, LaneGrid, SumArray, lane_count, lane_kernel
+from tisfm.kernels.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.robust import finite_scales, quadratic
 from tisfm.kernels.small_spd import bind
 
@@ -72,7 +72,7 @@ def motion_system(
     check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions)
     grid.check(terms, 6 * count, "terms")
     grid.check(weights, 2, "weights")
-    partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 27))
+    partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
         terms,
         inverse_depth,
@@ -91,7 +91,7 @@ def motion_system(
         count,
         partial,
     )
-    sums = partial.sum(axis=1).sum(axis=0)
+    sums = add_blocks(partial)
     matrix = np.zeros((6, 6))
     matrix[np.triu_indices(6)] = sums[:21]
     return matrix + np.triu(matrix, 1).T, sums[21:]
@@ -115,7 +115,7 @@ def _motion_system(
     alpha: ti.f32,
     inverse_tolerated: ti.f32,
     count: ti.template(),
-    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 27)
+    partial: SumArray(3),  # (H, blocks, 27)
 ):
     height, strip = flow.shape[1] - 2, flow.shape[2] - 2
     blocks = partial.shape[1]

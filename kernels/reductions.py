@@ -8,11 +8,29 @@ import numpy as np
 import taichi as ti
 
 from tisfm.kernels.diffusivity import stiffness_table
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel, lane_of
+from tisfm.kernels.lanes import (
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    lane_count,
+    lane_kernel,
+    lane_of,
+)
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 
 BLOCK = 16
 TINY = 1e-20
+
+
+def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
+    """Return zeros for the sums of every block, as a kernel takes them: (H, blocks, terms)."""
+    shape = (grid.height, -(-grid.strip // BLOCK), terms)
+    return np.zeros(shape, np.float32 if grid.lanes == 1 else np.float64)
+
+
+def add_blocks(partial: np.ndarray) -> np.ndarray:
+    """Return the sums over the image, (terms,) float64."""
+    return partial.sum(axis=1, dtype=np.float64).sum(axis=0)
 
 
 def energy(
@@ -67,8 +85,7 @@ def energy(
     grid.check(edges, 2, "edges")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
-    blocks = -(-grid.strip // BLOCK)
-    partial = np.zeros((grid.height, blocks, 3))
+    partial = block_sums(grid, 3)
     # With δ infinite, b is 1 and its penalty vanishes.
     squared = contrast * contrast if np.isfinite(contrast) else 0.0
     _energy[grid.lanes](
@@ -85,7 +102,7 @@ def energy(
         joint,
         partial,
     )
-    data, smoothness, half_quadratic = partial.sum(axis=1).sum(axis=0)
+    data, smoothness, half_quadratic = add_blocks(partial)
     return float(data), float(alpha * smoothness), float(alpha * half_quadratic)
 
 
@@ -102,7 +119,7 @@ def _energy(
     squared_contrast: ti.f32,
     n: ti.template(),
     joint: ti.template(),
-    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 3)
+    partial: SumArray(3),  # (H, blocks, 3)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
     blocks = partial.shape[1]
@@ -154,10 +171,13 @@ def penalty(b, squared_contrast):
 @ti.func
 def store_sum(partial: ti.template(), row, block, term: ti.template(), value, lanes: ti.template()):
     """Write the sum of a value's lanes to an element of `partial`."""
-    total = ti.cast(0.0, ti.f64)
-    for lane in ti.static(range(lanes)):
-        total += ti.cast(lane_of(value, lane, lanes), ti.f64)
-    partial[row, block, term] = total
+    if ti.static(lanes == 1):
+        partial[row, block, term] = value
+    else:
+        total = ti.cast(0.0, ti.f64)
+        for lane in ti.static(range(lanes)):
+            total += ti.cast(lane_of(value, lane, lanes), ti.f64)
+        partial[row, block, term] = total
 
 
 def change(grid: LaneGrid, rho, previous) -> tuple[float, float]:
@@ -178,10 +198,9 @@ def change(grid: LaneGrid, rho, previous) -> tuple[float, float]:
     components = rho.shape[0]
     grid.check(rho, components, "rho")
     grid.check(previous, components, "previous")
-    blocks = -(-grid.strip // BLOCK)
-    partial = np.zeros((grid.height, blocks, 2))
+    partial = block_sums(grid, 2)
     _change[grid.lanes](rho, previous, components, partial)
-    moved, size = np.sqrt(partial.sum(axis=1).sum(axis=0))
+    moved, size = np.sqrt(add_blocks(partial))
     return float(moved), float(size)
 
 
@@ -190,7 +209,7 @@ def _change(
     rho: LaneArray(3),  # (n, H+2, S+2)
     previous: LaneArray(3),  # (n, H+2, S+2), in place
     n: ti.template(),
-    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 2)
+    partial: SumArray(3),  # (H, blocks, 2)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
     blocks = partial.shape[1]

@@ -61,15 +61,17 @@ def sweep(
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     if solver not in SOLVERS:
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
-    kernel = _sweep[grid.lanes]
+    arguments = (tensor, weights, x_hat, y_hat, alpha, relaxation, components)
     closed_form = solver == "closed_form"
+    if grid.lanes == 1:
+        for _ in range(sweeps):
+            _sweep_sites[1](*arguments, closed_form, rho)
+        return
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * BAND)))
     for _ in range(sweeps):
-        kernel(
-            tensor, weights, x_hat, y_hat, alpha, relaxation, components, closed_form, bands, rho
-        )
+        _sweep[grid.lanes](*arguments, closed_form, bands, rho)
 
 
 @lane_kernel
@@ -123,6 +125,29 @@ def _sweep(
     for border, k in ti.ndrange(2 * (bands - 1), n):
         row = (border // 2 + 1) * height // bands - 1 + border % 2
         refresh_halo(rho, k, row + 1)
+
+
+@lane_kernel
+def _sweep_sites(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    alpha: ti.f32,
+    relaxation: ti.f32,
+    n: ti.template(),
+    closed_form: ti.template(),
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    """Sweep red everywhere and then black, every site by a thread of its own: for one lane."""
+    height = rho.shape[1] - 2
+    pairs = (rho.shape[2] - 2) // 2
+    for color in ti.static(range(2)):
+        for row, pair in ti.ndrange(height, pairs):
+            s = 2 * pair + (row + color) % 2 + 1
+            _relax(
+                tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form, rho, row + 1, s
+            )  # fmt: skip
 
 
 @ti.func

@@ -8,8 +8,8 @@ Its half-quadratic form is w q + m ε²(w + 1/w − 2), least for w = 1/√(1 + 
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_count, lane_kernel
-from tisfm.kernels.reductions import BLOCK, store_sum
+from tisfm.kernels.lanes import LaneArray, LaneGrid, SumArray, lane_count, lane_kernel
+from tisfm.kernels.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 
 
@@ -43,10 +43,10 @@ def robust_energy(grid: LaneGrid, terms, x_hat, y_hat, rho, *, scales) -> float:
     Parameters are those of `robust_tensor`.
     """
     count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
-    partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 1))
+    partial = block_sums(grid, 1)
     inverse = finite_scales(scales)[::2]
     _robust_energy[grid.lanes](terms, x_hat, y_hat, rho, *inverse, rho.shape[0], count, partial)
-    return float(partial.sum(axis=1).sum(axis=0)[0])
+    return float(add_blocks(partial)[0])
 
 
 def check_terms(grid, terms, x_hat, y_hat, rho, scales) -> int:
@@ -111,7 +111,7 @@ def _robust_energy(
     inverse1: ti.f32,
     n: ti.template(),
     count: ti.template(),
-    partial: ti.types.ndarray(dtype=ti.f64, ndim=3),  # (H, blocks, 1)
+    partial: SumArray(3),  # (H, blocks, 1)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
     blocks = partial.shape[1]

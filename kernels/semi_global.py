@@ -58,42 +58,60 @@ def _aggregate(
     across: ti.template(),
     out: LaneArray(3),  # (H, W, M)
 ):
+    lines = path.shape[0]
+    if ti.static(lane_count(cost) == 1):  # on a GPU, a thread for every line
+        for line in range(lines):
+            _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+    else:
+        for task in range(CHUNK * lines):
+            if task % CHUNK == 0:
+                line = task // CHUNK
+                _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+
+
+@ti.func
+def _follow(
+    cost: ti.template(),
+    guide: ti.template(),
+    path: ti.template(),
+    step,
+    jump,
+    inverse_edge,
+    across: ti.template(),
+    out: ti.template(),
+    line,
+):
+    """Sum along one line of the image, there and back."""
     count = cost.shape[2]
     lanes = ti.static(lane_count(cost))
-    lines = path.shape[0]
     length = cost.shape[1] if ti.static(across) else cost.shape[0]
-    for task in range(CHUNK * lines):
-        if task % CHUNK == 0:
-            line = task // CHUNK
-            for way in range(2):
-                for m in range(count):
-                    path[line, m] = 0.0 * cost[0, 0, m]
-                least, grey = 0.0, 0.0
-                for i in range(length):
-                    at = i if way == 0 else length - 1 - i
-                    y = line if ti.static(across) else at
-                    x = at if ti.static(across) else line
-                    apart = guide[y, x] - grey
-                    apart = ti.max(apart, 0.0 - apart)
-                    grey = guide[y, x]
-                    leap = least + ti.max(step, jump / (1.0 + inverse_edge * apart))
-                    before = 0.0 * cost[y, x, 0] + FORBIDDEN
-                    here = path[line, 0]
-                    smallest = 0.0 * here + 2.0 * FORBIDDEN
-                    for m in range(count):
-                        after = 0.0 * here + FORBIDDEN
-                        if m + 1 < count:
-                            after = path[line, m + 1]
-                        near = ti.min(
-                            _shifted_up(before, here, lanes), _shifted_down(here, after, lanes)
-                        )
-                        best = ti.min(ti.min(here, near + step), leap)
-                        value = cost[y, x, m] + best - least
-                        path[line, m] = value
-                        out[y, x, m] = out[y, x, m] + value  # no atomic sum
-                        smallest = ti.min(smallest, value)
-                        before, here = here, after
-                    least = _least(smallest, lanes)
+    for way in range(2):
+        for m in range(count):
+            path[line, m] = 0.0 * cost[0, 0, m]
+        least, grey = 0.0, 0.0
+        for i in range(length):
+            at = i if way == 0 else length - 1 - i
+            y = line if ti.static(across) else at
+            x = at if ti.static(across) else line
+            apart = guide[y, x] - grey
+            apart = ti.max(apart, 0.0 - apart)
+            grey = guide[y, x]
+            leap = least + ti.max(step, jump / (1.0 + inverse_edge * apart))
+            before = 0.0 * cost[y, x, 0] + FORBIDDEN
+            here = path[line, 0]
+            smallest = 0.0 * here + 2.0 * FORBIDDEN
+            for m in range(count):
+                after = 0.0 * here + FORBIDDEN
+                if m + 1 < count:
+                    after = path[line, m + 1]
+                near = ti.min(_shifted_up(before, here, lanes), _shifted_down(here, after, lanes))
+                best = ti.min(ti.min(here, near + step), leap)
+                value = cost[y, x, m] + best - least
+                path[line, m] = value
+                out[y, x, m] = out[y, x, m] + value  # no atomic sum
+                smallest = ti.min(smallest, value)
+                before, here = here, after
+            least = _least(smallest, lanes)
 
 
 @ti.func

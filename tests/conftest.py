@@ -15,10 +15,39 @@ BESIDE = Path(__file__).parents[2] / "shared" / "data"
 SHARED_DATA = Path(os.environ.get("TISFM_DATA", BESIDE))
 
 
-def pytest_collection_modifyitems(items):
-    """Start Taichi once, before any test builds a kernel."""
-    if items:
-        runtime.start()
+def pytest_collection_modifyitems(config, items):
+    """Start Taichi once, before any test builds a kernel; on a GPU there is one lane."""
+    if items and runtime.on_gpu():
+        wide = [item for item in items if _parameter(item, "lanes") == 8]
+        config.hook.pytest_deselected(items=wide)
+        items[:] = [item for item in items if _parameter(item, "lanes") != 8]
+
+
+def _parameter(item, name):
+    return item.callspec.params.get(name) if hasattr(item, "callspec") else None
+
+
+@pytest.fixture(autouse=True)
+def arrays_on_the_device(monkeypatch):
+    """On a GPU, give kernels copies there, as the driver does, and bring back what they left."""
+    if not runtime.on_gpu():
+        return
+    from tisfm.kernels.lanes import LaneGrid, on_host
+    from tisfm.kernels.launch import Kernel
+
+    grid, launch = LaneGrid(1, 1, lanes=1, on_device=True), Kernel.__call__
+
+    def placed(kernel, *arguments):
+        arrays = {
+            index: grid.place(arguments[index])
+            for index, _, axes in kernel._arrays
+            if axes is None and getattr(arguments[index], "dtype", None) == np.float32
+        }
+        launch(kernel, *(arrays.get(index, value) for index, value in enumerate(arguments)))
+        for index, array in arrays.items():
+            arguments[index][...] = on_host(array)
+
+    monkeypatch.setattr(Kernel, "__call__", placed)
 
 
 @pytest.fixture

@@ -12,14 +12,17 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import ablation, contest_report, peers, untextured
+from bench import ablation, bench_kernels, contest_report, peers, untextured
+from bench.__main__ import parse
 from bench.agreement import check, check_quantile, disagreement
 from bench.bars import bars
 from bench.columns import cores, present, ratio, standard_time
 from bench.contest import Call, MethodFailure, hold, score
+from bench.operations import Operations
 from bench.peer_plot import picture
 from bench.peer_process import WORKER, Peer, survey
-from bench.report import HEAD, collect, write_markdown
+from bench.problems import Problem
+from bench.report import HEAD, collect, describe, write_markdown
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.traffic import TRAFFIC
 from bench.untextured import Method
@@ -371,3 +374,36 @@ def test_missing_pairs_are_named(tmp_path):
     assert "frame10.png" in missing["Grove2"]
     with pytest.raises(NotADirectoryError, match="expected one with real sequences"):
         data_folder(tmp_path / "none")
+
+
+# On a GPU
+
+
+def test_a_run_on_a_gpu_has_one_lane_and_files_of_its_own(capsys):
+    options = parse(["--smoke", "--arch", "cuda"])
+    assert (options.arch, options.lanes, options.output) == ("cuda", "1", "smoke-cuda")
+    assert len(options.threads) == 1 and not options.memory and not options.contests
+    options = parse([])
+    assert (options.arch, options.lanes, options.output) == ("cpu", "8,1", "full")
+    with pytest.raises(SystemExit):
+        parse(["--bars", "--arch", "cuda"])
+    assert "the bars are those of the CPU" in capsys.readouterr().err
+
+
+def test_the_gpu_is_named():
+    named = report()
+    named["machine_info"] |= {"arch": "cuda", "gpu": "NVIDIA X, 1.2"}
+    assert "Kernels on cuda: NVIDIA X, 1.2" in describe(collect([named], {}))
+    assert not any("Kernels on" in line for line in describe(collect([report()], {})))
+
+
+def test_what_is_timed_on_a_device_agrees_with_the_reference():
+    problem = Problem(23, 34)
+    for case in bench_kernels.CASES:
+        option = case.scheme or case.solver
+        run, read = getattr(
+            Operations(problem, 1, case.components or 6, option, on_device=True), case.kernel
+        )()
+        bench_kernels.reference_run(problem, case.without_solver())
+        expected = problem.expected[case.without_solver()]
+        check(read(run()), expected, case.tolerance(problem))

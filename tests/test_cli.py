@@ -726,6 +726,7 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
         (["--step", "9"], ["has 4 frames", "at least 10"]),
         (["--poses", "gone.txt", "--motion", "camera"], ["gone.txt"]),
         (["--threads", "0"], ["threads is 0", "positive integer"]),
+        (["--arch", "vulkan"], ["Taichi ", "on 'vulkan'"]),
     ],
     ids=lambda value: " ".join(value),
 )
@@ -803,6 +804,7 @@ def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     expected = {"--output", "--preset", "--step", "--resume", "--figures", "--no-figures"}
     expected |= {"--ply", "--no-ply", "--poses"}
     assert options_of(out) >= expected | settings | {
+        "--arch",
         "--threads",
         "--focal",
         "--center",
@@ -834,7 +836,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         (
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
-            | {"--no-joint-edges", "--no-align-scales", "--help"}
+            | {"--arch", "--no-joint-edges", "--no-align-scales", "--help"}
             | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),
     ],
@@ -1033,6 +1035,7 @@ def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monk
         (["flows", "--center", "3", "4"], ["center is given without focal"]),
         (["flows", "--warps", "0"], ["warps is 0", "at least 1"]),
         (["flows", "--threads", "0"], ["threads is 0", "positive integer"]),
+        (["flows", "--arch", "vulkan"], ["Taichi ", "on 'vulkan'"]),
     ],
     ids=lambda value: " ".join(value),
 )

@@ -49,6 +49,29 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
     lanes_to_images(grid, problem.field.rho, stack)
     np.testing.assert_array_equal(stack, problem.rho)
 
+    lanes_to_images(grid, problem.field.rho, stack[:2], component=3)
+    np.testing.assert_array_equal(stack[:2], problem.rho[3:5])
+    with pytest.raises(ValueError, match="component is 5: array has 6, and out takes 2"):
+        lanes_to_images(grid, problem.field.rho, stack[:2], component=5)
+
+
+@each_size
+@each_lanes
+def test_multiply(size, lanes, make_problem):
+    from tisfm.kernels.images import multiply
+
+    problem = make_problem(*size, 6, lanes)
+    grid, rho = problem.grid, problem.field.rho
+    factor = problem.to_lanes(np.random.default_rng(1).normal(size=(6, *size)))
+    expected = rho * factor
+    multiply(grid, factor, rho)
+    np.testing.assert_array_equal(rho, expected)
+    expected = rho * factor[:1]
+    multiply(grid, factor[:1], rho)
+    np.testing.assert_array_equal(rho, expected)
+    with pytest.raises(ValueError, match="factor has 2 components: expected 1 or 6"):
+        multiply(grid, grid.allocate(2), rho)
+
 
 @each_size
 @each_lanes
@@ -471,7 +494,8 @@ def test_evidence(size, components, lanes, make_problem):
 
 
 @each_size
-def test_claims_and_who_loses_them(size):
+@pytest.mark.parametrize("any_order", [False, True])
+def test_claims_and_who_loses_them(size, any_order):
     from tisfm.kernels.claims import defeated, splat
     from tisfm.kernels.lanes import aligned_zeros
 
@@ -485,10 +509,10 @@ def test_claims_and_who_loses_them(size):
     residual = rng.uniform(0, 5, size).astype(np.float32)
     claims = aligned_zeros((*size, 4))
     claims[...] = 7
-    splat(flow, residual, claims)
+    splat(flow, residual, claims, any_order=any_order)
     close(np.moveaxis(claims, -1, 0), reference.claims(flow, residual))
 
-    out = np.full(size, 9, np.uint8)
+    out = np.full(size, 9, np.int32)
     defeated(flow, residual, claims, out, density=1.2, apart=0.1)
     expected = reference.defeated(flow, residual, density=1.2, apart=0.1)
     np.testing.assert_array_equal(out, expected)
@@ -501,7 +525,7 @@ def test_claims_check_their_arrays():
     from tisfm.kernels.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
-    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.uint8)
+    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
     with pytest.raises(ValueError, match=r"flow is \(2, 6, 5\): expected \(2, 5, 6\)"):
         splat(np.zeros((2, 6, 5), np.float32), residual, claims)
     with pytest.raises(TypeError, match="residual is float64: expected a NumPy array of float32"):
@@ -515,5 +539,5 @@ def test_claims_check_their_arrays():
     ):
         with pytest.raises(ValueError, match="claims must be aligned to 32 bytes"):
             call()
-    with pytest.raises(TypeError, match="out is bool: expected a NumPy array of uint8"):
-        defeated(flow, residual, claims, out.view(bool), density=1.2, apart=0.1)
+    with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
+        defeated(flow, residual, claims, out > 0, density=1.2, apart=0.1)

@@ -192,10 +192,64 @@ def test_no_more_threads_than_cores():
     assert answer(code) == "0"
 
 
-@pytest.mark.parametrize("arch", ["cuda", "gpu", "x64", "", None, 1])
+@pytest.mark.parametrize("arch", ["gpu", "x64", "", 1])
 def test_unknown_arch(arch):
-    with pytest.raises(ValueError, match=r"arch is .*expected 'cpu'"):
+    with pytest.raises(ValueError, match=r"arch is .*expected one of 'cpu', 'cuda', 'vulkan', "):
         runtime.start(arch)
+
+
+# Where kernels run
+
+
+@pytest.mark.parametrize("arch", ["cuda", "vulkan", "metal"])
+def test_an_arch_that_is_not_there_is_refused_and_another_can_be_had(arch):
+    code = f"""
+    import os
+    from tisfm import runtime
+    try:
+        runtime.start({arch!r})
+    except RuntimeError as error:
+        print(error)
+        runtime.start()
+    print(runtime.running_arch(), runtime.lanes(), "TI_ARCH" in os.environ)
+    """
+    *refusal, last = answer(code, TI_ARCH=None).splitlines()
+    if not refusal:
+        assert last == f"{arch} 1 False"
+        pytest.skip(f"Taichi runs on {arch} here")
+    assert refusal[0].startswith(f"Taichi cannot run on {arch!r} here: it needs ")
+    assert last == "cpu 8 False"
+
+
+def test_another_arch_than_the_running_one_is_refused(monkeypatch):
+    monkeypatch.setattr(runtime, "running_arch", lambda: "cpu")
+    with pytest.raises(RuntimeError, match="Taichi already runs on 'cpu', not on 'metal'"):
+        runtime.start("metal")
+
+
+@pytest.mark.parametrize(
+    ("variable", "arch", "expected"),
+    [
+        ("x64", None, "cpu"),
+        ("cpu", None, "cpu"),
+        ("cuda", "cpu", "cpu"),  # what is asked for wins
+        ("gpu", None, "the environment variable TI_ARCH is 'gpu': expected one of 'cpu', 'cuda'"),
+        ("cuda", None, "Taichi cannot run on 'cuda' here"),
+    ],
+)
+def test_the_environment_says_where(variable, arch, expected):
+    code = f"""
+    import os
+    from tisfm import runtime
+    try:
+        runtime.start({arch!r})
+        print(runtime.running_arch())
+    except (RuntimeError, ValueError) as error:
+        print(error)
+    assert os.environ["TI_ARCH"] == {variable!r}
+    """
+    told = answer(code, TI_ARCH=variable)
+    assert told.startswith(expected) or told == variable
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, 2.0, "2", True, np.float64(1)], ids=repr)

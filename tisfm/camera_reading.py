@@ -17,6 +17,7 @@ from tisfm.rigid_depth import rigid_depth, scaled_translations
 from tisfm.rigid_reading import with_depth, without_depth
 from tisfm.settings import Settings
 
+WARPS = 2  # at least, on the level of that field
 START = 0.5  # sampling density of the flow field that the camera's motion is first found from
 # Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
 # On hand-held sequences depth below the other two was hardly better than a constant: less than a
@@ -153,7 +154,7 @@ def first_motion(
     level = next((k for k in levels if pyramid.scale(k) <= density), levels[-1])
     solution = coarse_to_fine(
         pyramid,
-        settings,
+        replace(settings, warps=max(settings.warps, WARPS)),
         components=settings.components,
         contrast=settings.contrast_for(camera.focal),
         finest=level,

@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
 from tisfm.datasets import Layout
+from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
 from tisfm.version import __version__
 
@@ -86,6 +87,8 @@ class Run:
     """Draw NAME_figure.png (the slowest output)."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
     """Most CPU threads; by default all cores. Results do not depend on it."""
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
@@ -111,6 +114,7 @@ class Run:
             resume=self.resume,
             figures=self.figures,
             ply=self.ply,
+            arch=self.arch,
             threads=self.threads,
         )
 
@@ -165,6 +169,8 @@ class Eval:
     Tsukuba and 3 for 7-Scenes."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
     """Most CPU threads; by default all cores. Errors do not depend on it."""
     camera: OmitArgPrefixes[StatedCameraOptions] = field(default_factory=StatedCameraOptions)
@@ -185,6 +191,7 @@ class Eval:
             camera=self.camera.camera(),
             settings=self.settings.settings(),
             step=self.step,
+            arch=self.arch,
             threads=self.threads,
         )
 

@@ -25,6 +25,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.outputs import RECORD, PairWriter
 from tisfm.paper_figures import write_paper_figures
+from tisfm.runtime import Arch
 from tisfm.sequence import FramePair, FrameSource, Source, with_poses
 from tisfm.settings import Settings
 
@@ -41,6 +42,7 @@ def run(
     resume: bool = False,
     figures: bool = True,
     ply: bool = False,
+    arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
     """Interpret every pair of a source and write the results; return the exit code.
@@ -52,7 +54,7 @@ def run(
     pairs = FrameSource(source, step=step)
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
-    runtime.start(threads=threads)
+    runtime.start(arch, threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
     writer = PairWriter(
@@ -101,6 +103,7 @@ def evaluate(
     camera: Camera | None = None,
     settings: Settings,
     step: int | None = None,
+    arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
     """Interpret the pairs of datasets, print their errors, write all; return the exit code."""
@@ -112,7 +115,7 @@ def evaluate(
             f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
             "it out"
         )
-    runtime.start(threads=threads)
+    runtime.start(arch, threads=threads)
     writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
     with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))

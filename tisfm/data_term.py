@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tisfm.field import LaneData
 from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
@@ -46,23 +47,24 @@ class DataTerm:
         normalization: float | None,
         contrast: float,
     ) -> None:
-        self._grid, self._frame1, self._scheme = grid, frame1, scheme
+        self._grid, self._scheme = grid, scheme
         self._constraints = {
             "brightness": brightness,
             "gradient": gradient,
             "normalization": normalization,
         }
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
-        self._spline1 = spline_coefficients(frame1)
+        self._frame1 = grid.place(frame1)
+        self._spline1 = grid.place(spline_coefficients(frame1))
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
-        self._warped = np.empty_like(frame1)
+        self._warped = grid.place(np.empty_like(frame1))
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
         self._mask = grid.allocate(1)
         self._terms = grid.allocate(6 * len(self.scales))
         image_to_lanes(grid, frame0, self._lanes0)
 
-    def linearise(self, flow: np.ndarray) -> np.ndarray:
+    def linearise(self, flow: LaneData) -> LaneData:
         """Warp frame 1 by a flow and return the motion tensors there.
 
         Parameters

@@ -256,7 +256,7 @@ def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     columns, rows = columns[inside].astype(np.int32), rows[inside].astype(np.int32)
     after = depth * nearness  # D of frame 1
-    nearest = np.full(depth.shape, -np.inf, np.float32)
+    nearest: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
     np.maximum.at(nearest, (rows, columns), after[inside])
     # Rounding leaves gaps in a surface that is stretched.
     around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))

@@ -69,6 +69,7 @@ class EvaluationWriter:
             "machine": platform.platform(),
             "processor": platform.processor() or platform.machine(),
             "cores": os.cpu_count(),
+            "arch": runtime.running_arch(),
             "threads": runtime.threads(),
             "camera": None if camera is None else asdict(camera),
             "settings": asdict(settings),

@@ -1,5 +1,7 @@
 """The unknown ρ̂ on one level of the pyramid, in lanes."""
 
+from typing import Any
+
 import numpy as np
 
 from tisfm.camera import Camera
@@ -7,6 +9,8 @@ from tisfm.kernels.flow import flow
 from tisfm.kernels.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.lanes import LaneGrid, aligned_zeros
 from tisfm.kernels.transfer import prolong
+
+LaneData = Any  # a lane array: of NumPy, or ti.ndarray where arrays stay on a device
 
 
 class Field:
@@ -35,9 +39,10 @@ class Field:
         self.grid = grid
         self.components = components
         cx, cy = camera.center_for(grid.height, grid.width)
-        self.x_hat = grid.columns((grid.column_index() - cx) / camera.focal)
-        self.y_hat = aligned_zeros((grid.height + 2,))
-        self.y_hat[1:-1] = (np.arange(grid.height) - cy) / camera.focal
+        self.x_hat = grid.place(grid.columns((grid.column_index() - cx) / camera.focal))
+        rows = aligned_zeros((grid.height + 2,))
+        rows[1:-1] = (np.arange(grid.height) - cy) / camera.focal
+        self.y_hat = grid.place(rows)
         self.edges = grid.open_edges()
         self.rho = grid.allocate(components)
 
@@ -58,7 +63,7 @@ class Field:
         for component, values in enumerate(rho):
             image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
-    def flow(self, out: np.ndarray) -> np.ndarray:
+    def flow(self, out: LaneData) -> LaneData:
         """Write the image motion (eq. 25) to a lane array of 2 components, and return it."""
         flow(self.grid, self.rho, self.x_hat, self.y_hat, out)
         return out
@@ -67,8 +72,14 @@ class Field:
         """Return ρ̂ as (components, H, W) float32, px/frame of this level."""
         return self.to_images(self.rho)
 
-    def to_images(self, array: np.ndarray) -> np.ndarray:
+    def to_images(self, array: LaneData) -> np.ndarray:
         """Return a lane array of this grid as (k, H, W) float32."""
         out = np.empty((array.shape[0], self.grid.height, self.grid.width), np.float32)
         lanes_to_images(self.grid, array, out)
         return out
+
+    def to_image(self, array: LaneData, component: int) -> np.ndarray:
+        """Return one component of a lane array of this grid as (H, W) float32."""
+        out = np.empty((1, self.grid.height, self.grid.width), np.float32)
+        lanes_to_images(self.grid, array, out, component=component)
+        return out[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.field import Field
+from tisfm.field import Field, LaneData
 from tisfm.kernels.evidence import evidence
 from tisfm.kernels.iteration import Sums, advance
 from tisfm.kernels.relaxation import sweep
@@ -91,9 +91,9 @@ class HalfQuadratic:
 
     def residual(self) -> np.ndarray:
         """Return the squared residual alone, (H, W) float32."""
-        return self.field.to_images(self._evidence()[3:4])[0]
+        return self.field.to_image(self._evidence(), 3)
 
-    def _evidence(self) -> np.ndarray:
+    def _evidence(self) -> LaneData:
         field = self.field
         out = field.grid.allocate(7)
         evidence(
@@ -108,7 +108,7 @@ class HalfQuadratic:
         )
         return out
 
-    def minimise(self, terms: np.ndarray) -> tuple[list[Iteration], bool]:
+    def minimise(self, terms: LaneData) -> tuple[list[Iteration], bool]:
         """Iterate until ρ̂ ceases to evolve, or the limit of iterations.
 
         Parameters
@@ -150,7 +150,7 @@ class HalfQuadratic:
                 return iterations, True
         return iterations, False
 
-    def renew(self, terms: np.ndarray) -> Sums:
+    def renew(self, terms: LaneData) -> Sums:
         """Compute the auxiliary fields of the current ρ̂, b and the weights of the data.
 
         `minimise` leaves them so.

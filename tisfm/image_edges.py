@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from tisfm.field import LaneData
 from tisfm.kernels.images import image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
 
@@ -51,7 +52,7 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
     return edges
 
 
-def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> np.ndarray:
+def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> LaneData:
     """Return `image_edges` as a lane array of 2 components."""
     out = grid.allocate(2)
     for component, edges in enumerate(image_edges(frame, strength)):

@@ -46,12 +46,10 @@ def sample(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     -------
     (H, W) float32
     """
-    lanes = runtime.lanes()  # before kernels are imported: it starts Taichi
+    grid = runtime.lane_grid(*image.shape)  # before kernels are imported: it starts Taichi
     from tisfm.kernels.images import image_to_lanes
-    from tisfm.kernels.lanes import LaneGrid
     from tisfm.kernels.warp import warp
 
-    grid = LaneGrid(*image.shape, lanes)
     motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from tisfm import runtime
 from tisfm.interpolation import sample
 from tisfm.settings import Settings
 
@@ -45,7 +46,8 @@ def occlusion(
     The idea is that of Xu, Jia, Matsushita, "Motion detail preserving optical flow estimation",
     PAMI 34 (2012), 1744, who count how often a place is taken; who loses it is decided here.
     """
-    from tisfm.kernels.claims import defeated, splat  # load Taichi
+    any_order = runtime.on_gpu()  # before kernels are imported: it starts Taichi
+    from tisfm.kernels.claims import defeated, splat
     from tisfm.kernels.lanes import aligned_zeros
 
     # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
@@ -53,10 +55,10 @@ def occlusion(
     flow[np.isnan(flow)] = FAR
     residual = _residual(grey0, grey1, flow, settings)
     claims = aligned_zeros((*residual.shape, 4))
-    hidden = np.empty(residual.shape, np.uint8)
-    splat(flow, residual, claims)
+    hidden = np.empty(residual.shape, np.int32)
+    splat(flow, residual, claims, any_order=any_order)
     defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
-    return hidden.view(bool) | leaves_image(flow)
+    return hidden.astype(bool) | leaves_image(flow)
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:

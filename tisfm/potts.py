@@ -9,8 +9,7 @@ from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic
 from tisfm.image_edges import image_edges_in_lanes
 from tisfm.kernels.images import image_to_lanes
-from tisfm.kernels.lanes import LaneGrid
-from tisfm.runtime import lanes
+from tisfm.runtime import lane_grid
 
 SMOOTHNESS = 20.0
 CONTRAST = 0.05  # of a share of a label: total variation, but for the smallest steps
@@ -38,7 +37,7 @@ class Potts:
     """
 
     def __init__(self, frame: np.ndarray) -> None:
-        self._grid = LaneGrid(*frame.shape, lanes=lanes())
+        self._grid = lane_grid(*frame.shape)
         self._edges = image_edges_in_lanes(self._grid, frame, EDGES)
 
     def assign(self, costs: np.ndarray, weight: np.ndarray) -> np.ndarray:

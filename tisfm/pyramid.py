@@ -13,7 +13,7 @@ from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
 from tisfm.kernels.lanes import LaneGrid
-from tisfm.runtime import lanes
+from tisfm.runtime import lane_grid
 from tisfm.settings import Settings
 
 COARSEST_SIDE = 12  # px
@@ -127,7 +127,7 @@ class Pyramid:
     def field(self, level: int, components: int, coarse: np.ndarray | None) -> Field:
         """Return the unknown of a level, from that of the next coarser one or from zero."""
         frame0 = self.frames0[level]
-        grid = LaneGrid(*frame0.shape, lanes=lanes())
+        grid = lane_grid(*frame0.shape)
         camera = self._camera.scaled(self.scale(level), *self.frames0[0].shape)
         field = Field(grid, camera, components)
         if coarse is not None:

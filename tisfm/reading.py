@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.interpretation import History, Status
+from tisfm.kernels.lanes import on_host
 from tisfm.pyramid import Iteration, Pyramid, Solution, coarse_to_fine
 from tisfm.settings import Settings
 
@@ -74,13 +75,13 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
     """Return the status of frames that show no motion at all, None if they show some."""
-    if not textured or not solution.minimiser.tensor[:3].any():
+    if not textured or not on_host(solution.minimiser.tensor)[:3].any():
         return Status(
             "no_texture",
             "the frames are uniform, so no motion can be seen: check that they are images of a "
             "textured scene",
         )
-    if not solution.field.rho.any():
+    if not on_host(solution.field.rho).any():
         return Status(
             "no_motion",
             "the frames do not differ, so there is no motion to interpret: take frames further "

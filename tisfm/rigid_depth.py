@@ -9,10 +9,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
 from tisfm.egomotion import spin_prior
-from tisfm.field import Field
+from tisfm.field import Field, LaneData
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.kernels.epipolar import along, displacement
-from tisfm.kernels.images import image_to_lanes
+from tisfm.kernels.images import image_to_lanes, multiply
+from tisfm.kernels.lanes import on_host
 from tisfm.kernels.motion_system import motion_system
 from tisfm.pyramid import Pyramid
 from tisfm.settings import Settings
@@ -212,16 +213,16 @@ class _Level:
         self._label_image = resized
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
         inside = grid.inside()[0, self._rows, 1:-1]
-        self._sample = np.where(inside > 0, self._labels[0, self._rows, 1:-1], -1)
+        self._sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         if labels.any():
-            field.edges *= _within(field, resized)
+            multiply(grid, _within(field, resized), field.edges)
         counted: np.ndarray | None = None
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         elif labels.any() and pyramid.scale(level) >= REFINED:
             # Stencils that reach over a boundary see two motions.
             counted = (~_mixed(resized)).astype(np.float32)
-        self._support: np.ndarray | None = None
+        self._support: LaneData | None = None
         if counted is not None:
             self._support = grid.allocate(1)
             image_to_lanes(grid, counted, self._support)
@@ -241,7 +242,7 @@ class _Level:
         )
         self.flow, self._direction = grid.allocate(2), grid.allocate(2)
         self._restricted = grid.allocate(6 * len(self._data_term.scales))
-        self._terms: np.ndarray | None = None
+        self._terms: LaneData | None = None
 
     def displace(self, motions: np.ndarray) -> None:
         """Compute the flow of the current depth under these motions, and its direction."""
@@ -258,14 +259,14 @@ class _Level:
             focal=self._focal,
         )
 
-    def linearise(self, motions: np.ndarray) -> np.ndarray:
+    def linearise(self, motions: np.ndarray) -> LaneData:
         """Return the data about the current depth, restricted to epipolar lines."""
         field = self._field
         self.displace(motions)
         self._terms = self._data_term.linearise(self.flow)
         along(field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted)
         if self._support is not None:
-            self._restricted *= self._support
+            multiply(field.grid, self._support, self._restricted)
         return self._restricted
 
     def despeckle(self) -> None:
@@ -278,8 +279,8 @@ class _Level:
 
         Of a sample of rows, and with the weights that the last iteration solved for.
         """
-        depth = self._field.rho[0, self._rows, 1:-1]
-        tensor = self.minimiser.tensor[:, self._rows, 1:-1]
+        depth = on_host(self._field.rho)[0, self._rows, 1:-1]
+        tensor = on_host(self.minimiser.tensor)[:, self._rows, 1:-1]
         residual = np.maximum((tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5], 0)
         noise = np.zeros(len(motions))
         for label, motion in enumerate(motions):
@@ -391,7 +392,7 @@ def _stepped(
     return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
 
 
-def _within(field: Field, labels: np.ndarray) -> np.ndarray:
+def _within(field: Field, labels: np.ndarray) -> LaneData:
     """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
     grid = field.grid
     same = np.zeros((2, *labels.shape), np.float32)

@@ -5,13 +5,26 @@ import io
 import os
 import sys
 import tempfile
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
 import numpy as np
 
+if TYPE_CHECKING:
+    from tisfm.kernels.lanes import LaneGrid
 
-def start(arch: str = "cpu", *, threads: int | None = None) -> None:
+
+Arch = Literal["cpu", "cuda", "vulkan", "metal"]
+ARCHS = get_args(Arch)
+_HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
+_NEEDS = {
+    "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
+    "vulkan": "it needs a GPU with a Vulkan driver, and the loader (libvulkan)",
+    "metal": "it needs macOS on Apple silicon",
+}
+
+
+def start(arch: Arch | None = None, *, threads: int | None = None) -> None:
     """Start Taichi, unless it is running already.
 
     Optional: the first interpretation starts it with the defaults. Taichi keeps one runtime per
@@ -20,8 +33,9 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
 
     Parameters
     ----------
-    arch : {"cpu"}
-        Where kernels run.
+    arch : {"cpu", "cuda", "vulkan", "metal"}, optional
+        Where kernels run. By default where they run already, or else what Taichi's environment
+        variable TI_ARCH says, or else "cpu".
     threads : int, optional
         Upper bound on CPU threads, by default and at most as many as there are cores. Results
         do not depend on it.
@@ -31,7 +45,8 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
     ValueError
         If arch is not one of those above or threads is not a positive integer.
     RuntimeError
-        If Taichi is already running in another way than the one asked for.
+        If Taichi is already running in another way than the one asked for, or cannot run on
+        `arch` here. It never falls back to the CPU by itself.
 
     Notes
     -----
@@ -40,8 +55,8 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
     cache, and compiles anew in every process. Where neither HOME nor XDG_CACHE_HOME is set,
     which Taichi does not survive either, HOME is set for this process.
     """
-    if arch != "cpu":
-        raise ValueError(f"arch is {arch!r}: expected 'cpu'")
+    if arch is not None and arch not in ARCHS:
+        raise ValueError(f"arch is {arch!r}: expected one of {', '.join(map(repr, ARCHS))}")
     if threads is not None and (
         isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1
     ):
@@ -51,31 +66,75 @@ def start(arch: str = "cpu", *, threads: int | None = None) -> None:
     if _is_running():
         _check_running(arch, threads)
         return
+    chosen = arch or _arch_of_environment()
     options = _cache_options()
 
     import tisfm.kernels  # noqa: F401  (quiets Taichi's import)
 
-    import taichi as ti  # isort: skip
-
     if threads is not None:
         options["cpu_max_num_threads"] = threads
         cv2.setNumThreads(threads)
-    with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
-        ti.init(
-            arch=ti.cpu,
-            enable_fallback=False,
-            real_matrix_scalarize=False,  # an 8-lane vector is one hardware vector
-            log_level=ti.WARN,
-            **options,
+    if chosen == "cpu":
+        options["real_matrix_scalarize"] = False  # an 8-lane vector is one hardware vector
+    else:
+        options["fast_math"] = False  # roots and quotients rounded as on a CPU
+    _initialise(chosen, options)
+
+
+def _initialise(arch: str, options: dict[str, Any]) -> None:
+    """Start Taichi on an arch, or explain why it cannot be."""
+    import taichi as ti
+
+    overriding = os.environ.pop("TI_ARCH", None)  # would win over what is asked for
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
+            # Nor is it to complain of each library that it looks for: the error says that.
+            ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, **options)
+    except RuntimeError as error:
+        raise RuntimeError(
+            f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
+        ) from error
+    finally:
+        if overriding is not None:
+            os.environ["TI_ARCH"] = overriding
+    ti.set_logging_level(ti.WARN)
+
+
+def _arch_of_environment() -> str:
+    arch = os.environ.get("TI_ARCH", "cpu")
+    if arch not in (*ARCHS, *_HOSTS):
+        raise ValueError(
+            f"the environment variable TI_ARCH is {arch!r}: expected one of "
+            f"{', '.join(map(repr, ARCHS))}"
         )
+    return "cpu" if arch in _HOSTS else arch
+
+
+def on_gpu() -> bool:
+    """Return whether kernels run elsewhere than on the CPU, starting the runtime if need be."""
+    start()
+    return running_arch() != "cpu"
+
+
+def running_arch() -> str:
+    """Return where the runtime, which must have been started, runs: "cpu", or Taichi's name."""
+    import taichi as ti
+
+    name = ti.lang.impl.current_cfg().arch.name
+    return "cpu" if name in _HOSTS else name
 
 
 def lanes() -> int:
     """Return the lane count that suits the running arch, starting the runtime if need be."""
-    start()
-    import taichi as ti
+    return 1 if on_gpu() else 8
 
-    return 8 if ti.lang.impl.current_cfg().arch in (ti.x64, ti.arm64) else 1
+
+def lane_grid(height: int, width: int) -> "LaneGrid":
+    """Return a grid whose arrays lie as suits the running arch, and on its device."""
+    device = on_gpu()  # before kernels are imported: it starts Taichi
+    from tisfm.kernels.lanes import LaneGrid
+
+    return LaneGrid(height, width, lanes=lanes(), on_device=device)
 
 
 def threads() -> int:
@@ -94,14 +153,15 @@ def _is_running() -> bool:
     return ti.lang.impl.get_runtime().prog is not None
 
 
-def _check_running(arch: str, threads: int | None) -> None:
+def _check_running(arch: str | None, threads: int | None) -> None:
     import taichi as ti
 
     running = ti.lang.impl.current_cfg()
-    if running.arch not in (ti.x64, ti.arm64):
+    if arch is not None and running_arch() != arch:
         raise RuntimeError(
-            f"Taichi already runs on {running.arch}, not on {arch!r}: it was started by the "
-            "application; start it with arch=ti.cpu, or not at all"
+            f"Taichi already runs on {running_arch()!r}, not on {arch!r}: call "
+            "tisfm.runtime.start before the first interpretation, or let the application that "
+            "started Taichi choose"
         )
     if threads is not None and running.cpu_max_num_threads != threads:
         raise RuntimeError(
