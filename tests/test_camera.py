@@ -155,7 +155,7 @@ def test_energy_never_rises_within_a_warp(small):
     for level in np.unique(history.level):
         for warp in np.unique(history.warp[history.level == level]):
             energy = history.energy[(history.level == level) & (history.warp == warp)]
-            assert len(energy) == 6
+            assert len(energy) == 12
             assert np.all(np.diff(energy) <= 1e-6 * energy[:-1])
 
 

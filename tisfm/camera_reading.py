@@ -1,5 +1,6 @@
 """One rigid motion of the camera, and inverse depth at every pixel: ``motion="camera"``."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from tisfm.rigid_reading import with_depth, without_depth
 from tisfm.settings import Settings
 
 WARPS = 2  # at least, on the level of that field
-START = 0.5  # sampling density of the flow field that the camera's motion is first found from
+START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
 # Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
 # On hand-held sequences depth below the other two was hardly better than a constant: less than a
 # pixel of parallax drowns in what lens and shutter do, which the residual does not show.
@@ -32,7 +33,7 @@ def camera_reading(
 ) -> Reading:
     """Find one rigid motion and the inverse depth of every pixel, both from the images directly.
 
-    A flow field of half the resolution gives a first motion (`tisfm.egomotion`). Depth and motion
+    A flow field of a coarser level gives a first motion (`tisfm.egomotion`). Depth and motion
     then are estimated jointly, coarse to fine (`tisfm.rigid_depth`).
 
     Parameters
@@ -60,7 +61,7 @@ def camera_reading(
                 ),
                 history=[],
             )
-        start = first_motion(pyramid, camera, settings, rotation=pose.rotation, density=START)
+        start = first_motion(pyramid, camera, settings, rotation=pose.rotation, pixels=START)
         motions = scaled_translations(
             np.column_stack([pose.rotation, pose.translation])[None], labels, camera
         )
@@ -77,7 +78,7 @@ def camera_reading(
         return with_depth(solution, labels, camera, settings, unit=unit)
 
     rotation = None if pose is None else pose.rotation
-    start = first_motion(pyramid, camera, settings, rotation=rotation, density=START)
+    start = first_motion(pyramid, camera, settings, rotation=rotation, pixels=START)
     if start.status is not None:
         return only_turned(pyramid, camera, settings, start, start.status)
     motions = scaled_translations(start.matrix[None], labels, camera)
@@ -135,7 +136,7 @@ def first_motion(
     settings: Settings,
     *,
     rotation: np.ndarray | None = None,
-    density: float = 1.0,
+    pixels: float = math.inf,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level.
 
@@ -147,11 +148,11 @@ def first_motion(
     settings : Settings
     rotation : (3, 3) array, optional
         R, where it is known.
-    density : float
-        Sampling density of the level, at most.
+    pixels : float
+        Of the level, at least: the coarsest that has as many, by default the finest.
     """
-    levels = range(pyramid.levels)
-    level = next((k for k in levels if pyramid.scale(k) <= density), levels[-1])
+    large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
+    level = max(large, default=0)
     solution = coarse_to_fine(
         pyramid,
         replace(settings, warps=max(settings.warps, WARPS)),

@@ -126,7 +126,7 @@ class Settings:
     gradient: float = 1.0
     normalization: float | None = 0.02
     data_contrast: float | None = 0.1
-    depth_smoothness: float = 5.0
+    depth_smoothness: float = 4.5
     depth_brightness: float = 1.0
     depth_normalization: float | None = 0.6
     max_objects: int = 8
