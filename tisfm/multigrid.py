@@ -1,0 +1,161 @@
+"""Multigrid for the linear system of fixed weights (eq. 16, 22–23).
+
+Sweeps take long over what is smooth; on a grid of half the density it is less smooth, and a sweep
+costs a quarter. A V-cycle sweeps once, solves for the correction on the coarser grid in the same
+way, adds it and sweeps once more.
+
+The coarse system is that of averaged motion tensors at the coarse pixels' own x̂, ŷ, and of
+averaged edge weights.
+"""
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.field import Field
+from tisfm.kernels.coarsening import (
+    coarse_grid,
+    coarsen_system,
+    correct,
+    halved_shape,
+    interpolation_columns,
+    relayout,
+    restrict_residual,
+)
+from tisfm.kernels.lanes import LaneGrid, aligned_zeros
+from tisfm.kernels.relaxation import sweep
+
+COARSEST_SIDE = 4  # px
+COARSEST_SWEEPS = 8
+RELAXATION = 1.2  # of the smoother: 1 and 1.4 take more cycles, see bench/results/solvers.md
+
+
+class Multigrid:
+    """V-cycles over one field.
+
+    Parameters
+    ----------
+    field : Field
+        Its `rho` is modified in place by `cycle`.
+    alpha : float
+        α = λ̂β.
+    solver : {"cholesky", "closed_form"}
+        How each pixel's system is solved.
+    relaxation : float
+        Of the sweeps, in (0, 2).
+    """
+
+    def __init__(
+        self, field: Field, *, alpha: float, solver: str, relaxation: float = RELAXATION
+    ) -> None:
+        self._options = {"alpha": alpha, "solver": solver, "relaxation": relaxation}
+        self._levels = [_Level(field)]
+        while min(self._levels[-1].size) > COARSEST_SIDE:
+            self._levels.append(self._levels[-1].coarser())
+
+    def set_system(self, tensor: np.ndarray, weights: np.ndarray) -> None:
+        """Take the system whose solution is sought, and derive the coarse ones.
+
+        Parameters
+        ----------
+        tensor : lane array, 6 components
+            Motion tensor; kept, not copied.
+        weights : lane array, 2n components
+            Edge weights; kept, not copied.
+        """
+        finest, *others = self._levels
+        finest.tensor, finest.weights = tensor, weights
+        for fine, coarse in zip(self._levels, others, strict=False):
+            fine.coarsen(coarse)
+
+    def cycle(self) -> None:
+        """Run one V-cycle, V(1, 1)."""
+        *above, coarsest = self._levels
+        for fine, coarse in zip(above, self._levels[1:], strict=True):
+            fine.smooth(**self._options)
+            fine.restrict(coarse, alpha=self._options["alpha"])
+        coarsest.smooth(**self._options, sweeps=COARSEST_SWEEPS)
+        for fine, coarse in zip(reversed(above), reversed(self._levels[1:]), strict=True):
+            fine.correct(coarse)
+            fine.smooth(**self._options)
+
+
+class _Level:
+    """A grid, its system and its unknown: ρ̂ on the finest, a correction of it on the others."""
+
+    def __init__(self, field: Field, source: np.ndarray | None = None) -> None:
+        self.field, self.source = field, source
+        grid, n = field.grid, field.components
+        self.size = grid.height, grid.width
+        self.tensor: np.ndarray | None = None
+        self.weights: np.ndarray | None = None
+        self._across = interpolation_columns(grid)
+        # Strips of the coarser grid are even: half of ours may not be.
+        aligned = grid.strip // 2 == coarse_grid(grid).strip
+        self._halved: tuple[np.ndarray, np.ndarray] | None = None
+        if not aligned:
+            self._halved = _halved(grid, 6), _halved(grid, 2 * n)
+
+    def coarser(self) -> "_Level":
+        grid, n = coarse_grid(self.field.grid), self.field.components
+        field = Field(grid, self.field.camera.scaled(0.5, *self.size), n)
+        level = _Level(field, source=grid.allocate(n))
+        level.tensor, level.weights = grid.allocate(6), grid.allocate(2 * n)
+        return level
+
+    def coarsen(self, coarse: "_Level") -> None:
+        """Derive the system of the next coarser level."""
+        grid = self.field.grid
+        if self._halved is None:
+            coarsen_system(grid, self.tensor, self.weights, coarse.tensor, coarse.weights)
+            return
+        tensor, weights = self._halved
+        coarsen_system(grid, self.tensor, self.weights, tensor, weights)
+        relayout(coarse.field.grid, tensor, coarse.tensor)
+        relayout(coarse.field.grid, weights, coarse.weights)
+
+    def smooth(self, *, alpha: float, solver: str, relaxation: float, sweeps: int = 1) -> None:
+        field = self.field
+        sweep(
+            field.grid,
+            self.tensor,
+            self.weights,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            alpha=alpha,
+            relaxation=relaxation,
+            solver=solver,
+            sweeps=sweeps,
+            source=self.source,
+        )
+
+    def restrict(self, coarse: "_Level", *, alpha: float) -> None:
+        """Hand the residual to the coarser level, whose correction starts from zero."""
+        field = self.field
+        halved = coarse.source if self._halved is None else self._halved[1][: field.components]
+        restrict_residual(
+            field.grid,
+            self.tensor,
+            self.weights,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            halved,
+            alpha=alpha,
+            source=self.source,
+        )
+        if halved is not coarse.source:
+            relayout(coarse.field.grid, halved, coarse.source)
+        coarse.field.rho[...] = 0
+
+    def correct(self, coarse: "_Level") -> None:
+        """Add what the coarser level found."""
+        field, correction = self.field, coarse.field.rho
+        if self._halved is not None:
+            correction = self._halved[1][: field.components]
+            relayout(coarse.field.grid, coarse.field.rho, correction)
+        correct(field.grid, correction, self._across, field.rho)
+
+
+def _halved(grid: LaneGrid, components: int) -> np.ndarray:
+    return aligned_zeros(halved_shape(grid, components))
