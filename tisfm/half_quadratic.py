@@ -11,6 +11,7 @@ from tisfm.kernels.evidence import evidence
 from tisfm.kernels.reductions import change, energy
 from tisfm.kernels.relaxation import sweep
 from tisfm.kernels.robust import robust_energy, robust_tensor
+from tisfm.multigrid import Multigrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +45,8 @@ class HalfQuadratic:
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
     outer_iterations, sweeps : int
+    cycles : int
+        Of multigrid, in place of sweeps; 0 for sweeps.
     relaxation, tolerance : float
     solver : {"cholesky", "closed_form"}
     scales : sequence of float
@@ -75,6 +78,7 @@ class HalfQuadratic:
         scales: Sequence[float],
         stiffness: Sequence[float],
         joint: bool,
+        cycles: int = 0,
     ) -> None:
         self.field, self.alpha = field, alpha
         self.outer_iterations, self.sweeps, self.tolerance = outer_iterations, sweeps, tolerance
@@ -82,7 +86,10 @@ class HalfQuadratic:
         self._penalty = {"contrast": contrast, "stiffness": stiffness, "joint": joint}
         self.tensor = field.grid.allocate(6)
         self.weights = field.grid.allocate(2 * field.components)
-        self._previous = field.grid.allocate(field.components)
+        self._cycles = cycles
+        self._multigrid = Multigrid(field, alpha=alpha, solver=solver) if cycles else None
+        if not cycles:
+            self._previous = field.grid.allocate(field.components)
 
     def update_weights(self, terms: np.ndarray) -> None:
         """Compute the auxiliary fields of the current ρ̂: b, and the weights of the data."""
@@ -134,46 +141,64 @@ class HalfQuadratic:
         converged : bool
             Whether the last relative change was within the tolerance.
         """
-        field = self.field
-        grid = field.grid
         iterations: list[Iteration] = []
-        self._previous[...] = field.rho
+        if self._multigrid:
+            self._multigrid.restart()
+        else:
+            self._previous[...] = self.field.rho
         for _ in range(self.outer_iterations):
             self.update_weights(terms)
-            sweep(
-                grid,
-                self.tensor,
-                self.weights,
-                field.x_hat,
-                field.y_hat,
-                field.rho,
-                alpha=self.alpha,
-                relaxation=self.relaxation,
-                solver=self.solver,
-                sweeps=self.sweeps,
-            )
-            moved, size = change(grid, field.rho, self._previous)
-            data = robust_energy(
-                grid, terms, field.x_hat, field.y_hat, field.rho, scales=self.scales
-            )
-            half_data, smoothness, half_smoothness = energy(
-                grid,
-                self.tensor,
-                self.weights,
-                field.edges,
-                field.x_hat,
-                field.y_hat,
-                field.rho,
-                alpha=self.alpha,
-                **self._penalty,
-            )
+            moved, size = self._cycle(self._multigrid) if self._multigrid else self._sweep()
+            total, half_quadratic = self._energies(terms)
             iterations.append(
                 Iteration(
-                    energy=data + smoothness,
-                    half_quadratic=half_data + half_smoothness,
+                    energy=total,
+                    half_quadratic=half_quadratic,
                     change=moved / size if size > 0 else 0.0,
                 )
             )
             if moved <= self.tolerance * size:
                 return iterations, True
         return iterations, False
+
+    def _sweep(self) -> tuple[float, float]:
+        """Sweep, and return ‖change of ρ̂‖ and ‖ρ̂‖."""
+        field = self.field
+        sweep(
+            field.grid,
+            self.tensor,
+            self.weights,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            alpha=self.alpha,
+            relaxation=self.relaxation,
+            solver=self.solver,
+            sweeps=self.sweeps,
+        )
+        return change(field.grid, field.rho, self._previous)
+
+    def _cycle(self, multigrid: Multigrid) -> tuple[float, float]:
+        """Run cycles, and return a bound of ‖change of ρ̂‖, and ‖ρ̂‖."""
+        multigrid.set_system(self.tensor, self.weights)
+        steps = [multigrid.descend() for _ in range(self._cycles)]
+        return sum(moved for moved, _ in steps), steps[-1][1]
+
+    def _energies(self, terms: np.ndarray) -> tuple[float, float]:
+        """Return the energy and its half-quadratic form, with the weights as they are."""
+        field = self.field
+        data = robust_energy(
+            field.grid, terms, field.x_hat, field.y_hat, field.rho, scales=self.scales
+        )
+        half_data, smoothness, half_smoothness = energy(
+            field.grid,
+            self.tensor,
+            self.weights,
+            field.edges,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            alpha=self.alpha,
+            **self._penalty,
+        )
+        return data + smoothness, half_data + half_smoothness

@@ -21,11 +21,13 @@ from tisfm.kernels.coarsening import (
     relayout,
     restrict_residual,
 )
+from tisfm.kernels.descent import descend, plane
 from tisfm.kernels.lanes import LaneGrid, aligned_zeros
 from tisfm.kernels.relaxation import sweep
 
 COARSEST_SIDE = 4  # px
 COARSEST_SWEEPS = 8
+INDEPENDENT = 1e-5  # squared sine of the angle between directions, in the norm of the energy
 RELAXATION = 1.2  # of the smoother: 1 and 1.4 take more cycles, see bench/results/solvers.md
 
 
@@ -48,6 +50,8 @@ class Multigrid:
         self, field: Field, *, alpha: float, solver: str, relaxation: float = RELAXATION
     ) -> None:
         self._options = {"alpha": alpha, "solver": solver, "relaxation": relaxation}
+        self._before: np.ndarray | None = None
+        self._step: np.ndarray | None = None
         self._levels = [_Level(field)]
         while min(self._levels[-1].size) > COARSEST_SIDE:
             self._levels.append(self._levels[-1].coarser())
@@ -66,6 +70,44 @@ class Multigrid:
         finest.tensor, finest.weights = tensor, weights
         for fine, coarse in zip(self._levels, others, strict=False):
             fine.coarsen(coarse)
+
+    def restart(self) -> None:
+        """Forget the last step, and take ρ̂ as it is now: due whenever others have changed it."""
+        if self._before is None or self._step is None:
+            grid, n = self._levels[0].field.grid, self._levels[0].field.components
+            self._before, self._step = grid.allocate(n), grid.allocate(n)
+        self._before[...] = self._levels[0].field.rho
+        self._step[...] = 0
+
+    def descend(self) -> tuple[float, float]:
+        """Run one V-cycle, then go to the least energy in the plane of its correction and the last.
+
+        For one system these are conjugate gradients, which the cycle preconditions. The energy of
+        the system does not rise, whatever it is.
+
+        Returns
+        -------
+        moved, size : float
+            ‖change of ρ̂‖ and ‖ρ̂‖, px/frame.
+        """
+        if self._before is None or self._step is None:
+            self.restart()
+        finest = self._levels[0]
+        field = finest.field
+        self.cycle()
+        matrix, vector = plane(
+            field.grid,
+            finest.tensor,
+            finest.weights,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            self._before,
+            self._step,
+            alpha=self._options["alpha"],
+        )
+        p, q = _lowest(matrix, vector)
+        return descend(field.grid, p, q, field.rho, self._before, self._step)
 
     def cycle(self) -> None:
         """Run one V-cycle, V(1, 1)."""
@@ -155,6 +197,18 @@ class _Level:
             correction = self._halved[1][: field.components]
             relayout(coarse.field.grid, coarse.field.rho, correction)
         correct(field.grid, correction, self._across, field.rho)
+
+
+def _lowest(matrix: np.ndarray, vector: np.ndarray) -> tuple[float, float]:
+    """Return the (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 where both are one direction."""
+    (a, b), (_, c) = matrix
+    if not a > 0:
+        return 0.0, 0.0
+    determinant = a * c - b * b
+    if determinant > INDEPENDENT * a * c:
+        p, q = np.linalg.solve(matrix, -vector)
+        return float(p), float(q)
+    return float(-vector[0] / a), 0.0
 
 
 def _halved(grid: LaneGrid, components: int) -> np.ndarray:

@@ -179,6 +179,7 @@ class Pyramid:
             contrast=contrast,
             outer_iterations=outer_iterations or settings.outer_iterations,
             sweeps=settings.sweeps,
+            cycles=settings.cycles,
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,
             solver=settings.solver,

@@ -19,6 +19,7 @@ _COUNTS = (
     "coarse_warps",
     "outer_iterations",
     "sweeps",
+    "cycles",
     "max_objects",
 )
 
@@ -100,6 +101,8 @@ class Settings:
         Most half-quadratic iterations per warp.
     sweeps : int
         Red–black sweeps per half-quadratic iteration.
+    cycles : int
+        Multigrid cycles per half-quadratic iteration, in place of sweeps; 0 for sweeps.
     relaxation : float
         Over-relaxation, in (0, 2); 1 is Gauss–Seidel.
     tolerance : float
@@ -138,6 +141,7 @@ class Settings:
     coarse_warps: int = 6
     outer_iterations: int = 10
     sweeps: int = 8
+    cycles: int = 0
     relaxation: float = 1.9
     tolerance: float = 2e-2
     solver: Solver = "cholesky"
@@ -180,7 +184,7 @@ class Settings:
         _check_real("tolerance", self.tolerance, least=0)
         for name in _COUNTS:
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                _check_count(name, getattr(self, name))
+                _check_count(name, getattr(self, name), least=0 if name == "cycles" else 1)
         # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
@@ -288,11 +292,11 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     return tuple(float(value) for value in stiffness)
 
 
-def _check_count(name: str, value: object) -> None:
+def _check_count(name: str, value: object, *, least: int) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} is {value!r}: expected an integer")
-    if value < 1:
-        raise ValueError(f"{name} is {value}: expected at least 1")
+    if value < least:
+        raise ValueError(f"{name} is {value}: expected at least {least}")
 
 
 _PRESETS: dict[str, Settings] = {
