@@ -40,9 +40,7 @@ def plane(
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     partial = np.zeros((grid.height, -(-grid.strip // BLOCK), 5))
-    _plane[grid.lanes](
-        tensor, weights, x_hat, y_hat, rho, before, step, alpha, components, partial
-    )
+    _plane[grid.lanes](tensor, weights, x_hat, y_hat, rho, before, step, alpha, components, partial)
     a, b, c, first, second = partial.sum(axis=1).sum(axis=0)
     return np.array([[a, b], [b, c]]), np.array([first, second])
 

@@ -71,7 +71,9 @@ def sweep(
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * BAND)))
-    for _ in range(sweeps):
+    # One band is one thread's, which may as well go on to the next sweep.
+    launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
+    for _ in range(launches):
         kernel(
             tensor,
             weights,
@@ -84,6 +86,7 @@ def sweep(
             closed_form,
             source is not None,
             bands,
+            repeats,
             rho,
         )
 
@@ -101,12 +104,14 @@ def _sweep(
     closed_form: ti.template(),
     sourced: ti.template(),
     bands: ti.i32,
+    repeats: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
     """Sweep in one pass over memory: black follows one row behind red.
 
     A thread takes a band of rows at a time. Black rows that touch another band wait until all red
     is done, so the result is that of red everywhere and then black everywhere, but for rounding.
+    `repeats` is how often to sweep: once, but where there is one band alone.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
@@ -116,7 +121,8 @@ def _sweep(
             first, last = band * height // bands, (band + 1) * height // bands
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
-            for step in range(2 * (last - first) + 2):
+            for turn in range(repeats * (2 * (last - first) + 2)):
+                step = turn % (2 * (last - first) + 2)
                 color = step % 2
                 row = first + step // 2 - color
                 red = color == 0 and row < last

@@ -22,6 +22,7 @@ COUNTS = (
     "coarse_warps",
     "outer_iterations",
     "sweeps",
+    "cycles",
     "max_objects",
 )
 NUMBERS = (
@@ -195,6 +196,7 @@ def test_errors_state_the_bounds(name, value, bound):
         ("pyramid_factor", 0.95),
         ("presmoothing", 0),
         ("tolerance", 0),
+        ("cycles", 0),
         ("pyramid_levels", 1),
         ("pyramid_levels", None),
         ("contrast", None),

@@ -10,7 +10,6 @@ averaged edge weights.
 
 import numpy as np
 
-from tisfm.camera import Camera
 from tisfm.field import Field
 from tisfm.kernels.coarsening import (
     coarse_grid,
@@ -25,8 +24,10 @@ from tisfm.kernels.descent import descend, plane
 from tisfm.kernels.lanes import LaneGrid, aligned_zeros
 from tisfm.kernels.relaxation import sweep
 
-COARSEST_SIDE = 4  # px
-COARSEST_SWEEPS = 8
+# What tells rotation from translation is hardly seen by the data, and as large as the image: where
+# the coarsest system is not solved to the end, all else waits for it.
+COARSEST_SIDE = 2  # px
+COARSEST_SWEEPS = 32
 INDEPENDENT = 1e-5  # squared sine of the angle between directions, in the norm of the energy
 RELAXATION = 1.2  # of the smoother: 1 and 1.4 take more cycles, see bench/results/solvers.md
 
@@ -49,7 +50,7 @@ class Multigrid:
     def __init__(
         self, field: Field, *, alpha: float, solver: str, relaxation: float = RELAXATION
     ) -> None:
-        self._options = {"alpha": alpha, "solver": solver, "relaxation": relaxation}
+        self._alpha, self._solver, self._relaxation = alpha, solver, relaxation
         self._before: np.ndarray | None = None
         self._step: np.ndarray | None = None
         self._levels = [_Level(field)]
@@ -104,7 +105,7 @@ class Multigrid:
             field.rho,
             self._before,
             self._step,
-            alpha=self._options["alpha"],
+            alpha=self._alpha,
         )
         p, q = _lowest(matrix, vector)
         return descend(field.grid, p, q, field.rho, self._before, self._step)
@@ -113,12 +114,28 @@ class Multigrid:
         """Run one V-cycle, V(1, 1)."""
         *above, coarsest = self._levels
         for fine, coarse in zip(above, self._levels[1:], strict=True):
-            fine.smooth(**self._options)
-            fine.restrict(coarse, alpha=self._options["alpha"])
-        coarsest.smooth(**self._options, sweeps=COARSEST_SWEEPS)
+            self._smooth(fine)
+            fine.restrict(coarse, alpha=self._alpha)
+        self._smooth(coarsest, COARSEST_SWEEPS)
         for fine, coarse in zip(reversed(above), reversed(self._levels[1:]), strict=True):
             fine.correct(coarse)
-            fine.smooth(**self._options)
+            self._smooth(fine)
+
+    def _smooth(self, level: "_Level", sweeps: int = 1) -> None:
+        field = level.field
+        sweep(
+            field.grid,
+            level.tensor,
+            level.weights,
+            field.x_hat,
+            field.y_hat,
+            field.rho,
+            alpha=self._alpha,
+            relaxation=self._relaxation,
+            solver=self._solver,
+            sweeps=sweeps,
+            source=level.source,
+        )
 
 
 class _Level:
@@ -154,22 +171,6 @@ class _Level:
         coarsen_system(grid, self.tensor, self.weights, tensor, weights)
         relayout(coarse.field.grid, tensor, coarse.tensor)
         relayout(coarse.field.grid, weights, coarse.weights)
-
-    def smooth(self, *, alpha: float, solver: str, relaxation: float, sweeps: int = 1) -> None:
-        field = self.field
-        sweep(
-            field.grid,
-            self.tensor,
-            self.weights,
-            field.x_hat,
-            field.y_hat,
-            field.rho,
-            alpha=alpha,
-            relaxation=relaxation,
-            solver=solver,
-            sweeps=sweeps,
-            source=self.source,
-        )
 
     def restrict(self, coarse: "_Level", *, alpha: float) -> None:
         """Hand the residual to the coarser level, whose correction starts from zero."""

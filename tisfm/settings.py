@@ -102,7 +102,9 @@ class Settings:
     sweeps : int
         Red–black sweeps per half-quadratic iteration.
     cycles : int
-        Multigrid cycles per half-quadratic iteration, in place of sweeps; 0 for sweeps.
+        Multigrid cycles with conjugate gradients per half-quadratic iteration; `sweeps` and
+        `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
+        in the paper, and hardly from coarse to fine. 0 for sweeps.
     relaxation : float
         Over-relaxation, in (0, 2); 1 is Gauss–Seidel.
     tolerance : float
@@ -317,8 +319,8 @@ _PRESETS: dict[str, Settings] = {
         warps=1,
         coarse_warps=1,
         outer_iterations=200,
-        sweeps=20,
-        tolerance=2e-3,
+        cycles=1,
+        tolerance=1e-2,
     ),
     "fast": Settings(warps=2, outer_iterations=8, sweeps=5, tolerance=4e-2),
     "balanced": Settings(),
