@@ -299,9 +299,10 @@ def main(arguments: list[str] | None = None) -> int:
     name = "smoke-solvers" if options.smoke else "solvers"
     picture = f"\n![Energy over work]({name}.png)\n"
     (options.output / f"{name}.md").write_text(heading + "\n" + text + picture, encoding="utf-8")
-    record = {**conditions, "courses": [asdict(course) for course in found]}
+    records = [asdict(course) for course in found]
+    record = {**conditions, "courses": records}
     (options.output / f"{name}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-    draw(found, options.output / f"{name}.png")
+    draw(records, options.output / f"{name}.png")
     return 0
 
 

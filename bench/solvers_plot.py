@@ -1,9 +1,9 @@
 """Distance to the least energy over work, as a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Protocol
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -12,27 +12,20 @@ LEAST = 1e-8  # of gaps: below, single precision decides
 MOST_WORK = 130.0
 
 
-class Course(Protocol):
-    """As `bench.solvers.Course`."""
-
-    method: str
-    size: tuple[int, int]
-    work: list[float]
-    gap: list[float]
-
-
-def draw(found: Sequence[Course], path: Path) -> None:
-    """Write the picture: axes for every size, a line for every method, medians over pairs."""
-    sizes = list(dict.fromkeys(course.size for course in found))
-    names = list(dict.fromkeys(course.method for course in found))
+def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the picture of courses, as `bench.solvers.Course` has them; medians over pairs."""
+    sizes = list(dict.fromkeys(course["size"] for course in found))
+    names = list(dict.fromkeys(course["method"] for course in found))
     figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
     grid = figure.subplots(1, len(sizes), sharex=True, sharey=True, squeeze=False)[0]
     for axes, size in zip(grid, sizes, strict=True):
         for name, colour in zip(names, COLOURS, strict=False):
-            mine = [course for course in found if (course.size, course.method) == (size, name)]
+            mine = [
+                course for course in found if (course["size"], course["method"]) == (size, name)
+            ]
             points = [
                 (work, max(median(gaps), LEAST))
-                for work, *gaps in zip(mine[0].work, *(c.gap for c in mine), strict=True)
+                for work, *gaps in zip(mine[0]["work"], *(c["gap"] for c in mine), strict=True)
                 if work <= MOST_WORK
             ]
             axes.plot(

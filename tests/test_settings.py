@@ -219,7 +219,7 @@ def test_none_is_no_number(name):
         tisfm.Settings(**{name: None})
 
 
-@pytest.mark.parametrize("name", COUNTS)
+@pytest.mark.parametrize("name", [name for name in COUNTS if name != "cycles"])
 @pytest.mark.parametrize("value", [0, -1])
 def test_counts_start_at_one(name, value):
     with pytest.raises(ValueError, match=f"{name} is {value}: expected at least 1"):
