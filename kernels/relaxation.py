@@ -28,6 +28,7 @@ def sweep(
     relaxation: float,
     solver: str = "cholesky",
     sweeps: int = 1,
+    source=None,
 ) -> None:
     """Run full red–black sweeps; `rho` is modified in place, halo included.
 
@@ -50,6 +51,8 @@ def sweep(
         In (0, 2); 1 is Gauss–Seidel.
     solver : {"cholesky", "closed_form"}
     sweeps : int
+    source : lane array, n components, optional
+        Right-hand side c in place of −Gᵀj: then j is not read, either.
     """
     components = rho.shape[0]
     grid.check(tensor, 6, "tensor")
@@ -61,17 +64,22 @@ def sweep(
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     if solver not in SOLVERS:
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
-    arguments = (tensor, weights, x_hat, y_hat, alpha, relaxation, components)
+    if source is not None:
+        grid.check(source, components, "source")
     closed_form = solver == "closed_form"
+    sourced = source is not None
+    system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alpha, relaxation)
     if grid.lanes == 1:
         for _ in range(sweeps):
-            _sweep_sites[1](*arguments, closed_form, rho)
+            _sweep_sites[1](*system, components, closed_form, sourced, rho)
         return
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * BAND)))
-    for _ in range(sweeps):
-        _sweep[grid.lanes](*arguments, closed_form, bands, rho)
+    # One band is one thread's, which may as well go on to the next sweep.
+    launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
+    for _ in range(launches):
+        _sweep[grid.lanes](*system, components, closed_form, sourced, bands, repeats, rho)
 
 
 @lane_kernel
@@ -80,17 +88,21 @@ def _sweep(
     weights: LaneArray(3),  # (2n, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     alpha: ti.f32,
     relaxation: ti.f32,
     n: ti.template(),
     closed_form: ti.template(),
+    sourced: ti.template(),
     bands: ti.i32,
+    repeats: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
     """Sweep in one pass over memory: black follows one row behind red.
 
     A thread takes a band of rows at a time. Black rows that touch another band wait until all red
     is done, so the result is that of red everywhere and then black everywhere, but for rounding.
+    `repeats` is how often to sweep: once, but where there is one band alone.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
@@ -100,7 +112,8 @@ def _sweep(
             first, last = band * height // bands, (band + 1) * height // bands
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
-            for step in range(2 * (last - first) + 2):
+            for turn in range(repeats * (2 * (last - first) + 2)):
+                step = turn % (2 * (last - first) + 2)
                 color = step % 2
                 row = first + step // 2 - color
                 red = color == 0 and row < last
@@ -109,8 +122,8 @@ def _sweep(
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax(
-                            tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form,
-                            rho, row + 1, s,
+                            tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
+                            closed_form, sourced, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
@@ -120,7 +133,8 @@ def _sweep(
         row = (border // 2 + 1) * height // bands - 1 + border % 2
         s = 2 * (site % pairs) + (row + 1) % 2 + 1
         _relax(
-            tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form, rho, row + 1, s
+            tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
+            closed_form, sourced, rho, row + 1, s,
         )  # fmt: skip
     for border, k in ti.ndrange(2 * (bands - 1), n):
         row = (border // 2 + 1) * height // bands - 1 + border % 2
@@ -133,10 +147,12 @@ def _sweep_sites(
     weights: LaneArray(3),  # (2n, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     alpha: ti.f32,
     relaxation: ti.f32,
     n: ti.template(),
     closed_form: ti.template(),
+    sourced: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
     """Sweep red everywhere and then black, every site by a thread of its own: for one lane."""
@@ -146,7 +162,8 @@ def _sweep_sites(
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
             _relax(
-                tensor, weights, x_hat, y_hat, alpha, relaxation, n, closed_form, rho, row + 1, s
+                tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
+                closed_form, sourced, rho, row + 1, s,
             )  # fmt: skip
 
 
@@ -156,29 +173,66 @@ def _relax(
     weights: ti.template(),
     x_hat: ti.template(),
     y_hat: ti.template(),
+    source: ti.template(),
     alpha,
     relaxation,
     n: ti.template(),
     closed_form: ti.template(),
+    sourced: ti.template(),
     rho: ti.template(),
     y,
     s,
 ):
     """Solve one pixel (one vector of lanes) and over-relax."""
     center = ti.static([bind(rho[k, y, s]) for k in range(n)])
+    columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+    residual = residual_at(tensor, weights, columns, source, alpha, n, sourced, rho, center, y, s)
+    diagonal = ti.static(
+        [
+            bind(
+                alpha
+                * (
+                    weights[k, y, s]
+                    + weights[k, y, s - 1]
+                    + weights[n + k, y, s]
+                    + weights[n + k, y - 1, s]
+                )
+            )
+            for k in range(n)
+        ]
+    )
+    j = ti.static([bind(tensor[k, y, s]) for k in range(3)])
+    step = ti.static(_solve(closed_form, diagonal, columns, j, residual))
+    for k in ti.static(range(n)):
+        rho[k, y, s] = center[k] + relaxation * step[k]
+
+
+@ti.func
+def residual_at(
+    tensor: ti.template(),
+    weights: ti.template(),
+    columns: ti.template(),
+    source: ti.template(),
+    alpha,
+    n: ti.template(),
+    sourced: ti.template(),
+    rho: ti.template(),
+    center: ti.template(),
+    y,
+    s,
+):
+    """Return c − Bρ̂ of one pixel (one vector of lanes), where ρ̂ is `center`, as a list of n."""
     east = ti.static([bind(weights[k, y, s]) for k in range(n)])
     west = ti.static([bind(weights[k, y, s - 1]) for k in range(n)])
     south = ti.static([bind(weights[n + k, y, s]) for k in range(n)])
     north = ti.static([bind(weights[n + k, y - 1, s]) for k in range(n)])
-    j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
-    columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
     u, v = ti.static(flow_of(columns, center))
     # Gradient of the data term in the flow, J(u, v)ᵀ + j.
-    g1 = j11 * u + j12 * v + tensor[3, y, s]
-    g2 = j12 * u + j22 * v + tensor[4, y, s]
-    diagonal = ti.static(
-        [bind(alpha * (east[k] + west[k] + south[k] + north[k])) for k in range(n)]
-    )
+    g1 = tensor[0, y, s] * u + tensor[1, y, s] * v
+    g2 = tensor[1, y, s] * u + tensor[2, y, s] * v
+    if ti.static(not sourced):
+        g1 = g1 + tensor[3, y, s]
+        g2 = g2 + tensor[4, y, s]
     residual = ti.static(
         [
             bind(
@@ -191,13 +245,12 @@ def _relax(
                 )
                 - columns[k][0] * g1
                 - columns[k][1] * g2
+                + (source[k, y, s] if sourced else 0.0)
             )
             for k in range(n)
         ]
     )
-    step = ti.static(_solve(closed_form, diagonal, columns, (j11, j12, j22), residual))
-    for k in ti.static(range(n)):
-        rho[k, y, s] = center[k] + relaxation * step[k]
+    return residual
 
 
 def _solve(closed_form, diagonal, columns, tensor, residual):

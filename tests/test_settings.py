@@ -22,6 +22,7 @@ COUNTS = (
     "coarse_warps",
     "outer_iterations",
     "sweeps",
+    "cycles",
     "max_objects",
 )
 NUMBERS = (
@@ -195,6 +196,7 @@ def test_errors_state_the_bounds(name, value, bound):
         ("pyramid_factor", 0.95),
         ("presmoothing", 0),
         ("tolerance", 0),
+        ("cycles", 0),
         ("pyramid_levels", 1),
         ("pyramid_levels", None),
         ("contrast", None),
@@ -217,7 +219,7 @@ def test_none_is_no_number(name):
         tisfm.Settings(**{name: None})
 
 
-@pytest.mark.parametrize("name", COUNTS)
+@pytest.mark.parametrize("name", [name for name in COUNTS if name != "cycles"])
 @pytest.mark.parametrize("value", [0, -1])
 def test_counts_start_at_one(name, value):
     with pytest.raises(ValueError, match=f"{name} is {value}: expected at least 1"):

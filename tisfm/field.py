@@ -26,6 +26,8 @@ class Field:
 
     Attributes
     ----------
+    grid, camera, components
+        As given.
     rho : lane array, `components` components
         ρ̂, px/frame of this level.
     x_hat : column table
@@ -37,6 +39,7 @@ class Field:
 
     def __init__(self, grid: LaneGrid, camera: Camera, components: int) -> None:
         self.grid = grid
+        self.camera = camera
         self.components = components
         cx, cy = camera.center_for(grid.height, grid.width)
         self.x_hat = grid.place(grid.columns((grid.column_index() - cx) / camera.focal))

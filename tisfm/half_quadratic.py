@@ -9,6 +9,7 @@ from tisfm.field import Field, LaneData
 from tisfm.kernels.evidence import evidence
 from tisfm.kernels.iteration import Sums, advance
 from tisfm.kernels.relaxation import sweep
+from tisfm.multigrid import Multigrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,8 @@ class HalfQuadratic:
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
     outer_iterations, sweeps : int
+    cycles : int
+        Of multigrid, in place of sweeps; 0 for sweeps.
     relaxation, tolerance : float
     solver : {"cholesky", "closed_form"}
     scales : sequence of float
@@ -73,6 +76,7 @@ class HalfQuadratic:
         scales: Sequence[float],
         stiffness: Sequence[float],
         joint: bool,
+        cycles: int = 0,
     ) -> None:
         self.field, self.alpha = field, alpha
         self.outer_iterations, self.sweeps, self.tolerance = outer_iterations, sweeps, tolerance
@@ -80,6 +84,8 @@ class HalfQuadratic:
         self._penalty = {"contrast": contrast, "stiffness": stiffness, "joint": joint}
         self.tensor = field.grid.allocate(6)
         self.weights = field.grid.allocate(2 * field.components)
+        self._cycles = cycles
+        self._multigrid = Multigrid(field, alpha=alpha, solver=solver) if cycles else None
         self._previous = field.grid.allocate(field.components)
 
     def evidence(self) -> np.ndarray:
@@ -125,19 +131,26 @@ class HalfQuadratic:
         field = self.field
         iterations: list[Iteration] = []
         self.renew(terms)
+        if self._multigrid:
+            self._multigrid.restart()
         for _ in range(self.outer_iterations):
-            sweep(
-                field.grid,
-                self.tensor,
-                self.weights,
-                field.x_hat,
-                field.y_hat,
-                field.rho,
-                alpha=self.alpha,
-                relaxation=self.relaxation,
-                solver=self.solver,
-                sweeps=self.sweeps,
-            )
+            if self._multigrid:
+                self._multigrid.set_system(self.tensor, self.weights)
+                for _ in range(self._cycles):
+                    self._multigrid.descend()
+            else:
+                sweep(
+                    field.grid,
+                    self.tensor,
+                    self.weights,
+                    field.x_hat,
+                    field.y_hat,
+                    field.rho,
+                    alpha=self.alpha,
+                    relaxation=self.relaxation,
+                    solver=self.solver,
+                    sweeps=self.sweeps,
+                )
             sums = self.renew(terms)
             iterations.append(
                 Iteration(

@@ -14,7 +14,7 @@ from tisfm.occlusion import leaves_image
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
 
-FORMAT = 3  # of the .npz; raised when a reader of the one before would go wrong
+FORMAT = 4  # of the .npz; raised when a reader of the one before would go wrong
 
 
 class Status(str):
@@ -305,7 +305,8 @@ def _bring_up_to_date(data: dict[str, np.ndarray], about: dict[str, Any]) -> Non
     if "rho" in data:
         tau = data["rho"][:3] / np.float32(about["camera"]["focal"])
         data.setdefault("inverse_depth", np.sqrt(np.einsum("khw,khw->hw", tau, tau)))
-    # They were not in use: files of these formats hold motion="field".
+    settings.setdefault("cycles", 0)
+    # They were not in use: files of formats 1 and 2 hold motion="field".
     for name in (
         "depth_smoothness",
         "depth_brightness",

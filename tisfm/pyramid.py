@@ -175,6 +175,7 @@ class Pyramid:
             contrast=contrast,
             outer_iterations=settings.outer_iterations,
             sweeps=settings.sweeps,
+            cycles=settings.cycles,
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,
             solver=settings.solver,

@@ -19,6 +19,7 @@ _COUNTS = (
     "coarse_warps",
     "outer_iterations",
     "sweeps",
+    "cycles",
     "max_objects",
 )
 
@@ -101,6 +102,10 @@ class Settings:
         Most half-quadratic iterations per warp.
     sweeps : int
         Red–black sweeps per half-quadratic iteration.
+    cycles : int
+        Multigrid cycles with conjugate gradients per half-quadratic iteration; `sweeps` and
+        `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
+        in the paper, and hardly from coarse to fine. 0 for sweeps.
     relaxation : float
         Over-relaxation, in (0, 2); 1 is Gauss–Seidel.
     tolerance : float
@@ -139,6 +144,7 @@ class Settings:
     coarse_warps: int = 8
     outer_iterations: int = 2
     sweeps: int = 6
+    cycles: int = 0
     relaxation: float = 1.97
     tolerance: float = 1e-2
     solver: Solver = "cholesky"
@@ -181,7 +187,7 @@ class Settings:
         _check_real("tolerance", self.tolerance, least=0)
         for name in _COUNTS:
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                _check_count(name, getattr(self, name))
+                _check_count(name, getattr(self, name), least=0 if name == "cycles" else 1)
         # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
@@ -289,11 +295,11 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     return tuple(float(value) for value in stiffness)
 
 
-def _check_count(name: str, value: object) -> None:
+def _check_count(name: str, value: object, *, least: int) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} is {value!r}: expected an integer")
-    if value < 1:
-        raise ValueError(f"{name} is {value}: expected at least 1")
+    if value < least:
+        raise ValueError(f"{name} is {value}: expected at least {least}")
 
 
 _PRESETS: dict[str, Settings] = {
@@ -314,9 +320,9 @@ _PRESETS: dict[str, Settings] = {
         warps=1,
         coarse_warps=1,
         outer_iterations=200,
-        sweeps=20,
+        cycles=1,
         relaxation=1.9,
-        tolerance=2e-3,
+        tolerance=1e-2,
     ),
     "fast": Settings(warps=1, sweeps=4),
     "balanced": Settings(),

@@ -1,0 +1,160 @@
+"""The least energy in the plane of two directions: conjugate gradients, one step at a time."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.lanes import (
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    lane_count,
+    lane_kernel,
+    refresh_halo,
+)
+from tisfm.kernels.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.small_spd import bind
+
+
+def plane(
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, before, step, *, alpha: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        Motion tensor.
+    weights : lane array, 2n components
+        Edge weights.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    rho, before, step : lane arrays, n components
+    alpha : float
+        α = λ̂β.
+
+    Returns
+    -------
+    matrix, vector : (2, 2) and (2,) float64
+        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q).
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    grid.check(weights, 2 * components, "weights")
+    for name, array in (("rho", rho), ("before", before), ("step", step)):
+        grid.check(array, components, name)
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    partial = block_sums(grid, 5)
+    _plane[grid.lanes](tensor, weights, x_hat, y_hat, rho, before, step, alpha, components, partial)
+    a, b, c, first, second = add_blocks(partial)
+    return np.array([[a, b], [b, c]]), np.array([first, second])
+
+
+@lane_kernel
+def _plane(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    before: LaneArray(3),  # (n, H+2, S+2)
+    step: LaneArray(3),  # (n, H+2, S+2)
+    alpha: ti.f32,
+    n: ti.template(),
+    partial: SumArray(3),  # (H, blocks, 5)
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(5)])
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+            j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
+            u, v = ti.static(flow_of(columns, [before[k, y, s] for k in range(n)]))
+            a, b = ti.static(flow_of(columns, [rho[k, y, s] - before[k, y, s] for k in range(n)]))
+            c, d = ti.static(flow_of(columns, [step[k, y, s] for k in range(n)]))
+            gu = j11 * u + j12 * v + tensor[3, y, s]
+            gv = j12 * u + j22 * v + tensor[4, y, s]
+            ja, jb = j11 * a + j12 * b, j12 * a + j22 * b
+            sums[0] += ja * a + jb * b
+            sums[1] += ja * c + jb * d
+            sums[2] += (j11 * c + j12 * d) * c + (j12 * c + j22 * d) * d
+            sums[3] += gu * a + gv * b
+            sums[4] += gu * c + gv * d
+            for side in ti.static(range(2)):  # east, south
+                for k in ti.static(range(n)):
+                    weight = alpha * weights[n * side + k, y, s]
+                    old = before[k, y + side, s + 1 - side] - before[k, y, s]
+                    new = rho[k, y + side, s + 1 - side] - rho[k, y, s] - old
+                    last = step[k, y + side, s + 1 - side] - step[k, y, s]
+                    sums[0] += weight * new * new
+                    sums[1] += weight * new * last
+                    sums[2] += weight * last * last
+                    sums[3] += weight * old * new
+                    sums[4] += weight * old * last
+        for term in ti.static(range(5)):
+            store_sum(partial, row, block, term, sums[term], ti.static(lane_count(rho)))
+
+
+def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> tuple[float, float]:
+    """Move from `before` by p (rho − before) + q step.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    p, q : float
+    rho, before, step : lane arrays, n components
+        In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
+
+    Returns
+    -------
+    moved, size : float
+        ‖step‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
+    """
+    components = rho.shape[0]
+    for name, array in (("rho", rho), ("before", before), ("step", step)):
+        grid.check(array, components, name)
+    partial = block_sums(grid, 2)
+    _descend[grid.lanes](p, q, components, rho, before, step, partial)
+    moved, size = np.sqrt(add_blocks(partial))
+    return float(moved), float(size)
+
+
+@lane_kernel
+def _descend(
+    p: ti.f32,
+    q: ti.f32,
+    n: ti.template(),
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+    before: LaneArray(3),  # (n, H+2, S+2), in place
+    step: LaneArray(3),  # (n, H+2, S+2), in place
+    partial: SumArray(3),  # (H, blocks, 2)
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        moved, size = 0.0 * rho[0, y, 1], 0.0 * rho[0, y, 1]
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            for k in ti.static(range(n)):
+                old = before[k, y, s]
+                move = p * (rho[k, y, s] - old) + q * step[k, y, s]
+                value = old + move
+                moved += move * move
+                size += value * value
+                rho[k, y, s] = value
+                before[k, y, s] = value
+                step[k, y, s] = move
+        store_sum(partial, row, block, 0, moved, ti.static(lane_count(rho)))
+        store_sum(partial, row, block, 1, size, ti.static(lane_count(rho)))
+    for k, row in ti.ndrange(n, height):
+        refresh_halo(rho, k, row + 1)
+        refresh_halo(before, k, row + 1)
+        refresh_halo(step, k, row + 1)
