@@ -54,11 +54,13 @@ def objects_reading(
         most=settings.max_objects,
     )
     layering = Layering(pyramid, settings, camera, grey0, grey1)
+    layers = layering.fitted(motions, labels, hidden)
     if len(motions) > 1:
-        layers = layering.pruned(layering.fitted(motions, labels, hidden))
+        layers = layering.pruned(layers)
         motions = layering.refitted(layers, start.flow, start.trust)
         layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
-        motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
+    layers = layering.with_floating(layers, most=settings.max_objects)
+    motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
         return only_turned(pyramid, camera, settings, start, start.status)
     order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
