@@ -26,7 +26,8 @@ TRUNCATED = 16.0  # units: more is no worse
 UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
 MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
 HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
-GAIN = 0.5  # units a pixel that a motion has to be worth
+GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
+PIXEL_GAIN = 0.15  # units, of each of its pixels: what spreads over a background is worth less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,8 +184,8 @@ class Layering:
             if not layers.reach[label].all():
                 rival = np.where(without.floats > 0, layers.costs[0], rival)
             gain = float((rival - _own_cost(layers))[mine].sum())
-            seen = max(int(mine.sum()), self.smallest)
-            if gain >= GAIN * seen and areas[label] >= self.smallest:
+            enough = max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+            if gain >= enough and areas[label] >= self.smallest:
                 needed.add(label)
                 continue
             layers = without
@@ -194,11 +195,12 @@ class Layering:
     def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.
 
+        What floats before the background has no say in its motion.
         A motion without translation, and one whose layer has too few pixels to trust, stays.
         """
         motions = []
         for label, motion in enumerate(layers.motions):
-            mine = _core(layers.labels == label) & ~layers.hidden
+            mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
                 found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
