@@ -103,6 +103,7 @@ class Layering:
         reach : (K, H, W) bool, optional
             Where a motion may be, by default everywhere.
         rounds : int
+            Of one motion alone, the first is all there is to do.
         """
         if reach is None:
             reach = np.ones((len(motions), *labels.shape), bool)
@@ -162,8 +163,8 @@ class Layering:
         """Return the layers without those whose motion the others can do as well without.
 
         Every layer but the first, the smallest first, is taken away, the others fitted anew, and
-        their cost on its pixels compared. Where the background then would have to float, it is
-        not fitted anew but continued from around.
+        their cost on its pixels compared. For a layer added because it floats, the background is
+        not fitted anew where it would have to float: it is continued from around.
         """
         needed = {0}
         while len(needed) < len(layers.motions):

@@ -28,8 +28,9 @@ def objects_reading(
 
     The largest motion, the background's, is fitted to the flow field (`tisfm.egomotion`), others
     to what it leaves unexplained (`tisfm.motion_candidates`). Which of them are needed, and where
-    their boundaries lie, the images decide (`tisfm.layers`); depth and motions then are estimated
-    jointly, as for one motion (`tisfm.rigid_depth`).
+    their boundaries lie, the images decide (`tisfm.layers`). What the background's motion
+    explains, but only by letting it float, is added (`tisfm.floating`). Depth and motions then are
+    estimated jointly, as for one motion (`tisfm.rigid_depth`).
 
     Parameters
     ----------
