@@ -27,7 +27,7 @@ UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
 MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
 HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
 GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
-PIXEL_GAIN = 0.15  # units, of each of its pixels: what spreads over a background is worth less
+PIXEL_GAIN = 0.2  # units, of each of its pixels: what spreads over a background is worth less
 
 
 @dataclass(frozen=True, kw_only=True)
