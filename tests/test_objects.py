@@ -133,14 +133,15 @@ def test_a_camera_at_rest():
         assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < 0.03
 
 
-def test_noise_and_a_small_picture():
-    scene = two_blocks(*SIZE, seed=1)
+@pytest.mark.parametrize(("size", "settings"), [(SIZE, FAST), ((180, 240), OBJECTS)])
+def test_noise_and_a_small_picture(size, settings):
+    scene = two_blocks(*size, seed=1)
     rng = np.random.default_rng(0)
     frames = [
-        np.clip(frame + rng.normal(scale=2, size=SIZE), 0, 255).astype(np.uint8)
+        np.clip(frame + rng.normal(scale=2, size=size), 0, 255).astype(np.uint8)
         for frame in (scene.frame0, scene.frame1)
     ]
-    result = tisfm.interpret(*frames, camera=scene.camera, settings=FAST)
+    result = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
     true, mine = things(scene), partners(result, scene)
     for thing, label in enumerate(mine):
         assert overlap(result.labels == label, true == thing) > 0.8

@@ -12,18 +12,22 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.confidence import QUIET, QUIET_GREY
 from tisfm.egomotion import camera_motion
+from tisfm.floating import floating
 from tisfm.motion_candidates import smallest_object
 from tisfm.occlusion import leaves_image, occlusion
 from tisfm.potts import Potts
 from tisfm.pyramid import Pyramid
-from tisfm.rigid_depth import residual_under, rigid_depth
+from tisfm.rigid_depth import RigidSolution, residual_under, rigid_depth
 from tisfm.settings import Settings
 
 WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
 TOLERATED = 3.0  # of the median residual: a unit of cost
 TRUNCATED = 16.0  # units: more is no worse
+UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
+MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
 HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
 GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
+PIXEL_GAIN = 0.2  # units, of each of its pixels: what spreads over a background is worth less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +42,19 @@ class Layers:
         What is not visible in frame 1.
     costs : (K, H, W) float32
         Of each layer, in units.
+    reach : (K, H, W) bool
+        Where a motion may be.
+    floats : (H, W) int32
+        Parts of what has the first motion that cannot be at rest under it (`tisfm.floating`),
+        numbered from 1.
     """
 
     motions: list[np.ndarray]
     labels: np.ndarray
     hidden: np.ndarray
     costs: np.ndarray
+    reach: np.ndarray
+    floats: np.ndarray
 
 
 class Layering:
@@ -74,34 +85,86 @@ class Layering:
         self.smallest = smallest_object(grey0.size)
 
     def fitted(
-        self, motions: list[np.ndarray], labels: np.ndarray, hidden: np.ndarray, rounds: int = 2
+        self,
+        motions: list[np.ndarray],
+        labels: np.ndarray,
+        hidden: np.ndarray,
+        *,
+        reach: np.ndarray | None = None,
+        rounds: int = 2,
     ) -> Layers:
-        """Return the layers after fitting surfaces and labels to each other in turns."""
-        for _ in range(rounds):
+        """Return the layers after fitting surfaces and labels to each other in turns.
+
+        Parameters
+        ----------
+        motions : list of (3, 4) array
+        labels : (H, W) int32
+        hidden : (H, W) bool
+        reach : (K, H, W) bool, optional
+            Where a motion may be, by default everywhere.
+        rounds : int
+            Of one motion alone, the first is all there is to do.
+        """
+        if reach is None:
+            reach = np.ones((len(motions), *labels.shape), bool)
+        for _ in range(rounds if len(motions) > 1 else 1):
             residuals, flows = [], []
-            for label, motion in enumerate(motions):
-                residual, flow = self._continued(motion, _core(labels == label) & ~hidden)
+            for label, motion in reversed(list(enumerate(motions))):
+                surface = self._continued(motion, _core(labels == label) & ~hidden)
+                residual, flow = self._residual(surface)
                 residuals.append(cv2.blur(residual, (WINDOW, WINDOW)))
                 flows.append(flow)
-            stacked, moved = np.stack(residuals), np.stack(flows)
+            background = surface
+            flows.reverse()
+            stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
             usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
             costs = np.minimum(stacked / (TOLERATED * max(usual, self._quiet**2)), TRUNCATED)
             # Where a layer leaves the image, the others have to decide.
             gone = np.stack([leaves_image(flow) for flow in flows])
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
             costs = np.where(gone, known, costs).astype(np.float32)
+            costs[~reach] = UNREACHED
             for _ in range(2):
                 composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
                 hidden = occlusion(self._grey0, self._grey1, composed, self._settings)
                 weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
                 labels = self._potts.assign(costs, weight)
-        return Layers(motions=motions, labels=labels, hidden=hidden, costs=costs)
+        return Layers(
+            motions=motions,
+            labels=labels,
+            hidden=hidden,
+            costs=costs,
+            reach=reach,
+            floats=self._floating(background) * (labels == 0),
+        )
+
+    def with_floating(self, layers: Layers, *, most: int) -> Layers:
+        """Return layers and more of them, up to so many, for what floats before the background.
+
+        It moves along the background's epipolar lines: its motion may be the same to start with,
+        only the surfaces are apart. As that motion would explain much of the background, too, it
+        may be nowhere else.
+        """
+        parts = range(1, 1 + min(most - len(layers.motions), int(layers.floats.max())))
+        if not parts:
+            return layers
+        labels = layers.labels.copy()
+        margin = 1 + 2 * round(MARGIN * max(labels.shape))
+        window = np.ones((margin, margin), np.uint8)
+        reach = list(layers.reach)
+        for part in parts:
+            mine = layers.floats == part
+            labels[mine] = len(reach)
+            reach.append(cv2.dilate(mine.astype(np.uint8), window) > 0)
+        motions = layers.motions + [layers.motions[0]] * len(parts)
+        return self.pruned(self.fitted(motions, labels, layers.hidden, reach=np.stack(reach)))
 
     def pruned(self, layers: Layers) -> Layers:
         """Return the layers without those whose motion the others can do as well without.
 
         Every layer but the first, the smallest first, is taken away, the others fitted anew, and
-        their cost on its pixels compared.
+        their cost on its pixels compared. For a layer added because it floats, the background is
+        not fitted anew where it would have to float: it is continued from around.
         """
         needed = {0}
         while len(needed) < len(layers.motions):
@@ -114,11 +177,16 @@ class Layering:
                 [layers.motions[k] for k in rest],
                 self._potts.assign(layers.costs[rest], weight),
                 layers.hidden,
+                reach=layers.reach[rest],
                 rounds=1,
             )
             mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
-            gain = float((_own_cost(without) - _own_cost(layers))[mine].sum())
-            if gain >= GAIN * self.smallest and areas[label] >= self.smallest:
+            rival = _own_cost(without)
+            if not layers.reach[label].all():
+                rival = np.where(without.floats > 0, layers.costs[0], rival)
+            gain = float((rival - _own_cost(layers))[mine].sum())
+            enough = max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+            if gain >= enough and areas[label] >= self.smallest:
                 needed.add(label)
                 continue
             layers = without
@@ -128,11 +196,12 @@ class Layering:
     def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.
 
+        What floats before the background has no say in its motion.
         A motion without translation, and one whose layer has too few pixels to trust, stays.
         """
         motions = []
         for label, motion in enumerate(layers.motions):
-            mine = _core(layers.labels == label) & ~layers.hidden
+            mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
                 found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
@@ -145,9 +214,9 @@ class Layering:
             )
         return motions
 
-    def _continued(self, motion: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residual and flow of a surface fitted on its support, everywhere."""
-        solution = rigid_depth(
+    def _continued(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
+        """Return a surface fitted on its support, and continued everywhere."""
+        return rigid_depth(
             self._pyramid,
             self._settings,
             self._camera,
@@ -156,13 +225,23 @@ class Layering:
             refine="none",
             support=support,
         )
+
+    def _residual(self, surface: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
+        """Return residual and flow of a surface, on its support and beyond."""
         return residual_under(
             self._pyramid,
             self._settings,
             self._camera,
-            solution.motions[0],
-            solution.inverse_depth,
+            surface.motions[0],
+            surface.inverse_depth,
         )
+
+    def _floating(self, surface: RigidSolution) -> np.ndarray:
+        """Return the numbered parts of a surface that float."""
+        if not surface.motions[0, :, 3].any():
+            return np.zeros(surface.inverse_depth.shape, np.int32)
+        deviation = surface.deviation(surface.minimiser.evidence(surface.terms))
+        return floating(surface.inverse_depth, deviation, self.smallest)
 
 
 def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:

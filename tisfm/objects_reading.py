@@ -28,8 +28,9 @@ def objects_reading(
 
     The largest motion, the background's, is fitted to the flow field (`tisfm.egomotion`), others
     to what it leaves unexplained (`tisfm.motion_candidates`). Which of them are needed, and where
-    their boundaries lie, the images decide (`tisfm.layers`); depth and motions then are estimated
-    jointly, as for one motion (`tisfm.rigid_depth`).
+    their boundaries lie, the images decide (`tisfm.layers`). What the background's motion
+    explains, but only by letting it float, is added (`tisfm.floating`). Depth and motions then are
+    estimated jointly, as for one motion (`tisfm.rigid_depth`).
 
     Parameters
     ----------
@@ -54,11 +55,13 @@ def objects_reading(
         most=settings.max_objects,
     )
     layering = Layering(pyramid, settings, camera, grey0, grey1)
+    layers = layering.fitted(motions, labels, hidden)
     if len(motions) > 1:
-        layers = layering.pruned(layering.fitted(motions, labels, hidden))
+        layers = layering.pruned(layers)
         motions = layering.refitted(layers, start.flow, start.trust)
         layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
-        motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
+    layers = layering.with_floating(layers, most=settings.max_objects)
+    motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
         return only_turned(pyramid, camera, settings, start, start.status)
     order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
