@@ -324,7 +324,7 @@ _PRESETS: dict[str, Settings] = {
         relaxation=1.9,
         tolerance=1e-2,
     ),
-    "fast": Settings(warps=1, sweeps=4),
+    "fast": Settings(warps=1, outer_iterations=3, sweeps=4),
     "balanced": Settings(),
     "accurate": Settings(pyramid_factor=0.7, sweeps=8, tolerance=5e-3),
 }
