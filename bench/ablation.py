@@ -43,8 +43,9 @@ CHANGES: dict[str, dict[str, Any]] = {
     "pyramid factor 0.8": {"pyramid_factor": 0.8},
     "one warp": {"warps": 1},
     "five warps": {"warps": 5},
-    "as few warps on coarse levels": {"coarse_warps": 3},
-    "twice the warps on coarse levels": {"coarse_warps": 12},
+    "as few warps on coarse levels": {"coarse_warps": 2},
+    "twice the warps on coarse levels": {"coarse_warps": 16},
+    "over-relaxation 1.9": {"relaxation": 1.9},
     "half the smoothness": {"smoothness": 11.0},
     "twice the smoothness": {"smoothness": 44.0},
     # On the scale of grey levels, λ̂ and ε are other numbers: λ̂ is the best of 200, 1000, 3000.

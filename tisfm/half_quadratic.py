@@ -12,6 +12,9 @@ from tisfm.kernels.relaxation import sweep
 from tisfm.multigrid import Multigrid
 
 
+LEAST = 2  # iterations, if so many are allowed: the first alone brings nothing from afar
+
+
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
     """Record of one half-quadratic iteration.
@@ -115,7 +118,7 @@ class HalfQuadratic:
         return out
 
     def minimise(self, terms: LaneData) -> tuple[list[Iteration], bool]:
-        """Iterate until ρ̂ ceases to evolve, or the limit of iterations.
+        """Iterate until ρ̂ ceases to evolve, twice at least, or to the limit of iterations.
 
         Parameters
         ----------
@@ -159,7 +162,7 @@ class HalfQuadratic:
                     change=sums.moved / sums.size if sums.size > 0 else 0.0,
                 )
             )
-            if sums.moved <= self.tolerance * sums.size:
+            if len(iterations) >= LEAST and sums.moved <= self.tolerance * sums.size:
                 return iterations, True
         return iterations, False
 
