@@ -11,7 +11,6 @@ from tisfm.kernels.iteration import Sums, advance
 from tisfm.kernels.relaxation import sweep
 from tisfm.multigrid import Multigrid
 
-
 LEAST = 2  # iterations, if so many are allowed: the first alone brings nothing from afar
 
 

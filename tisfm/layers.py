@@ -240,7 +240,7 @@ class Layering:
         """Return the numbered parts of a surface that float."""
         if not surface.motions[0, :, 3].any():
             return np.zeros(surface.inverse_depth.shape, np.int32)
-        deviation = surface.deviation(surface.minimiser.evidence(surface.terms))
+        deviation = surface.deviation(surface.minimiser.evidence())
         return floating(surface.inverse_depth, deviation, self.smallest)
 
 
