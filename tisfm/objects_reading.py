@@ -41,6 +41,13 @@ def objects_reading(
     grey0, grey1 : (H, W) float32
         Grey levels on the 8-bit scale.
     """
+    # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
+    settings = replace(
+        settings,
+        warps=max(settings.warps, 2),
+        outer_iterations=max(settings.outer_iterations, 10),
+        sweeps=max(settings.sweeps, 8),
+    )
     start = first_motion(pyramid, camera, settings)
     if start.status in ("no_texture", "no_motion") and not start.flow.any():
         return only_turned(pyramid, camera, settings, start, start.status)

@@ -162,13 +162,13 @@ class Pyramid:
         self,
         field: Field,
         data_term: DataTerm,
+        settings: Settings,
         *,
         alpha: float,
         contrast: float,
         stiffness: Sequence[float],
     ) -> HalfQuadratic:
         """Return the minimiser of a level's unknown; iterations are those of the settings."""
-        settings = self._settings
         return HalfQuadratic(
             field,
             alpha=alpha,
@@ -215,6 +215,7 @@ def coarse_to_fine(
         minimiser = pyramid.minimiser(
             field,
             data_term,
+            settings,
             alpha=settings.alpha,
             contrast=contrast,
             stiffness=settings.stiffness[:components],

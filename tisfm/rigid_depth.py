@@ -236,6 +236,7 @@ class _Level:
         self.minimiser = pyramid.minimiser(
             field,
             self._data_term,
+            settings,
             alpha=settings.depth_smoothness,
             contrast=settings.contrast_for(focal),
             stiffness=(1.0,),

@@ -94,6 +94,7 @@ def without_depth(
     minimiser = pyramid.minimiser(
         field,
         data_term,
+        settings,
         alpha=settings.alpha,
         contrast=settings.contrast_for(camera.focal),
         stiffness=(1.0, 1.0),
