@@ -184,7 +184,8 @@ def test_the_sweep_is_what_finds_it(poles, monkeypatch):
         pose=pose,
     )
     near = (poles.depth < 5) & poles.visible
-    assert np.median(np.abs(result.depth / poles.depth - 1)[near]) > 0.1
+    missed = ~(np.abs(result.depth / poles.depth - 1)[near] < 0.1)  # NaN where D is negative
+    assert missed.mean() > 0.5
 
 
 def start_of(scene, monkeypatch, entries=2**25):

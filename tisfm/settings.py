@@ -142,10 +142,10 @@ class Settings:
     pyramid_levels: int | None = None
     warps: int = 2
     coarse_warps: int = 8
-    outer_iterations: int = 3
+    outer_iterations: int = 20
     sweeps: int = 5
     cycles: int = 0
-    relaxation: float = 1.97
+    relaxation: float = 1.95
     tolerance: float = 2e-2
     solver: Solver = "cholesky"
 
@@ -324,7 +324,7 @@ _PRESETS: dict[str, Settings] = {
         relaxation=1.9,
         tolerance=1e-2,
     ),
-    "fast": Settings(warps=1, sweeps=4),
+    "fast": Settings(warps=1, sweeps=4, relaxation=1.97, tolerance=3e-2),
     "balanced": Settings(),
-    "accurate": Settings(pyramid_factor=0.7, outer_iterations=2, sweeps=8, tolerance=5e-3),
+    "accurate": Settings(pyramid_factor=0.7, sweeps=6, relaxation=1.93, tolerance=1e-2),
 }
