@@ -33,8 +33,8 @@ NOTES = (
     "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer agreed "
     "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
     "lanes_to_images beside a copy.",
-    "pair: coarse to fine to the end of its iterations (paper: the first 5 outer iterations), "
-    "beside the reference on the same pyramids. Where the reference was not run, agreement was "
+    "pair: coarse to fine to the end of its iterations (paper: 5 outer iterations of sweeps, "
+    "balanced: 3 for each linearisation), beside the reference on the same pyramids. Where the reference was not run, agreement was "
     "checked on the same scene at 240x320.",
 )
 
