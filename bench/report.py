@@ -34,8 +34,8 @@ NOTES = (
     "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
     "lanes_to_images beside a copy.",
     "pair: coarse to fine to the end of its iterations (paper: 5 outer iterations of sweeps, "
-    "balanced: 3 for each linearisation), beside the reference on the same pyramids. Where the reference was not run, agreement was "
-    "checked on the same scene at 240x320.",
+    "balanced: 3 for each linearisation), beside the reference on the same pyramids. Where the "
+    "reference was not run, agreement was checked on the same scene at 240x320.",
 )
 
 
