@@ -218,5 +218,6 @@ def _advance(
         ):
             store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
     # The western weight of a strip's first column is the eastern one of its neighbour's last.
-    for k, row in ti.ndrange(n, height):
-        refresh_halo(weights, k, row + 1)
+    if ti.static(lane_count(rho) > 1):
+        for k, row in ti.ndrange(n, height):
+            refresh_halo(weights, k, row + 1)

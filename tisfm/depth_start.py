@@ -5,6 +5,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.image_edges import mean_step
+from tisfm.kernels.epipolar import NEAREST
 from tisfm.kernels.lanes import aligned_zeros
 from tisfm.kernels.matching import matching_cost
 from tisfm.kernels.semi_global import FORBIDDEN, aggregate
@@ -250,7 +251,7 @@ def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray
     moved = np.einsum("ij,jhw->ihw", motion[:, :3].astype(np.float32), moved)
     moved += depth * (motion[:, 3] / camera.focal).astype(np.float32)[:, None, None]
     cx, cy = camera.center_for(height, width)
-    nearness = 1 / np.maximum(moved[2], np.float32(0.05))
+    nearness = 1 / np.maximum(moved[2], np.float32(NEAREST))
     columns = np.rint(cx + camera.focal * moved[0] * nearness)
     rows = np.rint(cy + camera.focal * moved[1] * nearness)
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
