@@ -14,7 +14,7 @@ from typing import get_args
 
 from rich.console import Console
 
-from bench.bars import LANES, SELECTION, SIZE, THREADS, bars
+from bench.bars import LANES, LARGE, SELECTION, SIZE, THREADS, bars
 from bench.report import collect, show, write_markdown
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
@@ -42,7 +42,7 @@ SMOKE = FULL | {
     "output": "smoke",
 }
 BARS = FULL | {
-    "sizes": [f"{SIZE[0]}x{SIZE[1]}"],
+    "sizes": [f"{height}x{width}" for height, width in (SIZE, LARGE)],
     "threads": [THREADS],
     "lanes": str(LANES),
     "only": SELECTION,

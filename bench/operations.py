@@ -21,14 +21,12 @@ from tisfm.interpolation import spline_coefficients
 from tisfm.kernels import (
     claims,
     derivatives,
-    diffusivity,
     evidence,
     flow,
     images,
+    iteration,
     motion_tensor,
-    reductions,
     relaxation,
-    robust,
     transfer,
     warp,
 )
@@ -50,11 +48,12 @@ class Operations:
         problem: Problem,
         lanes: int,
         components: int,
-        option: str,
         *,
+        scheme: str = "",
+        solver: str = "",
         on_device: bool = False,
     ) -> None:
-        self.problem, self.n, self.option = problem, components, option
+        self.problem, self.n, self.scheme, self.solver = problem, components, scheme, solver
         self.grid = LaneGrid(problem.height, problem.width, lanes, on_device=on_device)
         self.field = Field(self.grid, problem.camera, components)
         self.field.rho = self.lay(problem.rho[:components])
@@ -78,7 +77,7 @@ class Operations:
         halo = derivatives.DERIVATIVE_HALO
         out = self.grid.allocate(3, halo=halo)
         return (
-            lambda: derivatives.derivatives(self.grid, *frames, out, scheme=self.option),
+            lambda: derivatives.derivatives(self.grid, *frames, out, scheme=self.scheme),
             lambda _: self.read(out, halo=halo)[:, halo:-halo, halo:-halo],
         )
 
@@ -117,51 +116,22 @@ class Operations:
             lambda _: self.read(out),
         )
 
-    def robust_tensor(self) -> Timed:
-        field, out = self.field, self.grid.allocate(6)
-        terms = self.lay(self.problem.terms)
-        arguments = (self.grid, terms, field.x_hat, field.y_hat, field.rho)
-        return (
-            lambda: robust.robust_tensor(*arguments, out, scales=SCALES),
-            lambda _: self.read(out),
-        )
-
-    def robust_energy(self) -> Timed:
-        field, terms = self.field, self.lay(self.problem.terms)
-        arguments = (self.grid, terms, field.x_hat, field.y_hat, field.rho)
-        return (
-            lambda: robust.robust_energy(*arguments, scales=SCALES),
-            lambda total: np.array([[total]]),
-        )
-
-    def edge_weights(self) -> Timed:
-        field, out = self.field, self.grid.allocate(2 * self.n)
-        arguments = (self.grid, field.rho, field.edges, out)
-        return (
-            lambda: diffusivity.edge_weights(*arguments, contrast=CONTRAST),
-            lambda _: self.read(out),
-        )
-
     def sweep(self) -> Timed:
         field = self.field
         arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho)
-        options = {"alpha": ALPHA, "relaxation": RELAXATION, "solver": self.option}
+        options = {"alpha": ALPHA, "relaxation": RELAXATION, "solver": self.solver}
         return lambda: relaxation.sweep(*arguments, **options), lambda _: self.read(field.rho)
 
-    def energy(self) -> Timed:
-        field = self.field
+    def advance(self) -> Timed:
+        field, p = self.field, self.problem
+        tensor, weights = self._system()
+        previous = self.lay(p.previous[: self.n])
         tables = (field.edges, field.x_hat, field.y_hat)
-        arguments = (self.grid, *self._system(), *tables, field.rho)
+        arguments = (self.grid, self.lay(p.terms), *tables, field.rho, weights, tensor, previous)
+        options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES}
         return (
-            lambda: reductions.energy(*arguments, alpha=ALPHA, contrast=CONTRAST),
-            lambda parts: np.array([[parts[0] + parts[1]], [parts[0] + parts[2]]]),
-        )
-
-    def change(self) -> Timed:
-        previous = self.lay(self.problem.previous[: self.n])
-        return (
-            lambda: reductions.change(self.grid, self.field.rho, previous),
-            lambda norms: np.array(norms)[:, None],
+            lambda: iteration.advance(*arguments, **options),
+            lambda _: np.concatenate([self.read(tensor), self.read(weights)]),
         )
 
     def prolong(self) -> Timed:
@@ -200,7 +170,11 @@ class Operations:
         return flow_images, residual, aligned_zeros((p.height, p.width, 4))
 
     def _system(self) -> tuple[LaneData, LaneData]:
-        return self.lay(self.problem.tensor), self.lay(self.problem.weights(self.n))
+        weights = self.problem.weights(self.n, joint=self.scheme == "joint")
+        sets = weights.reshape(2, self.n, *weights.shape[1:])
+        if self.scheme == "joint":
+            sets = sets[:, :1]
+        return self.lay(self.problem.tensor), self.lay(np.concatenate(sets))
 
     def lay(self, stack: np.ndarray) -> LaneData:
         """Lay (k, H, W) into a new lane array, halo columns included, without a kernel."""

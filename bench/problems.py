@@ -8,7 +8,9 @@ from tisfm import reference, scenes
 
 ALPHA = 278.0  # the paper's λ = 1e8 at f = 600
 CONTRAST = 0.03  # px/frame
-SMOOTHNESS = reference.Smoothness(contrast=CONTRAST)
+SMOOTHNESS = {
+    joint: reference.Smoothness(contrast=CONTRAST, joint=joint) for joint in (False, True)
+}
 RELAXATION = 1.9
 CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
 SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
@@ -37,14 +39,14 @@ class Problem:
         self.coarse = single(rng.normal(size=shape))
         self.motion = reference.motion_matrix(self.camera, height, width, 6)
         self.flow = single(reference.flow(self.motion, self.rho))
-        self._weights: dict[int, np.ndarray] = {}
+        self._weights: dict[tuple[int, bool], np.ndarray] = {}
 
-    def weights(self, components: int) -> np.ndarray:
-        """Return the edge weights of the first components of ρ̂."""
-        if components not in self._weights:
-            rho = self.rho[:components]
-            self._weights[components] = single(reference.edge_weights(rho, SMOOTHNESS))
-        return self._weights[components]
+    def weights(self, components: int, *, joint: bool = False) -> np.ndarray:
+        """Return the edge weights of the first components of ρ̂, one for each even if joint."""
+        if (components, joint) not in self._weights:
+            weights = reference.edge_weights(self.rho[:components], SMOOTHNESS[joint])
+            self._weights[components, joint] = single(weights)
+        return self._weights[components, joint]
 
     @cached_property
     def gradients(self) -> np.ndarray:

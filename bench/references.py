@@ -25,8 +25,8 @@ class References:
     Calls that work in place go on from where the last one ended, like those they stand beside.
     """
 
-    def __init__(self, problem: Problem, components: int, option: str) -> None:
-        self.problem, self.n, self.option = problem, components, option
+    def __init__(self, problem: Problem, components: int, scheme: str) -> None:
+        self.problem, self.n, self.scheme = problem, components, scheme
         self.rho = problem.rho[:components]
         self.motion = problem.motion[:, :components]
 
@@ -38,7 +38,7 @@ class References:
         return lambda: self.rho.copy()  # a copy alone: there are no lanes to leave
 
     def derivatives(self) -> Run:
-        return lambda: np.array(reference.derivatives(*self.problem.frames, self.option))
+        return lambda: np.array(reference.derivatives(*self.problem.frames, self.scheme))
 
     def flow(self) -> Run:
         return lambda: reference.flow(self.motion, self.rho)
@@ -52,19 +52,9 @@ class References:
         arguments = (tuple(p.gradients), p.flow, p.mask)
         return lambda: np.concatenate(reference.constancy_tensors(*arguments, **CONSTRAINTS))
 
-    def robust_tensor(self) -> Run:
-        arguments = (np.split(self.problem.terms, 2), self.motion, self.rho)
-        return lambda: reference.robust_tensor(*arguments, SCALES)
-
-    def robust_energy(self) -> Run:
-        arguments = (np.split(self.problem.terms, 2), self.motion, self.rho)
-        return lambda: np.array([[reference.robust_energy(*arguments, SCALES)]])
-
-    def edge_weights(self) -> Run:
-        return lambda: reference.edge_weights(self.rho, SMOOTHNESS)
-
     def sweep(self) -> Run:
-        arguments = (self.problem.tensor, self.motion, self.problem.weights(self.n))
+        weights = self.problem.weights(self.n, joint=self.scheme == "joint")
+        arguments = (self.problem.tensor, self.motion, weights)
         rho = self.rho.copy()
 
         def run() -> np.ndarray:
@@ -73,24 +63,26 @@ class References:
 
         return run
 
-    def energy(self) -> Run:
-        arguments = (self.problem.tensor, self.motion, self.rho)
-        weights = self.problem.weights(self.n)
-
-        def run() -> np.ndarray:
-            plain = reference.energy(*arguments, ALPHA, SMOOTHNESS)
-            half = reference.half_quadratic_energy(*arguments, weights, ALPHA, SMOOTHNESS)
-            return np.array([[plain], [half]])
-
-        return run
-
-    def change(self) -> Run:
+    def advance(self) -> Run:
+        joint = self.scheme == "joint"
+        smoothness, terms = SMOOTHNESS[joint], np.split(self.problem.terms, 2)
+        before = self.problem.weights(self.n, joint=joint), self.problem.tensor
         previous = self.problem.previous[: self.n].copy()
 
         def run() -> np.ndarray:
-            norms = np.array([np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)])
+            nonlocal before
+            weights, tensor = before
+            where = (self.motion, self.rho)
+            reference.robust_energy(terms, *where, SCALES)
+            reference.smoothness_energy(self.rho, smoothness)
+            reference.half_quadratic_energy(tensor, *where, weights, ALPHA, smoothness)
+            np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)
             previous[...] = self.rho
-            return norms[:, None]
+            tensor = reference.robust_tensor(terms, *where, SCALES)
+            weights = reference.edge_weights(self.rho, smoothness)
+            before = weights, tensor
+            shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
+            return np.concatenate([tensor, *shared])
 
         return run
 

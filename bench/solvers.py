@@ -24,9 +24,8 @@ from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.frames import grey_pair
 from tisfm.image_edges import image_edges_in_lanes
-from tisfm.kernels.diffusivity import edge_weights
+from tisfm.kernels.iteration import advance
 from tisfm.kernels.lanes import LaneGrid
-from tisfm.kernels.reductions import energy
 from tisfm.kernels.relaxation import sweep
 from tisfm.multigrid import Multigrid
 from tisfm.settings import PAPER_SMOOTHNESS
@@ -102,23 +101,26 @@ class System:
         self.tensor = term.linearise(self.grid.allocate(2))
         self.edges = image_edges_in_lanes(self.grid, frames[0], IMAGE_EDGES)
         self.edges *= self.grid.open_edges() > 0
-        self.weights = self.grid.allocate(12)
-        edge_weights(self.grid, self.field.rho, self.edges, self.weights, contrast=math.inf)
+        self.weights = self.grid.allocate(2)
+        self._tensor, self._previous = self.grid.allocate(6), self.grid.allocate(6)
+        self.energy()  # leaves the weights, g
 
     def energy(self) -> float:
         """Return the energy of ρ̂ as it is."""
-        data, smoothness, _ = energy(
+        return advance(
             self.grid,
             self.tensor,
-            self.weights,
             self.edges,
             self.field.x_hat,
             self.field.y_hat,
             self.field.rho,
+            self.weights,
+            self._tensor,
+            self._previous,
             alpha=ALPHA,
             contrast=math.inf,
-        )
-        return data + smoothness
+            scales=(math.inf,),
+        ).energy
 
     def sweep(self, relaxation: float, sweeps: int = 1) -> None:
         """Sweep over ρ̂."""
@@ -136,7 +138,7 @@ class System:
 
     def multigrid(self) -> Multigrid:
         """Return multigrid, its systems set up."""
-        multigrid = Multigrid(self.field, alpha=ALPHA, solver="cholesky")
+        multigrid = Multigrid(self.field, alpha=ALPHA, solver="cholesky", sets=1)
         multigrid.set_system(self.tensor, self.weights)
         return multigrid
 

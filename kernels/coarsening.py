@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.edges import component_table, spread, weight_sets
 from tisfm.kernels.lanes import (
     LaneArray,
     LaneGrid,
@@ -49,9 +50,9 @@ def coarsen_system(grid: LaneGrid, tensor, weights, coarse_tensor, coarse_weight
     grid : LaneGrid
         The fine grid.
     tensor : lane array, 6 components
-    weights : lane array, 2n components
-        n eastern edges, then n southern ones.
-    coarse_tensor, coarse_weights : halved arrays, 6 and 2n components
+    weights : lane array, 2n or 2 components
+        g·b of the eastern edges, then of the southern ones.
+    coarse_tensor, coarse_weights : halved arrays, 6 components and as many as `weights`
     """
     grid.check(tensor, 6, "tensor")
     grid.check(weights, weights.shape[0], "weights")
@@ -65,11 +66,11 @@ def coarsen_system(grid: LaneGrid, tensor, weights, coarse_tensor, coarse_weight
 @lane_kernel
 def _coarsen_system(
     tensor: LaneArray(3),  # (6, H+2, S+2)
-    weights: LaneArray(3),  # (2n, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     height: ti.i32,
     n: ti.template(),
     coarse_tensor: LaneArray(3),  # (6, h+2, S/2+2)
-    coarse_weights: LaneArray(3),  # (2n, h+2, S/2+2)
+    coarse_weights: LaneArray(3),  # (2n or 2, h+2, S/2+2)
 ):
     rows, strip = coarse_tensor.shape[1] - 2, coarse_tensor.shape[2] - 2
     for row, position in ti.ndrange(rows, strip):
@@ -90,7 +91,7 @@ def _coarsen_system(
 
 
 def restrict_residual(
-    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha: float, source=None
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha, source=None
 ) -> None:
     """Sum the children's residuals c − Bρ̂.
 
@@ -104,7 +105,7 @@ def restrict_residual(
     """
     components = rho.shape[0]
     grid.check(tensor, 6, "tensor")
-    grid.check(weights, 2 * components, "weights")
+    sets = weight_sets(grid, weights, components)
     grid.check(rho, components, "rho")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
@@ -118,9 +119,10 @@ def restrict_residual(
         y_hat,
         rho if source is None else source,
         rho,
-        alpha,
+        component_table(alpha, components),
         grid.height,
         components,
+        sets,
         source is not None,
         out,
     )
@@ -129,27 +131,34 @@ def restrict_residual(
 @lane_kernel
 def _restrict_residual(
     tensor: LaneArray(3),  # (6, H+2, S+2)
-    weights: LaneArray(3),  # (2n, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     rho: LaneArray(3),  # (n, H+2, S+2)
-    alpha: ti.f32,
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     height: ti.i32,
     n: ti.template(),
+    sets: ti.template(),
     sourced: ti.template(),
     out: LaneArray(3),  # (n, h+2, S/2+2)
 ):
     rows, strip = out.shape[1] - 2, out.shape[2] - 2
     for row, position in ti.ndrange(rows, strip):
+        alphas = ti.static([bind(alpha[k]) for k in range(n)])
         total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
                 columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
                 center = ti.static([bind(rho[k, y, s]) for k in range(n)])
+                east = ti.static([bind(weights[k, y, s]) for k in range(sets)])
+                west = ti.static([bind(weights[k, y, s - 1]) for k in range(sets)])
+                south = ti.static([bind(weights[sets + k, y, s]) for k in range(sets)])
+                north = ti.static([bind(weights[sets + k, y - 1, s]) for k in range(sets)])
+                edges = ti.static([spread(side, n) for side in (east, west, south, north)])
                 residual = residual_at(
-                    tensor, weights, columns, source, alpha, n, sourced, rho, center, y, s
+                    tensor, edges, columns, source, alphas, n, sourced, rho, center, y, s
                 )
                 for k in ti.static(range(n)):
                     total[k] += residual[k]

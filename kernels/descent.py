@@ -3,6 +3,7 @@
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.edges import component_table, weight_sets
 from tisfm.kernels.lanes import (
     LaneArray,
     LaneGrid,
@@ -17,7 +18,7 @@ from tisfm.kernels.small_spd import bind
 
 
 def plane(
-    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, before, step, *, alpha: float
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, before, step, *, alpha
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
 
@@ -26,13 +27,13 @@ def plane(
     grid : LaneGrid
     tensor : lane array, 6 components
         Motion tensor.
-    weights : lane array, 2n components
-        Edge weights.
+    weights : lane array, 2n or 2 components
+        g·b of every edge.
     x_hat : column table
     y_hat : (H + 2,) float32
     rho, before, step : lane arrays, n components
-    alpha : float
-        α = λ̂β.
+    alpha : float or n floats
+        α_k = λ̂β s_k.
 
     Returns
     -------
@@ -41,13 +42,15 @@ def plane(
     """
     components = rho.shape[0]
     grid.check(tensor, 6, "tensor")
-    grid.check(weights, 2 * components, "weights")
+    sets = weight_sets(grid, weights, components)
     for name, array in (("rho", rho), ("before", before), ("step", step)):
         grid.check(array, components, name)
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     partial = block_sums(grid, 5)
-    _plane[grid.lanes](tensor, weights, x_hat, y_hat, rho, before, step, alpha, components, partial)
+    alphas = component_table(alpha, components)
+    arguments = (tensor, weights, x_hat, y_hat, rho, before, step, alphas)
+    _plane[grid.lanes](*arguments, components, sets, partial)
     a, b, c, first, second = add_blocks(partial)
     return np.array([[a, b], [b, c]]), np.array([first, second])
 
@@ -55,14 +58,15 @@ def plane(
 @lane_kernel
 def _plane(
     tensor: LaneArray(3),  # (6, H+2, S+2)
-    weights: LaneArray(3),  # (2n, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     rho: LaneArray(3),  # (n, H+2, S+2)
     before: LaneArray(3),  # (n, H+2, S+2)
     step: LaneArray(3),  # (n, H+2, S+2)
-    alpha: ti.f32,
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     n: ti.template(),
+    sets: ti.template(),
     partial: SumArray(3),  # (H, blocks, 5)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
@@ -88,7 +92,7 @@ def _plane(
             sums[4] += gu * c + gv * d
             for side in ti.static(range(2)):  # east, south
                 for k in ti.static(range(n)):
-                    weight = alpha * weights[n * side + k, y, s]
+                    weight = alpha[k] * weights[sets * side + k % sets, y, s]
                     old = before[k, y + side, s + 1 - side] - before[k, y, s]
                     new = rho[k, y + side, s + 1 - side] - rho[k, y, s] - old
                     last = step[k, y + side, s + 1 - side] - step[k, y, s]
@@ -101,7 +105,7 @@ def _plane(
             store_sum(partial, row, block, term, sums[term], ti.static(lane_count(rho)))
 
 
-def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> tuple[float, float]:
+def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> None:
     """Move from `before` by p (rho − before) + q step.
 
     Parameters
@@ -110,19 +114,11 @@ def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> tuple[floa
     p, q : float
     rho, before, step : lane arrays, n components
         In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
-
-    Returns
-    -------
-    moved, size : float
-        ‖step‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
     """
     components = rho.shape[0]
     for name, array in (("rho", rho), ("before", before), ("step", step)):
         grid.check(array, components, name)
-    partial = block_sums(grid, 2)
-    _descend[grid.lanes](p, q, components, rho, before, step, partial)
-    moved, size = np.sqrt(add_blocks(partial))
-    return float(moved), float(size)
+    _descend[grid.lanes](p, q, components, rho, before, step)
 
 
 @lane_kernel
@@ -133,27 +129,16 @@ def _descend(
     rho: LaneArray(3),  # (n, H+2, S+2), in place
     before: LaneArray(3),  # (n, H+2, S+2), in place
     step: LaneArray(3),  # (n, H+2, S+2), in place
-    partial: SumArray(3),  # (H, blocks, 2)
 ):
     height, strip = rho.shape[1] - 2, rho.shape[2] - 2
-    blocks = partial.shape[1]
-    for index in range(height * blocks):
-        row, block = index // blocks, index % blocks
-        y = row + 1
-        moved, size = 0.0 * rho[0, y, 1], 0.0 * rho[0, y, 1]
-        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
-            s = position + 1
-            for k in ti.static(range(n)):
-                old = before[k, y, s]
-                move = p * (rho[k, y, s] - old) + q * step[k, y, s]
-                value = old + move
-                moved += move * move
-                size += value * value
-                rho[k, y, s] = value
-                before[k, y, s] = value
-                step[k, y, s] = move
-        store_sum(partial, row, block, 0, moved, ti.static(lane_count(rho)))
-        store_sum(partial, row, block, 1, size, ti.static(lane_count(rho)))
+    for row, position in ti.ndrange(height, strip):
+        y, s = row + 1, position + 1
+        for k in ti.static(range(n)):
+            old = before[k, y, s]
+            move = p * (rho[k, y, s] - old) + q * step[k, y, s]
+            rho[k, y, s] = old + move
+            before[k, y, s] = old + move
+            step[k, y, s] = move
     for k, row in ti.ndrange(n, height):
         refresh_halo(rho, k, row + 1)
         refresh_halo(before, k, row + 1)

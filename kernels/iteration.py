@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.diffusivity import stiffness_table
+from tisfm.kernels.edges import component_table, weight_sets
 from tisfm.kernels.lanes import (
+    CHUNK,
     LaneArray,
     LaneGrid,
     SumArray,
@@ -18,13 +19,15 @@ from tisfm.kernels.reductions import (
     BLOCK,
     TINY,
     add_blocks,
-    aubert,
     block_sums,
     penalty,
     store_sum,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.robust import check_terms, finite_scales, quadratic
+from tisfm.kernels.robust import check_terms, finite_scales
+from tisfm.kernels.small_spd import bind
+
+ROWS = 4  # of a band, which one thread takes at a time
 
 
 @dataclass(frozen=True)
@@ -60,14 +63,15 @@ def advance(
     *,
     alpha: float,
     contrast: float,
-    stiffness,
-    joint: bool,
     scales,
+    stiffness=1.0,
 ) -> Sums:
     """Measure ρ̂, and renew the auxiliary fields for it.
 
-    It does in one pass what `edge_weights`, `robust_tensor`, `robust_energy`, `energy` and
-    `change` do, each of which says what its part is.
+    An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, joint, g Φ_δ of the length of the vector
+    of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
+    g [bΔ² + δ²(b + 1/b − 2)], least for b = 1/√(1 + Δ²/δ²); and likewise the data term
+    (`tisfm.kernels.robust`).
 
     Parameters
     ----------
@@ -79,8 +83,9 @@ def advance(
     y_hat : (H + 2,) float32
     rho : lane array, n components
         ρ̂, px/frame.
-    weights : lane array, 2n components
-        s_k·g·b; those from before enter the half-quadratic energy. Overwritten.
+    weights : lane array, 2n components, or 2, which makes edges joint
+        g·b (`tisfm.kernels.edges`); those from before enter the half-quadratic energy.
+        Overwritten.
     tensor : lane array, 6 components
         Σ w_i J_i; likewise.
     previous : lane array, n components
@@ -89,16 +94,14 @@ def advance(
         α = λ̂β.
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
-    stiffness : sequence of n floats
-        s_k.
-    joint : bool
-        Whether an edge is one for all components.
     scales : sequence of float
         m_i ε² of each term; infinite for a quadratic one.
+    stiffness : float or n floats
+        s_k.
     """
     components = rho.shape[0]
     count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
-    grid.check(weights, 2 * components, "weights")
+    sets = weight_sets(grid, weights, components)
     grid.check(tensor, 6, "tensor")
     grid.check(edges, 2, "edges")
     grid.check(previous, components, "previous")
@@ -111,14 +114,15 @@ def advance(
         x_hat,
         y_hat,
         rho,
-        stiffness_table(stiffness, components),
+        component_table(stiffness, components, "stiffness"),
         (1.0 / contrast) ** 2,
         # With δ infinite, b is 1 and its penalty vanishes.
         contrast * contrast if np.isfinite(contrast) else 0.0,
         *finite_scales(scales),
         components,
-        joint,
+        sets,
         count,
+        -(-grid.height // ROWS),
         weights,
         tensor,
         previous,
@@ -148,76 +152,126 @@ def _advance(
     inverse1: ti.f32,
     scale1: ti.f32,
     n: ti.template(),
-    joint: ti.template(),
+    sets: ti.template(),
     count: ti.template(),
-    weights: LaneArray(3),  # (2n, H+2, S+2), in place
+    bands: ti.i32,
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
     tensor: LaneArray(3),  # (6, H+2, S+2), in place
     previous: LaneArray(3),  # (n, H+2, S+2), in place
     partial: SumArray(3),  # (H, blocks, 6)
 ):
-    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    height = rho.shape[1] - 2
     blocks = partial.shape[1]
-    for index in range(height * blocks):
-        row, block = index // blocks, index % blocks
-        y = row + 1
-        zero = 0.0 * x_hat[1]
-        data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
-        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
-            s = position + 1
-            columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-            u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
-            half_data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
-            half_data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
-            q0 = quadratic(terms, 0, y, s, u, v)
-            root0 = ti.sqrt(1.0 + inverse0 * q0)
-            w0 = 1.0 / root0
-            data += 2.0 * q0 / (1.0 + root0)
-            constant = scale0 * (1.0 - w0) * (root0 - 1.0)  # m ε²(w + 1/w − 2)
-            if ti.static(count == 1):
-                for k in ti.static(range(5)):
-                    tensor[k, y, s] = w0 * terms[k, y, s]
-                tensor[5, y, s] = w0 * terms[5, y, s] + constant
-            else:
-                q1 = quadratic(terms, 6, y, s, u, v)
-                root1 = ti.sqrt(1.0 + inverse1 * q1)
-                w1 = 1.0 / root1
-                data += 2.0 * q1 / (1.0 + root1)
-                constant += scale1 * (1.0 - w1) * (root1 - 1.0)
-                for k in ti.static(range(5)):
-                    tensor[k, y, s] = w0 * terms[k, y, s] + w1 * terms[6 + k, y, s]
-                tensor[5, y, s] = w0 * terms[5, y, s] + w1 * terms[11, y, s] + constant
-            for side in ti.static(range(2)):  # east, south
-                g = edges[side, y, s]
-                length = 0.0 * g
-                for k in ti.static(range(n)):
-                    step = rho[k, y + side, s + 1 - side] - rho[k, y, s]
-                    square = stiffness[k] * step * step
-                    if ti.static(joint):
-                        length += square
-                    else:
-                        before = weights[n * side + k, y, s] / (stiffness[k] * ti.max(g, TINY))
-                        smooth += g * aubert(square, inverse_squared_contrast)
-                        half_smooth += g * (before * square + penalty(before, squared_contrast))
-                        b = 1.0 / ti.sqrt(1.0 + inverse_squared_contrast * square)
-                        weights[n * side + k, y, s] = stiffness[k] * g * b
-                if ti.static(joint):
-                    before = weights[n * side, y, s] / (stiffness[0] * ti.max(g, TINY))
-                    smooth += g * aubert(length, inverse_squared_contrast)
-                    half_smooth += g * (before * length + penalty(before, squared_contrast))
-                    b = g / ti.sqrt(1.0 + inverse_squared_contrast * length)
-                    for k in ti.static(range(n)):
-                        weights[n * side + k, y, s] = stiffness[k] * b
-            for k in ti.static(range(n)):
-                value = rho[k, y, s]
-                step = value - previous[k, y, s]
-                moved += step * step
-                size += value * value
-                previous[k, y, s] = value
-        for term, value in ti.static(
-            enumerate((data, half_data, smooth, half_smooth, moved, size))
-        ):
-            store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
-    # The western weight of a strip's first column is the eastern one of its neighbour's last.
-    if ti.static(lane_count(rho) > 1):
-        for k, row in ti.ndrange(n, height):
-            refresh_halo(weights, k, row + 1)
+    if ti.static(lane_count(rho) == 1):
+        for index in range(height * blocks):
+            _advance_block(
+                terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
+                squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
+                weights, tensor, previous, partial, index // blocks, index % blocks,
+            )  # fmt: skip
+    else:
+        for task in range(CHUNK * bands):
+            if task % CHUNK == 0:
+                band = task // CHUNK
+                for row in range(band * height // bands, (band + 1) * height // bands):
+                    for block in range(blocks):
+                        _advance_block(
+                            terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
+                            squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
+                            weights, tensor, previous, partial, row, block,
+                        )  # fmt: skip
+                    # The western weight of a strip's first column is the eastern one of its
+                    # neighbour's last.
+                    for k in range(sets):
+                        refresh_halo(weights, k, row + 1)
+
+
+@ti.func
+def _advance_block(
+    terms: ti.template(),
+    edges: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    rho: ti.template(),
+    stiffness: ti.template(),
+    inverse_squared_contrast,
+    squared_contrast,
+    inverse0,
+    scale0,
+    inverse1,
+    scale1,
+    n: ti.template(),
+    sets: ti.template(),
+    count: ti.template(),
+    weights: ti.template(),
+    tensor: ti.template(),
+    previous: ti.template(),
+    partial: ti.template(),
+    row,
+    block,
+):
+    """Advance one block of one row."""
+    y, strip = row + 1, rho.shape[2] - 2
+    zero = 0.0 * x_hat[1]
+    data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
+    for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+        s = position + 1
+        here = ti.static([bind(rho[k, y, s]) for k in range(n)])
+        columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+        u, v = ti.static(flow_of(columns, here))
+        half_data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
+        half_data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
+        first = ti.static([bind(terms[k, y, s]) for k in range(6)])
+        q0 = _form(first, u, v)
+        root0 = ti.sqrt(1.0 + inverse0 * q0)
+        w0 = 1.0 / root0
+        data += 2.0 * q0 / (1.0 + root0)
+        constant = scale0 * (1.0 - w0) * (root0 - 1.0)  # m ε²(w + 1/w − 2)
+        if ti.static(count == 1):
+            for k in ti.static(range(5)):
+                tensor[k, y, s] = w0 * first[k]
+            tensor[5, y, s] = w0 * first[5] + constant
+        else:
+            second = ti.static([bind(terms[6 + k, y, s]) for k in range(6)])
+            q1 = _form(second, u, v)
+            root1 = ti.sqrt(1.0 + inverse1 * q1)
+            w1 = 1.0 / root1
+            data += 2.0 * q1 / (1.0 + root1)
+            constant += scale1 * (1.0 - w1) * (root1 - 1.0)
+            for k in ti.static(range(5)):
+                tensor[k, y, s] = w0 * first[k] + w1 * second[k]
+            tensor[5, y, s] = w0 * first[5] + w1 * second[5] + constant
+        for side in ti.static(range(2)):  # east, south
+            g = edges[side, y, s]
+            steps = ti.static([bind(rho[k, y + side, s + 1 - side] - here[k]) for k in range(n)])
+            squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
+            lengths = ti.static(squares if sets == n else [_sum(squares)])
+            for k in ti.static(range(sets)):
+                square = lengths[k]
+                before = weights[sets * side + k, y, s] / ti.max(g, TINY)
+                root = ti.sqrt(1.0 + inverse_squared_contrast * square)
+                smooth += g * (2.0 * square / (1.0 + root))  # Φ_δ
+                half_smooth += g * (before * square + penalty(before, squared_contrast))
+                weights[sets * side + k, y, s] = g / root
+        for k in ti.static(range(n)):
+            step = here[k] - previous[k, y, s]
+            moved += step * step
+            size += here[k] * here[k]
+            previous[k, y, s] = here[k]
+    for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, moved, size))):
+        store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
+
+
+def _sum(values):
+    total = values[0]
+    for value in values[1:]:
+        total = total + value
+    return bind(total)
+
+
+@ti.func
+def _form(term: ti.template(), u, v):
+    """Return the quadratic form of a tensor, at least 0: a square, but for its rounding."""
+    value = u * (term[0] * u + 2.0 * (term[1] * v + term[3]))
+    value += v * (term[2] * v + 2.0 * term[4]) + term[5]
+    return ti.max(value, 0.0)

@@ -22,6 +22,7 @@ import taichi as ti
 
 from tisfm.kernels.launch import Kernel
 
+CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
 
 

@@ -7,12 +7,12 @@ numbers, and safe where a pivot floor acts.
 
 import taichi as ti
 
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_kernel, refresh_halo
+from tisfm.kernels.edges import component_table, spread, weight_sets
+from tisfm.kernels.lanes import CHUNK, LaneArray, LaneGrid, lane_kernel, refresh_halo
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.small_spd import bind, cholesky_solve, woodbury_solve
+from tisfm.kernels.small_spd import DIAGONAL_FLOOR, bind, cholesky_solve, woodbury_solve
 
 SOLVERS = ("cholesky", "closed_form")
-CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
 
 
@@ -24,7 +24,7 @@ def sweep(
     y_hat,
     rho,
     *,
-    alpha: float,
+    alpha,
     relaxation: float,
     solver: str = "cholesky",
     sweeps: int = 1,
@@ -37,16 +37,16 @@ def sweep(
     grid : LaneGrid
     tensor : lane array, 6 components
         Motion tensor (J11, J12, J22, j1, j2, J_tt); the last is not read.
-    weights : lane array, 2n components
-        Edge weights b: n eastern, then n southern.
+    weights : lane array, 2n components, or 2 for all alike
+        g·b of every edge (`tisfm.kernels.edges`).
     x_hat : column table
         Normalised column coordinate x/f.
     y_hat : (H + 2,) float32
         Normalised row coordinate y/f, row 0 being the halo.
     rho : lane array, n components
         ρ̂, px/frame.
-    alpha : float
-        α = λ̂β.
+    alpha : float or n floats
+        α_k = λ̂β s_k.
     relaxation : float
         In (0, 2); 1 is Gauss–Seidel.
     solver : {"cholesky", "closed_form"}
@@ -56,7 +56,7 @@ def sweep(
     """
     components = rho.shape[0]
     grid.check(tensor, 6, "tensor")
-    grid.check(weights, 2 * components, "weights")
+    sets = weight_sets(grid, weights, components)
     grid.check(rho, components, "rho")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
@@ -68,10 +68,11 @@ def sweep(
         grid.check(source, components, "source")
     closed_form = solver == "closed_form"
     sourced = source is not None
-    system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alpha, relaxation)
+    alphas = component_table(alpha, components)
+    system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alphas, relaxation)
     if grid.lanes == 1:
         for _ in range(sweeps):
-            _sweep_sites[1](*system, components, closed_form, sourced, rho)
+            _sweep_sites[1](*system, components, sets, closed_form, sourced, rho)
         return
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
@@ -79,19 +80,20 @@ def sweep(
     # One band is one thread's, which may as well go on to the next sweep.
     launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
     for _ in range(launches):
-        _sweep[grid.lanes](*system, components, closed_form, sourced, bands, repeats, rho)
+        _sweep[grid.lanes](*system, components, sets, closed_form, sourced, bands, repeats, rho)
 
 
 @lane_kernel
 def _sweep(
     tensor: LaneArray(3),  # (6, H+2, S+2)
-    weights: LaneArray(3),  # (2n, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
-    alpha: ti.f32,
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     relaxation: ti.f32,
     n: ti.template(),
+    sets: ti.template(),
     closed_form: ti.template(),
     sourced: ti.template(),
     bands: ti.i32,
@@ -108,6 +110,7 @@ def _sweep(
     pairs = (rho.shape[2] - 2) // 2
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
+            alphas = ti.static([bind(alpha[k]) for k in range(n)])
             band = task // CHUNK
             first, last = band * height // bands, (band + 1) * height // bands
             first_black = ti.select(band > 0, first + 1, first)
@@ -122,35 +125,38 @@ def _sweep(
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax(
-                            tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
+                            tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
                             closed_form, sourced, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
     # The black rows on both sides of every border between bands.
-    for site in range(2 * (bands - 1) * pairs):
-        border = site // pairs
-        row = (border // 2 + 1) * height // bands - 1 + border % 2
-        s = 2 * (site % pairs) + (row + 1) % 2 + 1
-        _relax(
-            tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
-            closed_form, sourced, rho, row + 1, s,
-        )  # fmt: skip
-    for border, k in ti.ndrange(2 * (bands - 1), n):
-        row = (border // 2 + 1) * height // bands - 1 + border % 2
-        refresh_halo(rho, k, row + 1)
+    for task in range(CHUNK * 2 * (bands - 1)):
+        if task % CHUNK == 0:
+            alphas = ti.static([bind(alpha[k]) for k in range(n)])
+            border = task // CHUNK
+            row = (border // 2 + 1) * height // bands - 1 + border % 2
+            for pair in range(pairs):
+                s = 2 * pair + (row + 1) % 2 + 1
+                _relax(
+                    tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
+                    closed_form, sourced, rho, row + 1, s,
+                )  # fmt: skip
+            for k in range(n):
+                refresh_halo(rho, k, row + 1)
 
 
 @lane_kernel
 def _sweep_sites(
     tensor: LaneArray(3),  # (6, H+2, S+2)
-    weights: LaneArray(3),  # (2n, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
-    alpha: ti.f32,
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     relaxation: ti.f32,
     n: ti.template(),
+    sets: ti.template(),
     closed_form: ti.template(),
     sourced: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -161,8 +167,9 @@ def _sweep_sites(
     for color in ti.static(range(2)):
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
+            alphas = ti.static([bind(alpha[k]) for k in range(n)])
             _relax(
-                tensor, weights, x_hat, y_hat, source, alpha, relaxation, n,
+                tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
                 closed_form, sourced, rho, row + 1, s,
             )  # fmt: skip
 
@@ -174,9 +181,10 @@ def _relax(
     x_hat: ti.template(),
     y_hat: ti.template(),
     source: ti.template(),
-    alpha,
+    alphas: ti.template(),
     relaxation,
     n: ti.template(),
+    sets: ti.template(),
     closed_form: ti.template(),
     sourced: ti.template(),
     rho: ti.template(),
@@ -186,23 +194,14 @@ def _relax(
     """Solve one pixel (one vector of lanes) and over-relax."""
     center = ti.static([bind(rho[k, y, s]) for k in range(n)])
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-    residual = residual_at(tensor, weights, columns, source, alpha, n, sourced, rho, center, y, s)
-    diagonal = ti.static(
-        [
-            bind(
-                alpha
-                * (
-                    weights[k, y, s]
-                    + weights[k, y, s - 1]
-                    + weights[n + k, y, s]
-                    + weights[n + k, y - 1, s]
-                )
-            )
-            for k in range(n)
-        ]
-    )
+    east = ti.static([bind(weights[k, y, s]) for k in range(sets)])
+    west = ti.static([bind(weights[k, y, s - 1]) for k in range(sets)])
+    south = ti.static([bind(weights[sets + k, y, s]) for k in range(sets)])
+    north = ti.static([bind(weights[sets + k, y - 1, s]) for k in range(sets)])
+    edges = ti.static([spread(side, n) for side in (east, west, south, north)])
+    residual = residual_at(tensor, edges, columns, source, alphas, n, sourced, rho, center, y, s)
     j = ti.static([bind(tensor[k, y, s]) for k in range(3)])
-    step = ti.static(_solve(closed_form, diagonal, columns, j, residual))
+    step = ti.static(_solve(closed_form, alphas, edges, sets, columns, j, residual))
     for k in ti.static(range(n)):
         rho[k, y, s] = center[k] + relaxation * step[k]
 
@@ -210,10 +209,10 @@ def _relax(
 @ti.func
 def residual_at(
     tensor: ti.template(),
-    weights: ti.template(),
+    edges: ti.template(),
     columns: ti.template(),
     source: ti.template(),
-    alpha,
+    alphas: ti.template(),
     n: ti.template(),
     sourced: ti.template(),
     rho: ti.template(),
@@ -222,10 +221,6 @@ def residual_at(
     s,
 ):
     """Return c − Bρ̂ of one pixel (one vector of lanes), where ρ̂ is `center`, as a list of n."""
-    east = ti.static([bind(weights[k, y, s]) for k in range(n)])
-    west = ti.static([bind(weights[k, y, s - 1]) for k in range(n)])
-    south = ti.static([bind(weights[n + k, y, s]) for k in range(n)])
-    north = ti.static([bind(weights[n + k, y - 1, s]) for k in range(n)])
     u, v = ti.static(flow_of(columns, center))
     # Gradient of the data term in the flow, J(u, v)ᵀ + j.
     g1 = tensor[0, y, s] * u + tensor[1, y, s] * v
@@ -236,12 +231,12 @@ def residual_at(
     residual = ti.static(
         [
             bind(
-                alpha
+                alphas[k]
                 * (
-                    east[k] * (rho[k, y, s + 1] - center[k])
-                    + west[k] * (rho[k, y, s - 1] - center[k])
-                    + south[k] * (rho[k, y + 1, s] - center[k])
-                    + north[k] * (rho[k, y - 1, s] - center[k])
+                    edges[0][k] * (rho[k, y, s + 1] - center[k])
+                    + edges[1][k] * (rho[k, y, s - 1] - center[k])
+                    + edges[2][k] * (rho[k, y + 1, s] - center[k])
+                    + edges[3][k] * (rho[k, y - 1, s] - center[k])
                 )
                 - columns[k][0] * g1
                 - columns[k][1] * g2
@@ -253,14 +248,27 @@ def residual_at(
     return residual
 
 
-def _solve(closed_form, diagonal, columns, tensor, residual):
+def _solve(closed_form, alphas, edges, sets, columns, tensor, residual):
     """Return B⁻¹ residual, written out by the chosen solver."""
+    east, west, south, north = edges
+    totals = spread(
+        [bind(east[k] + west[k] + south[k] + north[k]) for k in range(sets)], len(alphas)
+    )
     if closed_form:
-        return woodbury_solve(diagonal, columns, tensor, residual)
+        if sets == 1:  # a single quotient of vectors
+            shared = bind(1.0 / (totals[0] + DIAGONAL_FLOOR))
+            inverse = [bind(shared * bind(1.0 / alpha)) for alpha in alphas]
+        else:
+            inverse = [
+                bind(1.0 / (alpha * total + DIAGONAL_FLOOR))
+                for alpha, total in zip(alphas, totals, strict=True)
+            ]
+        return woodbury_solve(inverse, columns, tensor, residual)
     j11, j12, j22 = tensor
     image = [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
     matrix = []
     for i, (a, b) in enumerate(columns):
         row = [a * image[j][0] + b * image[j][1] for j in range(i)]
-        matrix.append([*row, diagonal[i] + a * image[i][0] + b * image[i][1]])
+        diagonal = alphas[i] * totals[i]
+        matrix.append([*row, diagonal + a * image[i][0] + b * image[i][1]])
     return cholesky_solve([[bind(entry) for entry in row] for row in matrix], residual)

@@ -58,26 +58,26 @@ def cholesky_solve(matrix, rhs):
     return x
 
 
-def woodbury_solve(diagonal, columns, tensor, rhs):
-    """Solve ``(diag + Gᵀ J G) x = rhs`` through a 2×2 system (Woodbury).
+def woodbury_solve(inverse, columns, tensor, rhs):
+    """Solve ``(D + Gᵀ J G) x = rhs``, D diagonal, through a 2×2 system (Woodbury).
 
-    With D the diagonal and M = G D⁻¹ Gᵀ, x = D⁻¹(rhs − Gᵀ K G D⁻¹ rhs), where
+    With M = G D⁻¹ Gᵀ, x = D⁻¹(rhs − Gᵀ K G D⁻¹ rhs), where
 
         K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
 
     For one channel and the translation model this is the paper's eq. 18 (whose third line must
-    read s3, not s1). The denominator is at least 1: nothing needs a floor but the diagonal. A J
+    read s3, not s1). The denominator is at least 1: nothing needs a floor but D. A J
     of rank 1 has det J = 0 only up to rounding, which costs up to ‖J M‖ roundings of accuracy.
 
     Parameters
     ----------
-    diagonal, rhs : list of n
+    inverse, rhs : list of n
+        The diagonal of D⁻¹, and the right-hand side.
     columns : list of n pairs
         Columns of G.
     tensor : (J11, J12, J22)
     """
     j11, j12, j22 = tensor
-    inverse = [bind(1.0 / (entry + DIAGONAL_FLOOR)) for entry in diagonal]
     m11 = bind(_sum(a * a * d for (a, _), d in zip(columns, inverse, strict=True)))
     m12 = bind(_sum(a * b * d for (a, b), d in zip(columns, inverse, strict=True)))
     m22 = bind(_sum(b * b * d for (_, b), d in zip(columns, inverse, strict=True)))

@@ -37,10 +37,10 @@ def entry(median, **info):
     return {"stats": stats, "extra_info": {"threads": 2, **info}}
 
 
-def report(sweep_ns=10.0, numpy_ns=1000.0):
-    kernel = {"kernel": "sweep", "size": [480, 640], "model": "rigid"}
+def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None):
+    kernel = {"kernel": "sweep separate", "size": [480, 640], "model": "rigid"}
     scale = 1e-9 * PIXELS
-    words = TRAFFIC["sweep"].bytes_per_pixel(6)
+    words = TRAFFIC["sweep separate"].bytes_per_pixel(6)
     taichi = {"implementation": "taichi", "solver": "cholesky", "lanes": 8}
     entries = [
         entry(0.01, implementation="stream", kernel="copy", bytes=2 * 10**8),
@@ -48,6 +48,10 @@ def report(sweep_ns=10.0, numpy_ns=1000.0):
         entry(numpy_ns * scale, implementation="numpy", **kernel),
         entry(sweep_ns * scale, bytes_per_pixel=words, **taichi, **kernel),
     ]
+    if large_ns is not None:
+        large = {"kernel": "sweep joint", "size": [1080, 1920], "model": "rigid"}
+        taichi |= {"solver": "closed_form"}
+        entries.append(entry(large_ns * 1e-9 * 1080 * 1920, bytes_per_pixel=1, **taichi, **large))
     machine = {"machine": "x", "system": "y", "python_version": "3", "numpy": "2", "taichi": "1"}
     return {"machine_info": machine, "benchmarks": entries}
 
@@ -78,19 +82,20 @@ def test_the_reference_of_another_process_is_not_taken():
 
 
 @pytest.mark.parametrize(
-    ("sweep_ns", "numpy_ns", "floats", "met"),
+    ("sweep_ns", "numpy_ns", "large_ns", "floats", "met"),
     [
-        (10, 1000, 50, (True, True, True)),
-        (13, 1000, 50, (False, True, True)),
-        (10, 600, 50, (True, False, True)),
-        (10, 1000, 61, (True, True, False)),
+        (10, 1000, 5, 50, (True, True, True, True)),
+        (13, 1000, 5, 50, (False, True, True, True)),
+        (10, 600, 5, 50, (True, False, True, True)),
+        (10, 1000, 7, 50, (True, True, False, True)),
+        (10, 1000, 5, 61, (True, True, True, False)),
     ],
 )
-def test_bars(sweep_ns, numpy_ns, floats, met):
+def test_bars(sweep_ns, numpy_ns, large_ns, floats, met):
     memory = dict.fromkeys(("paper", "fast", "balanced", "accurate"), floats)
-    found = list(bars(collect([report(sweep_ns, numpy_ns)], memory)))
-    assert [bar.met for bar in found[:2]] == list(met[:2])
-    assert {bar.met for bar in found[2:]} == {met[2]}
+    found = list(bars(collect([report(sweep_ns, numpy_ns, large_ns)], memory)))
+    assert [bar.met for bar in found[:3]] == list(met[:3])
+    assert {bar.met for bar in found[3:]} == {met[3]}
 
 
 def test_a_bar_that_was_not_measured_is_missed():
@@ -400,10 +405,15 @@ def test_the_gpu_is_named():
 def test_what_is_timed_on_a_device_agrees_with_the_reference():
     problem = Problem(23, 34)
     for case in bench_kernels.CASES:
-        option = case.scheme or case.solver
-        run, read = getattr(
-            Operations(problem, 1, case.components or 6, option, on_device=True), case.kernel
-        )()
+        operations = Operations(
+            problem,
+            1,
+            case.components or 6,
+            scheme=case.scheme,
+            solver=case.solver,
+            on_device=True,
+        )
+        run, read = getattr(operations, case.kernel)()
         bench_kernels.reference_run(problem, case.without_solver())
         expected = problem.expected[case.without_solver()]
         check(read(run()), expected, case.tolerance(problem))

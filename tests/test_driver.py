@@ -308,7 +308,7 @@ def test_stops_when_the_variables_cease_to_evolve(blocks):
         {"cycles": 1},
         {"relaxation": 1.2},
         {"tolerance": 0.5},
-        {"solver": "closed_form"},
+        {"solver": "cholesky"},
     ],
     ids=lambda change: next(iter(change)),
 )

@@ -200,14 +200,12 @@ def test_descent_in_a_plane(size, components, lanes, make):
         change = energy(before + p * (problem.rho - before) + q * step) - energy(before)
         assert z @ matrix @ z + 2 * z @ vector == pytest.approx(change, rel=1e-4, abs=1e-2)
 
-    moved, length = descend(problem.grid, 0.3, -0.7, field.rho, *in_lanes)
+    descend(problem.grid, 0.3, -0.7, field.rho, *in_lanes)
     move = 0.3 * (problem.rho - before) - 0.7 * step
     close(problem.from_lanes(field.rho), before + move)
     close(problem.from_lanes(in_lanes[1]), move)
     np.testing.assert_array_equal(in_lanes[0], field.rho)
     np.testing.assert_array_equal(field.rho, problem.to_lanes(problem.from_lanes(field.rho)))
-    assert moved == pytest.approx(np.linalg.norm(move), rel=1e-5)
-    assert length == pytest.approx(np.linalg.norm(before + move), rel=1e-5)
 
 
 def quadratic_energy(problem, weights, rho):

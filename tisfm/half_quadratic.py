@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.field import Field, LaneData
+from tisfm.kernels.edges import component_table
 from tisfm.kernels.evidence import evidence
 from tisfm.kernels.iteration import Sums, advance
 from tisfm.kernels.relaxation import sweep
@@ -58,8 +59,8 @@ class HalfQuadratic:
 
     Attributes
     ----------
-    weights : lane array, 2n components
-        s_k·g·b of every edge.
+    weights : lane array, 2n components, or 2 where edges are joint
+        g·b of every edge.
     tensor : lane array, 6 components
         The data terms, weighted and added up.
     """
@@ -83,11 +84,20 @@ class HalfQuadratic:
         self.field, self.alpha = field, alpha
         self.outer_iterations, self.sweeps, self.tolerance = outer_iterations, sweeps, tolerance
         self.relaxation, self.solver, self.scales = relaxation, solver, scales
-        self._penalty = {"contrast": contrast, "stiffness": stiffness, "joint": joint}
+        n = field.components
+        self._penalty = {
+            "contrast": contrast,
+            "stiffness": component_table(stiffness, n, "stiffness"),
+        }
+        self._alphas = component_table([alpha * value for value in stiffness], n)
         self.tensor = field.grid.allocate(6)
-        self.weights = field.grid.allocate(2 * field.components)
+        shared = joint or not np.isfinite(contrast)  # then b is 1
+        self.weights = field.grid.allocate(2 if shared else 2 * field.components)
         self._cycles = cycles
-        self._multigrid = Multigrid(field, alpha=alpha, solver=solver) if cycles else None
+        self._multigrid = None
+        if cycles:
+            sets = self.weights.shape[0] // 2
+            self._multigrid = Multigrid(field, alpha=self._alphas, solver=solver, sets=sets)
         self._previous = field.grid.allocate(field.components)
 
     def evidence(self) -> np.ndarray:
@@ -112,7 +122,7 @@ class HalfQuadratic:
             field.y_hat,
             field.rho,
             out,
-            alpha=self.alpha,
+            alpha=self._alphas,
         )
         return out
 
@@ -148,7 +158,7 @@ class HalfQuadratic:
                     field.x_hat,
                     field.y_hat,
                     field.rho,
-                    alpha=self.alpha,
+                    alpha=self._alphas,
                     relaxation=self.relaxation,
                     solver=self.solver,
                     sweeps=self.sweeps,

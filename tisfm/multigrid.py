@@ -8,6 +8,8 @@ The coarse system is that of averaged motion tensors at the coarse pixels' own x
 averaged edge weights.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tisfm.field import Field, LaneData
@@ -39,21 +41,29 @@ class Multigrid:
     ----------
     field : Field
         Its `rho` is modified in place by `cycle`.
-    alpha : float
-        α = λ̂β.
+    alpha : float or n floats
+        α_k = λ̂β s_k.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved.
+    sets : int, optional
+        Weights that an edge has: n, by default, or 1 for all components.
     relaxation : float
         Of the sweeps, in (0, 2).
     """
 
     def __init__(
-        self, field: Field, *, alpha: float, solver: str, relaxation: float = RELAXATION
+        self,
+        field: Field,
+        *,
+        alpha: float | Sequence[float],
+        solver: str,
+        sets: int | None = None,
+        relaxation: float = RELAXATION,
     ) -> None:
         self._alpha, self._solver, self._relaxation = alpha, solver, relaxation
         self._before: LaneData | None = None
         self._step: LaneData | None = None
-        self._levels = [_Level(field)]
+        self._levels = [_Level(field, sets or field.components)]
         while min(self._levels[-1].size) > COARSEST_SIDE:
             self._levels.append(self._levels[-1].coarser())
 
@@ -64,7 +74,7 @@ class Multigrid:
         ----------
         tensor : lane array, 6 components
             Motion tensor; kept, not copied.
-        weights : lane array, 2n components
+        weights : lane array, 2·sets components
             Edge weights; kept, not copied.
         """
         finest, *others = self._levels
@@ -81,16 +91,11 @@ class Multigrid:
         grid.copy(self._levels[0].field.rho, self._before)
         self._step.fill(0)
 
-    def descend(self) -> tuple[float, float]:
+    def descend(self) -> None:
         """Run one V-cycle, then go to the least energy in the plane of its correction and the last.
 
         For one system these are conjugate gradients, which the cycle preconditions. The energy of
         the system does not rise, whatever it is.
-
-        Returns
-        -------
-        moved, size : float
-            ‖change of ρ̂‖ and ‖ρ̂‖, px/frame.
         """
         if self._before is None or self._step is None:
             self.restart()
@@ -109,7 +114,7 @@ class Multigrid:
             alpha=self._alpha,
         )
         p, q = _lowest(matrix, vector)
-        return descend(field.grid, p, q, field.rho, self._before, self._step)
+        descend(field.grid, p, q, field.rho, self._before, self._step)
 
     def cycle(self) -> None:
         """Run one V-cycle, V(1, 1)."""
@@ -142,8 +147,8 @@ class Multigrid:
 class _Level:
     """A grid, its system and its unknown: ρ̂ on the finest, a correction of it on the others."""
 
-    def __init__(self, field: Field, source: LaneData | None = None) -> None:
-        self.field, self.source = field, source
+    def __init__(self, field: Field, sets: int, source: LaneData | None = None) -> None:
+        self.field, self.sets, self.source = field, sets, source
         grid, n = field.grid, field.components
         self.size = grid.height, grid.width
         self.tensor: LaneData | None = None
@@ -153,13 +158,13 @@ class _Level:
         aligned = grid.strip // 2 == coarse_grid(grid).strip
         self._halved: tuple[LaneData, LaneData, LaneData] | None = None
         if not aligned:
-            self._halved = _halved(grid, 6), _halved(grid, 2 * n), _halved(grid, n)
+            self._halved = _halved(grid, 6), _halved(grid, 2 * sets), _halved(grid, n)
 
     def coarser(self) -> "_Level":
         grid, n = coarse_grid(self.field.grid), self.field.components
         field = Field(grid, self.field.camera.scaled(0.5, *self.size), n)
-        level = _Level(field, source=grid.allocate(n))
-        level.tensor, level.weights = grid.allocate(6), grid.allocate(2 * n)
+        level = _Level(field, self.sets, source=grid.allocate(n))
+        level.tensor, level.weights = grid.allocate(6), grid.allocate(2 * self.sets)
         return level
 
     def coarsen(self, coarse: "_Level") -> None:
@@ -173,7 +178,7 @@ class _Level:
         relayout(coarse.field.grid, tensor, coarse.tensor)
         relayout(coarse.field.grid, weights, coarse.weights)
 
-    def restrict(self, coarse: "_Level", *, alpha: float) -> None:
+    def restrict(self, coarse: "_Level", *, alpha: float | Sequence[float]) -> None:
         """Hand the residual to the coarser level, whose correction starts from zero."""
         field = self.field
         halved = coarse.source if self._halved is None else self._halved[2]

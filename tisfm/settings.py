@@ -147,7 +147,7 @@ class Settings:
     cycles: int = 0
     relaxation: float = 1.95
     tolerance: float = 2e-2
-    solver: Solver = "cholesky"
+    solver: Solver = "closed_form"
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -323,6 +323,7 @@ _PRESETS: dict[str, Settings] = {
         cycles=1,
         relaxation=1.9,
         tolerance=1e-2,
+        solver="cholesky",
     ),
     "fast": Settings(warps=1, sweeps=4, relaxation=1.97, tolerance=3e-2),
     "balanced": Settings(),
