@@ -24,6 +24,7 @@ from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.frames import grey_pair
 from tisfm.image_edges import image_edges_in_lanes
+from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.iteration import advance
 from tisfm.kernels.lanes import LaneGrid
 from tisfm.kernels.relaxation import sweep
@@ -83,15 +84,17 @@ class System:
         height, width = size
         smaller = width < pair.frame0.shape[1]
         how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-        frames = [
+        frame0, frame1 = (
             cv2.resize(grey, (width, height), interpolation=how)
             for grey in grey_pair(pair.frame0, pair.frame1)
-        ]
+        )
         self.grid = LaneGrid(height, width, runtime.lanes())
         self.field = Field(self.grid, Camera(FOCAL * width), 6)
         term = DataTerm(
             self.grid,
-            *frames,
+            frame0,
+            frame1,
+            spline_coefficients(frame1),
             scheme="cube",
             brightness=1.0,
             gradient=0.0,
@@ -99,7 +102,7 @@ class System:
             contrast=math.inf,
         )
         self.tensor = term.linearise(self.grid.allocate(2))
-        self.edges = image_edges_in_lanes(self.grid, frames[0], IMAGE_EDGES)
+        self.edges = image_edges_in_lanes(self.grid, frame0, IMAGE_EDGES)
         self.edges *= self.grid.open_edges() > 0
         self.weights = self.grid.allocate(2)
         self._tensor, self._previous = self.grid.allocate(6), self.grid.allocate(6)
@@ -138,8 +141,8 @@ class System:
 
     def multigrid(self) -> Multigrid:
         """Return multigrid, its systems set up."""
-        multigrid = Multigrid(self.field, alpha=ALPHA, solver="cholesky", sets=1)
-        multigrid.set_system(self.tensor, self.weights)
+        multigrid = Multigrid(self.field, solver="cholesky", sets=1)
+        multigrid.set_system(self.tensor, self.weights, ALPHA)
         return multigrid
 
 
@@ -209,7 +212,7 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
         "sweep": lambda: system.sweep(1.0),
         "V-cycle": multigrid.cycle,
         "V-cycle + CG": multigrid.descend,
-        "set-up": lambda: multigrid.set_system(system.tensor, system.weights),
+        "set-up": lambda: multigrid.set_system(system.tensor, system.weights, ALPHA),
     }
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for turn in range(TURNS + 1):

@@ -75,9 +75,15 @@ def _lanes_to_images(
 ):
     strip = array.shape[2] - 2
     lanes = ti.static(lane_count(array))
+    # Every lane has its own columns, the last ones fewer than the others.
+    whole = ti.max(0, out.shape[2] - (lanes - 1) * strip)
     for k, y in ti.ndrange(out.shape[0], out.shape[1]):
+        for s in range(whole):
+            values = array[component + k, y + 1, s + 1]
+            for lane in ti.static(range(lanes)):
+                out[k, y, lane * strip + s] = lane_of(values, lane, lanes)
         for lane in ti.static(range(lanes)):
-            for s in range(ti.min(strip, out.shape[2] - lane * strip)):
+            for s in range(whole, ti.min(strip, out.shape[2] - lane * strip)):
                 out[k, y, lane * strip + s] = lane_of(
                     array[component + k, y + 1, s + 1], lane, lanes
                 )

@@ -359,15 +359,21 @@ def test_advance(size, components, lanes, kind, contrast, scales, make_problem):
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
-@each_size
+@pytest.mark.parametrize("size", [*SIZES, (12, 64), (10, 32)], ids=lambda s: f"{s[0]}x{s[1]}")
 @each_model
 @each_lanes
 @pytest.mark.parametrize("ratio", [0.5, 0.73, 1.0])
 def test_prolong(size, components, lanes, ratio, make_problem):
+    from tisfm.field import Field
+    from tisfm.kernels.lanes import LaneGrid
+
     problem = make_problem(*size, components, lanes)
     shape = tuple(max(1, round(ratio * side)) for side in size)
     coarse = np.random.default_rng(6).normal(size=(components, *shape)).astype(np.float32)
-    problem.field.start_from(coarse, ratio)
+    below = Field(LaneGrid(*shape, lanes), problem.camera, components)
+    below.set_images(coarse)
+    problem.field.rho[...] = 0
+    problem.field.start_from(below, ratio)
     expected = reference.prolong(coarse.astype(np.float64), size, ratio)
     close(problem.from_lanes(problem.field.rho), expected, scale=10)
     assert not padding(problem, problem.field.rho).any()

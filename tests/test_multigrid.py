@@ -218,8 +218,8 @@ def quadratic_energy(problem, weights, rho):
 def solver_of(problem, weights, **options):
     from tisfm.multigrid import Multigrid
 
-    multigrid = Multigrid(problem.field, alpha=ALPHA, solver="cholesky", **options)
-    multigrid.set_system(problem.tensor_lanes, problem.to_lanes(weights))
+    multigrid = Multigrid(problem.field, solver="cholesky", **options)
+    multigrid.set_system(problem.tensor_lanes, problem.to_lanes(weights), ALPHA)
     return multigrid
 
 

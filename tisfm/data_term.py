@@ -3,7 +3,6 @@
 import numpy as np
 
 from tisfm.field import LaneData
-from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
@@ -19,6 +18,8 @@ class DataTerm:
     grid : LaneGrid
     frame0, frame1 : (H, W) float32
         Grey levels.
+    spline1 : (H, W) float32
+        `tisfm.interpolation.spline_coefficients` of frame 1.
     scheme : {"cube", "five_tap"}
         Derivatives.
     brightness, gradient : float
@@ -40,6 +41,7 @@ class DataTerm:
         grid: LaneGrid,
         frame0: np.ndarray,
         frame1: np.ndarray,
+        spline1: np.ndarray,
         *,
         scheme: str,
         brightness: float,
@@ -55,7 +57,7 @@ class DataTerm:
         }
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
         self._frame1 = grid.place(frame1)
-        self._spline1 = grid.place(spline_coefficients(frame1))
+        self._spline1 = grid.place(spline1)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
         self._warped = grid.place(np.empty_like(frame1))

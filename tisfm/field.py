@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.kernels.coarsening import correct, interpolation_columns
 from tisfm.kernels.flow import flow
 from tisfm.kernels.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.lanes import LaneGrid, aligned_zeros
@@ -49,17 +50,25 @@ class Field:
         self.edges = grid.open_edges()
         self.rho = grid.allocate(components)
 
-    def start_from(self, coarse: np.ndarray, ratio: float) -> None:
-        """Set ρ̂ from a coarser level.
+    def start_from(self, coarse: "Field", ratio: float) -> None:
+        """Set ρ̂, which must be zero, from that of a coarser level.
 
         Parameters
         ----------
-        coarse : (components, h, w) float32
-            ρ̂, px/frame of the coarser level.
+        coarse : Field
         ratio : float
             Sampling density of the coarser level over this one's.
         """
-        prolong(self.grid, coarse, self.rho, ratio=ratio)
+        grid = self.grid
+        even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
+        if not (even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
+            prolong(grid, coarse.images(), self.rho, ratio=ratio)
+            return
+        # Whole vectors of lanes, where every lane lies over a lane.
+        across = interpolation_columns(grid)
+        for table in across:
+            table *= 2  # ρ̂ is in pixels of its level
+        correct(grid, coarse.rho, across, self.rho)
 
     def set_images(self, rho: np.ndarray) -> None:
         """Set ρ̂ from (components, H, W) float32, px/frame of this level."""

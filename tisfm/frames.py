@@ -108,12 +108,17 @@ def _factor(first: np.ndarray, second: np.ndarray) -> float:
 
 def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
     with np.errstate(over="ignore"):
-        grey = frame.astype(np.float32, order="C")
-        if grey.ndim == 3:
+        if frame.ndim == 3:
             # One by one: a matrix product may round differently from one machine to the next.
-            red, green, blue = np.moveaxis(grey, -1, 0)
-            grey = _LUMA[0] * red + _LUMA[1] * green + _LUMA[2] * blue
+            channels = [frame[..., k].astype(np.float32) for k in range(3)]
+            for channel, share in zip(channels, _LUMA, strict=True):
+                channel *= share
+            grey, green, blue = channels
+            grey += green
+            grey += blue
+        else:
+            grey = frame.astype(np.float32, order="C")
         grey *= np.float32(factor)
-    if not np.isfinite(grey).all():
+    if _is_float(frame) and not np.isfinite(grey).all():
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
     return grey

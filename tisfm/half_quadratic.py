@@ -81,7 +81,7 @@ class HalfQuadratic:
         joint: bool,
         cycles: int = 0,
     ) -> None:
-        self.field, self.alpha = field, alpha
+        self.field = field
         self.outer_iterations, self.sweeps, self.tolerance = outer_iterations, sweeps, tolerance
         self.relaxation, self.solver, self.scales = relaxation, solver, scales
         n = field.components
@@ -89,16 +89,24 @@ class HalfQuadratic:
             "contrast": contrast,
             "stiffness": component_table(stiffness, n, "stiffness"),
         }
-        self._alphas = component_table([alpha * value for value in stiffness], n)
+        self.alpha = alpha
         self.tensor = field.grid.allocate(6)
         shared = joint or not np.isfinite(contrast)  # then b is 1
         self.weights = field.grid.allocate(2 if shared else 2 * field.components)
         self._cycles = cycles
-        self._multigrid = None
-        if cycles:
-            sets = self.weights.shape[0] // 2
-            self._multigrid = Multigrid(field, alpha=self._alphas, solver=solver, sets=sets)
+        sets = self.weights.shape[0] // 2
+        self._multigrid = Multigrid(field, solver=solver, sets=sets) if cycles else None
         self._previous = field.grid.allocate(field.components)
+
+    @property
+    def alpha(self) -> float:
+        """α = λ̂β; may be set."""
+        return self._alpha
+
+    @alpha.setter
+    def alpha(self, value: float) -> None:
+        self._alpha = value
+        self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
 
     def evidence(self) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
@@ -147,7 +155,7 @@ class HalfQuadratic:
             self._multigrid.restart()
         for _ in range(self.outer_iterations):
             if self._multigrid:
-                self._multigrid.set_system(self.tensor, self.weights)
+                self._multigrid.set_system(self.tensor, self.weights, self._alphas)
                 for _ in range(self._cycles):
                     self._multigrid.descend()
             else:

@@ -8,7 +8,7 @@ import numpy as np
 from tisfm import runtime
 
 _POLE = math.sqrt(3) - 2
-_REACH = 14  # px: what lies farther has a weight below 1e-8
+_REACH = 12  # px: what lies farther has a weight below 1e-7, less than float32 resolves
 # The inverse of the filter (1, 4, 1)/6, by which coefficients give values at pixels.
 _INVERSE = math.sqrt(3) * _POLE ** np.abs(np.arange(-_REACH, _REACH + 1))
 
@@ -33,7 +33,7 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
 
 
-def sample(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def sample(image: np.ndarray, flow: np.ndarray, spline: np.ndarray | None = None) -> np.ndarray:
     """Return an image sampled where a flow leads, by its cubic spline; beyond, it repeats.
 
     Parameters
@@ -41,6 +41,8 @@ def sample(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     image : (H, W) float32
     flow : (2, H, W) float32
         (u, v), px; finite.
+    spline : (H, W) float32, optional
+        Its `spline_coefficients`, if they are at hand.
 
     Returns
     -------
@@ -53,5 +55,6 @@ def sample(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)
-    warp(grid, image, spline_coefficients(image), motion, out, inside)
+    spline = spline_coefficients(image) if spline is None else spline
+    warp(grid, image, spline, motion, out, inside)
     return out

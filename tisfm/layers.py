@@ -14,7 +14,7 @@ from tisfm.confidence import QUIET, QUIET_GREY
 from tisfm.egomotion import camera_motion
 from tisfm.floating import floating
 from tisfm.motion_candidates import smallest_object
-from tisfm.occlusion import leaves_image, occlusion
+from tisfm.occlusion import leaves_image
 from tisfm.potts import Potts
 from tisfm.pyramid import Pyramid
 from tisfm.rigid_depth import RigidSolution, residual_under, rigid_depth
@@ -65,7 +65,8 @@ class Layering:
     pyramid : Pyramid
     settings : Settings
     camera : Camera
-    grey0, grey1 : (H, W) float32
+    grey0 : (H, W) float32
+        Grey levels of frame 0.
     """
 
     def __init__(
@@ -74,12 +75,10 @@ class Layering:
         settings: Settings,
         camera: Camera,
         grey0: np.ndarray,
-        grey1: np.ndarray,
     ) -> None:
         self._pyramid, self._camera = pyramid, camera
         # Surfaces need not be exact to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
-        self._grey0, self._grey1 = grey0, grey1
         self._potts = Potts(grey0)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.smallest = smallest_object(grey0.size)
@@ -126,7 +125,7 @@ class Layering:
             costs[~reach] = UNREACHED
             for _ in range(2):
                 composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
-                hidden = occlusion(self._grey0, self._grey1, composed, self._settings)
+                hidden = self._pyramid.occlusion(composed)
                 weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
                 labels = self._potts.assign(costs, weight)
         return Layers(

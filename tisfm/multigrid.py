@@ -8,8 +8,6 @@ The coarse system is that of averaged motion tensors at the coarse pixels' own x
 averaged edge weights.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from tisfm.field import Field, LaneData
@@ -41,8 +39,6 @@ class Multigrid:
     ----------
     field : Field
         Its `rho` is modified in place by `cycle`.
-    alpha : float or n floats
-        α_k = λ̂β s_k.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved.
     sets : int, optional
@@ -55,19 +51,19 @@ class Multigrid:
         self,
         field: Field,
         *,
-        alpha: float | Sequence[float],
         solver: str,
         sets: int | None = None,
         relaxation: float = RELAXATION,
     ) -> None:
-        self._alpha, self._solver, self._relaxation = alpha, solver, relaxation
+        self._solver, self._relaxation = solver, relaxation
+        self._alpha: float | np.ndarray = 1.0
         self._before: LaneData | None = None
         self._step: LaneData | None = None
         self._levels = [_Level(field, sets or field.components)]
         while min(self._levels[-1].size) > COARSEST_SIDE:
             self._levels.append(self._levels[-1].coarser())
 
-    def set_system(self, tensor: LaneData, weights: LaneData) -> None:
+    def set_system(self, tensor: LaneData, weights: LaneData, alpha: float | np.ndarray) -> None:
         """Take the system whose solution is sought, and derive the coarse ones.
 
         Parameters
@@ -76,9 +72,11 @@ class Multigrid:
             Motion tensor; kept, not copied.
         weights : lane array, 2·sets components
             Edge weights; kept, not copied.
+        alpha : float or (n,) float32
+            α_k = λ̂β s_k.
         """
         finest, *others = self._levels
-        finest.tensor, finest.weights = tensor, weights
+        finest.tensor, finest.weights, self._alpha = tensor, weights, alpha
         for fine, coarse in zip(self._levels, others, strict=False):
             fine.coarsen(coarse)
 
@@ -178,7 +176,7 @@ class _Level:
         relayout(coarse.field.grid, tensor, coarse.tensor)
         relayout(coarse.field.grid, weights, coarse.weights)
 
-    def restrict(self, coarse: "_Level", *, alpha: float | Sequence[float]) -> None:
+    def restrict(self, coarse: "_Level", *, alpha: float | np.ndarray) -> None:
         """Hand the residual to the coarser level, whose correction starts from zero."""
         field = self.field
         halved = coarse.source if self._halved is None else self._halved[2]

@@ -9,7 +9,6 @@ from tisfm.camera_reading import first_motion, only_turned
 from tisfm.contacts import aligned
 from tisfm.layers import Layering, without_specks
 from tisfm.motion_candidates import motion_candidates
-from tisfm.occlusion import occlusion
 from tisfm.pyramid import Pyramid
 from tisfm.reading import Reading
 from tisfm.rigid_depth import rigid_depth
@@ -22,7 +21,6 @@ def objects_reading(
     camera: Camera,
     settings: Settings,
     grey0: np.ndarray,
-    grey1: np.ndarray,
 ) -> Reading:
     """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
 
@@ -38,8 +36,8 @@ def objects_reading(
     camera : Camera
         A pinhole, of the finest level.
     settings : Settings
-    grey0, grey1 : (H, W) float32
-        Grey levels on the 8-bit scale.
+    grey0 : (H, W) float32
+        Grey levels of frame 0 on the 8-bit scale.
     """
     # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
     settings = replace(
@@ -51,7 +49,7 @@ def objects_reading(
     start = first_motion(pyramid, camera, settings)
     if start.status in ("no_texture", "no_motion") and not start.flow.any():
         return only_turned(pyramid, camera, settings, start, start.status)
-    hidden = occlusion(grey0, grey1, np.moveaxis(start.flow, -1, 0), settings)
+    hidden = pyramid.occlusion(np.moveaxis(start.flow, -1, 0))
     motions, labels = motion_candidates(
         start.flow,
         np.where(hidden, 0, start.trust),
@@ -61,7 +59,7 @@ def objects_reading(
         start.residual,
         most=settings.max_objects,
     )
-    layering = Layering(pyramid, settings, camera, grey0, grey1)
+    layering = Layering(pyramid, settings, camera, grey0)
     layers = layering.fitted(motions, labels, hidden)
     if len(motions) > 1:
         layers = layering.pruned(layers)

@@ -18,7 +18,12 @@ _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 
 def occlusion(
-    grey0: np.ndarray, grey1: np.ndarray, flow: np.ndarray, settings: Settings
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    flow: np.ndarray,
+    settings: Settings,
+    *,
+    spline1: np.ndarray | None = None,
 ) -> np.ndarray:
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
@@ -30,12 +35,14 @@ def occlusion(
 
     Parameters
     ----------
-    grey0, grey1 : (H, W) float32
-        Grey levels on the 8-bit scale.
+    frame0, frame1 : (H, W) float32
+        Grey levels on the 8-bit scale, smoothed as the settings say.
     flow : (2, H, W) float32
         (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
     settings : Settings
         For the weights of the data constraints.
+    spline1 : (H, W) float32, optional
+        Of `tisfm.interpolation.spline_coefficients` for frame 1, if it is at hand.
 
     Returns
     -------
@@ -53,7 +60,7 @@ def occlusion(
     # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
     flow = np.clip(flow, -FAR, FAR)
     flow[np.isnan(flow)] = FAR
-    residual = _residual(grey0, grey1, flow, settings)
+    residual = _residual(frame0, sample(frame1, flow, spline1), settings)
     claims = aligned_zeros((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)
@@ -69,22 +76,18 @@ def leaves_image(flow: np.ndarray) -> np.ndarray:
     return ~(across & (y >= -MARGIN) & (y <= height - 1 + MARGIN))
 
 
-def _residual(
-    grey0: np.ndarray, grey1: np.ndarray, flow: np.ndarray, settings: Settings
-) -> np.ndarray:
+def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:
     """Return how badly brightness and its gradient are kept around every pixel, in grey levels.
 
     Not normalised by the image's gradient, unlike in the energy: that finds fewer occlusions.
     """
-    from tisfm.pyramid import smooth  # loads Taichi
-
-    grey0, grey1 = (smooth(grey, settings.presmoothing) for grey in (grey0, grey1))
-    change = sample(grey1, flow) - grey0
-    residual = settings.brightness * change**2
+    change = cv2.subtract(warped, frame0)
+    residual = cv2.multiply(change, change, scale=settings.brightness)
     if settings.gradient > 0:
         for taps in (_FIVE_TAP, _FIVE_TAP.T):
             slope = cv2.filter2D(change, -1, taps, borderType=cv2.BORDER_REFLECT_101)
-            residual += settings.gradient * slope**2
+            square = cv2.multiply(slope, slope)
+            cv2.scaleAdd(square, settings.gradient, residual, dst=residual)
     np.sqrt(residual, out=residual)
     return cv2.blur(residual, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
 

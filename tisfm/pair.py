@@ -10,7 +10,7 @@ from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import Interpretation, Status
 from tisfm.lens import Undistortion
-from tisfm.occlusion import leaves_image, occlusion
+from tisfm.occlusion import leaves_image
 from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
@@ -93,10 +93,10 @@ def interpret(
     elif settings.motion == "camera":
         reading = camera_reading(pyramid, camera, settings, known)
     else:
-        reading = objects_reading(pyramid, camera, settings, grey0, grey1)
+        reading = objects_reading(pyramid, camera, settings, grey0)
     flow = reading.flow
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
-        unseen = occlusion(grey0, grey1, flow, settings)
+        unseen = pyramid.occlusion(flow)
         if lens is not None:
             unseen |= lens.missing(flow)
         if reading.inverse_depth_std is not None:
@@ -125,7 +125,7 @@ def interpret(
 def diverged(flow: np.ndarray) -> Status | None:
     """Return the status of a flow, (2, H, W), that no pair of frames can have, None for others."""
     # What moves by half the image is hardly seen twice; NaN fails the comparison as well.
-    if not np.hypot(*flow).max() <= RUNAWAY * max(flow.shape[1:]):
+    if not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= RUNAWAY * max(flow.shape[1:]):
         return Status(
             "diverged",
             f"image motion grew beyond {100 * RUNAWAY:g}% of the image's longer side: bring the "

@@ -2,17 +2,21 @@
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
+from tisfm.interpolation import spline_coefficients
 from tisfm.kernels.lanes import LaneGrid
+from tisfm.occlusion import occlusion
 from tisfm.runtime import lane_grid
 from tisfm.settings import Settings
 
@@ -100,6 +104,8 @@ class Pyramid:
     ----------
     frames0, frames1 : list of (h, w) float32
         Smoothed beforehand, the finest first.
+    splines1 : list of (h, w) float32
+        Coefficients of the splines through `frames1` (`tisfm.interpolation`).
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
     """
@@ -110,10 +116,21 @@ class Pyramid:
         self._camera, self._settings = camera, settings
         height, width = grey0.shape
         levels, factor = level_count(height, width, settings), settings.pyramid_factor
-        sigma = settings.presmoothing
-        self.frames0 = gaussian_pyramid(smooth(grey0, sigma), factor, levels)
-        self.frames1 = gaussian_pyramid(smooth(grey1, sigma), factor, levels)
-        self.contrast = mean_step(self.frames0[0])
+
+        def frames(grey: np.ndarray) -> list[np.ndarray]:
+            return gaussian_pyramid(smooth(grey, settings.presmoothing), factor, levels)
+
+        def frames_and_splines(grey: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+            found = frames(grey)
+            return found, [spline_coefficients(frame) for frame in found]
+
+        with ThreadPoolExecutor(max_workers=1) as beside:  # OpenCV's filters take one thread each
+            others = beside.submit(frames_and_splines, grey1)
+            if runtime.threads() == 1:
+                wait([others])
+            self.frames0 = frames(grey0)
+            self.contrast = mean_step(self.frames0[0])
+            self.frames1, self.splines1 = others.result()
 
     @property
     def levels(self) -> int:
@@ -124,7 +141,7 @@ class Pyramid:
         """Return the sampling density of a level relative to the finest."""
         return self._settings.pyramid_factor**level
 
-    def field(self, level: int, components: int, coarse: np.ndarray | None) -> Field:
+    def field(self, level: int, components: int, coarse: Field | None) -> Field:
         """Return the unknown of a level, from that of the next coarser one or from zero."""
         frame0 = self.frames0[level]
         grid = lane_grid(*frame0.shape)
@@ -151,12 +168,18 @@ class Pyramid:
             grid,
             self.frames0[level],
             self.frames1[level],
+            self.splines1[level],
             scheme=settings.derivatives,
             brightness=brightness,
             gradient=gradient,
             normalization=None if normalization is None else normalization * self.contrast,
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
+
+    def occlusion(self, flow: np.ndarray) -> np.ndarray:
+        """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool."""
+        frames = self.frames0[0], self.frames1[0]
+        return occlusion(*frames, flow, self._settings, spline1=self.splines1[0])
 
     def minimiser(
         self,
@@ -202,7 +225,7 @@ def coarse_to_fine(
         The level to end with.
     """
     history: list[tuple[int, int, Iteration]] = []
-    coarse: np.ndarray | None = None
+    coarse: Field | None = None
     for level in reversed(range(finest, pyramid.levels)):
         field = pyramid.field(level, components, coarse)
         data_term = pyramid.data_term(
@@ -225,6 +248,5 @@ def coarse_to_fine(
             terms = data_term.linearise(field.flow(flow))
             iterations, converged = minimiser.minimise(terms)
             history += [(level, warp, iteration) for iteration in iterations]
-        if level > finest:
-            coarse = field.images()
+        coarse = field
     return Solution(field=field, minimiser=minimiser, history=history, converged=converged)

@@ -120,7 +120,7 @@ def rigid_depth(
     """
     motions = scaled_translations(motions, labels, camera)
     history: list[tuple[int, int, Iteration]] = []
-    coarse: np.ndarray | None = None
+    coarse: Field | None = None
     noise = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
     warps = [settings.warps * WARPS] + coarsest * [
@@ -142,8 +142,7 @@ def rigid_depth(
             if refine != "none" and pyramid.scale(level) >= REFINED:
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
-        if level > 0:
-            coarse = field.images()
+        coarse = field
     state.minimiser.renew(restricted)  # depth was despeckled
     state.displace(motions)
     return RigidSolution(
