@@ -32,15 +32,17 @@ def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
     if scheme not in SCHEMES:
         raise ValueError(f"scheme is {scheme!r}: expected one of {SCHEMES}")
     kernel = _cube if scheme == "cube" else _five_tap
-    kernel[grid.lanes](frame0, frame1, out)
+    kernel[grid.lanes](frame0, frame1, grid.serial, out)
 
 
 @lane_kernel
 def _cube(
     frame0: LaneArray(3),  # (1, H+8, S+8)
     frame1: LaneArray(3),  # (1, H+8, S+8)
+    serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
+    ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2
         a, b = frame0[0, y, s], frame0[0, y, s + 1]
@@ -56,9 +58,11 @@ def _cube(
 def _five_tap(
     frame0: LaneArray(3),  # (1, H+8, S+8)
     frame1: LaneArray(3),  # (1, H+8, S+8)
+    serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
     near, far = ti.static(8.0 / 24.0, 1.0 / 24.0)  # of the sum of two frames, not their mean
+    ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2
         inner_x = frame0[0, y, s + 1] + frame1[0, y, s + 1] - frame0[0, y, s - 1]

@@ -23,7 +23,7 @@ def flow(grid: LaneGrid, rho, x_hat, y_hat, out) -> None:
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     grid.check(out, 2, "out")
-    _flow[grid.lanes](rho, x_hat, y_hat, rho.shape[0], out)
+    _flow[grid.lanes](rho, x_hat, y_hat, rho.shape[0], grid.serial, out)
 
 
 @lane_kernel
@@ -32,8 +32,10 @@ def _flow(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     n: ti.template(),
+    serial: ti.template(),
     out: LaneArray(3),  # (2, H+2, S+2)
 ):
+    ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))

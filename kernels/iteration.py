@@ -122,6 +122,7 @@ def advance(
         components,
         sets,
         count,
+        grid.serial,
         -(-grid.height // ROWS),
         weights,
         tensor,
@@ -154,6 +155,7 @@ def _advance(
     n: ti.template(),
     sets: ti.template(),
     count: ti.template(),
+    serial: ti.template(),
     bands: ti.i32,
     weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
     tensor: LaneArray(3),  # (6, H+2, S+2), in place
@@ -170,9 +172,11 @@ def _advance(
                 weights, tensor, previous, partial, index // blocks, index % blocks,
             )  # fmt: skip
     else:
-        for task in range(CHUNK * bands):
-            if task % CHUNK == 0:
-                band = task // CHUNK
+        chunk = ti.static(1 if serial else CHUNK)
+        ti.loop_config(serialize=serial)
+        for task in range(chunk * bands):
+            if task % chunk == 0:
+                band = task // chunk
                 for row in range(band * height // bands, (band + 1) * height // bands):
                     for block in range(blocks):
                         _advance_block(

@@ -23,6 +23,7 @@ import taichi as ti
 from tisfm.kernels.launch import Kernel
 
 CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
+SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
 ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
 
 
@@ -140,6 +141,11 @@ class LaneGrid:
         """Columns per lane: even, so that red and black alternate alike in every lane."""
         columns = -(-self.width // self.lanes)
         return columns + columns % 2
+
+    @property
+    def serial(self) -> bool:
+        """Whether the image is so small that kernels had better run in one thread."""
+        return self.lanes > 1 and self.height * self.width <= SERIAL
 
     def shape(self, components: int, halo: int = 1) -> tuple[int, ...]:
         """Return the shape of a lane array of this grid."""
@@ -259,7 +265,7 @@ def check_array(
         raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
     if not (array.flags.c_contiguous and array.flags.writeable):
         raise ValueError(f"{name} must be C-contiguous and writable")
-    if aligned and array.ctypes.data % 32:
+    if aligned and array.__array_interface__["data"][0] % 32:
         raise ValueError(
             f"{name} must be aligned to 32 bytes: allocate it with "
             "LaneGrid.allocate or aligned_zeros"

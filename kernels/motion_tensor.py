@@ -63,6 +63,7 @@ def constancy_tensors(
         0.0 if normalization is None else 1.0,
         brightness > 0,
         gradient > 0,
+        grid.serial,
         out,
     )
 
@@ -78,8 +79,10 @@ def _constancy_tensors(
     normalized: ti.f32,  # 1 or 0
     use_brightness: ti.template(),
     use_gradient: ti.template(),
+    serial: ti.template(),
     out: LaneArray(3),  # (6 or 12, H+2, S+2)
 ):
+    ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         u, v = flow[0, y, s], flow[1, y, s]

@@ -80,7 +80,9 @@ def sweep(
     # One band is one thread's, which may as well go on to the next sweep.
     launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
     for _ in range(launches):
-        _sweep[grid.lanes](*system, components, sets, closed_form, sourced, bands, repeats, rho)
+        _sweep[grid.lanes](
+            *system, components, sets, closed_form, sourced, bands == 1, bands, repeats, rho
+        )
 
 
 @lane_kernel
@@ -96,6 +98,7 @@ def _sweep(
     sets: ti.template(),
     closed_form: ti.template(),
     sourced: ti.template(),
+    alone: ti.template(),
     bands: ti.i32,
     repeats: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -104,14 +107,17 @@ def _sweep(
 
     A thread takes a band of rows at a time. Black rows that touch another band wait until all red
     is done, so the result is that of red everywhere and then black everywhere, but for rounding.
-    `repeats` is how often to sweep: once, but where there is one band alone.
+    `repeats` is how often to sweep: once, but where there is one band `alone`, which needs no
+    other thread.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
-    for task in range(CHUNK * bands):
-        if task % CHUNK == 0:
+    chunk = ti.static(1 if alone else CHUNK)
+    ti.loop_config(serialize=alone)
+    for task in range(chunk * bands):
+        if task % chunk == 0:
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
-            band = task // CHUNK
+            band = task // chunk
             first, last = band * height // bands, (band + 1) * height // bands
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
@@ -131,19 +137,20 @@ def _sweep(
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
     # The black rows on both sides of every border between bands.
-    for task in range(CHUNK * 2 * (bands - 1)):
-        if task % CHUNK == 0:
-            alphas = ti.static([bind(alpha[k]) for k in range(n)])
-            border = task // CHUNK
-            row = (border // 2 + 1) * height // bands - 1 + border % 2
-            for pair in range(pairs):
-                s = 2 * pair + (row + 1) % 2 + 1
-                _relax(
-                    tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
-                    closed_form, sourced, rho, row + 1, s,
-                )  # fmt: skip
-            for k in range(n):
-                refresh_halo(rho, k, row + 1)
+    if ti.static(not alone):
+        for task in range(CHUNK * 2 * (bands - 1)):
+            if task % CHUNK == 0:
+                alphas = ti.static([bind(alpha[k]) for k in range(n)])
+                border = task // CHUNK
+                row = (border // 2 + 1) * height // bands - 1 + border % 2
+                for pair in range(pairs):
+                    s = 2 * pair + (row + 1) % 2 + 1
+                    _relax(
+                        tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
+                        closed_form, sourced, rho, row + 1, s,
+                    )  # fmt: skip
+                for k in range(n):
+                    refresh_halo(rho, k, row + 1)
 
 
 @lane_kernel

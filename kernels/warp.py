@@ -36,7 +36,7 @@ def warp(grid: LaneGrid, image, spline, flow, out, mask) -> None:
     grid.check(flow, 2, "flow")
     grid.check_image(out, "out")
     grid.check(mask, 1, "mask")
-    _warp[grid.lanes](image, spline, flow, out, mask)
+    _warp[grid.lanes](image, spline, flow, grid.serial, out, mask)
 
 
 @lane_kernel
@@ -44,12 +44,14 @@ def _warp(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     spline: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     flow: LaneArray(3),  # (2, H+2, S+2)
+    serial: ti.template(),
     out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     mask: LaneArray(3),  # (1, H+2, S+2)
 ):
     height, width = image.shape[0], image.shape[1]
     strip = flow.shape[2] - 2
     lanes = ti.static(lane_count(flow))
+    ti.loop_config(serialize=serial)
     for y, s in ti.ndrange(height, strip):
         u, v = flow[0, y + 1, s + 1], flow[1, y + 1, s + 1]
         for lane in ti.static(range(lanes)):
