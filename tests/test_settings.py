@@ -22,6 +22,7 @@ COUNTS = (
     "coarse_warps",
     "outer_iterations",
     "sweeps",
+    "finest_level",
     "cycles",
     "max_objects",
 )
@@ -197,6 +198,7 @@ def test_errors_state_the_bounds(name, value, bound):
         ("presmoothing", 0),
         ("tolerance", 0),
         ("cycles", 0),
+        ("finest_level", 0),
         ("pyramid_levels", 1),
         ("pyramid_levels", None),
         ("contrast", None),
@@ -219,7 +221,9 @@ def test_none_is_no_number(name):
         tisfm.Settings(**{name: None})
 
 
-@pytest.mark.parametrize("name", [name for name in COUNTS if name != "cycles"])
+@pytest.mark.parametrize(
+    "name", [name for name in COUNTS if name not in ("finest_level", "cycles")]
+)
 @pytest.mark.parametrize("value", [0, -1])
 def test_counts_start_at_one(name, value):
     with pytest.raises(ValueError, match=f"{name} is {value}: expected at least 1"):

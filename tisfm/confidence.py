@@ -27,8 +27,9 @@ def confidence(
 
     Parameters
     ----------
-    evidence : (7, H, W) float32
+    evidence : (7, h, w) float32
         J11, J12, J22, squared residual, M11, M12, M22 (`tisfm.kernels.evidence`). Modified.
+        Of the frame, or of a coarser level of its pyramid: then confidence is interpolated.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1.
     normalized : bool
@@ -58,5 +59,7 @@ def confidence(
     usual = float(np.median(residual[textured])) if textured.any() else 0.0
     tolerated = TOLERATED * max(usual, (QUIET if normalized else QUIET_GREY) ** 2)
     share /= 1 + residual / tolerated
+    if share.shape != occlusion.shape:
+        share = cv2.resize(share, occlusion.shape[::-1], interpolation=cv2.INTER_LINEAR)
     share[occlusion] = 0
     return np.clip(share, 0, 1, out=share)

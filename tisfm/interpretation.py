@@ -14,7 +14,7 @@ from tisfm.occlusion import leaves_image
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
 
-FORMAT = 4  # of the .npz; raised when a reader of the one before would go wrong
+FORMAT = 5  # of the .npz; raised when a reader of the one before would go wrong
 
 
 class Status(str):
@@ -306,6 +306,7 @@ def _bring_up_to_date(data: dict[str, np.ndarray], about: dict[str, Any]) -> Non
         tau = data["rho"][:3] / np.float32(about["camera"]["focal"])
         data.setdefault("inverse_depth", np.sqrt(np.einsum("khw,khw->hw", tau, tau)))
     settings.setdefault("cycles", 0)
+    settings.setdefault("finest_level", 0)
     # They were not in use: files of formats 1 and 2 hold motion="field".
     for name in (
         "depth_smoothness",

@@ -42,6 +42,7 @@ def objects_reading(
     # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
     settings = replace(
         settings,
+        finest_level=0,
         warps=max(settings.warps, 2),
         outer_iterations=max(settings.outer_iterations, 10),
         sweeps=max(settings.sweeps, 8),

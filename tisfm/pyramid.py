@@ -153,6 +153,18 @@ class Pyramid:
             field.edges = image_edges_in_lanes(grid, frame0, self._settings.image_edges)
         return field
 
+    def last(self, settings: Settings) -> int:
+        """Return the level to end on."""
+        return min(settings.finest_level, self.levels - 1)
+
+    def full(self, field: Field, level: int) -> Field:
+        """Return the unknown of a level on the finest grid; itself, if it is there."""
+        if level == 0:
+            return field
+        fine = Field(lane_grid(*self.frames0[0].shape), self._camera, field.components)
+        fine.start_from(field, self.scale(level))
+        return fine
+
     def data_term(
         self,
         level: int,

@@ -21,8 +21,8 @@ class Reading:
     flow : (2, H, W) float32
         (u, v), px/frame.
     inverse_depth : (H, W) float32
-    evidence : (7, H, W) float32
-        Of `tisfm.kernels.evidence`.
+    evidence : (7, h, w) float32
+        Of `tisfm.kernels.evidence`, on the level that motion was found on.
     normalized : bool
         Whether its residual is in squared px.
     freedom : {1, 2}
@@ -55,8 +55,9 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         settings,
         components=settings.components,
         contrast=settings.contrast_for(focal),
+        finest=pyramid.last(settings),
     )
-    field = solution.field
+    field = pyramid.full(solution.field, pyramid.last(settings))
     rho = np.zeros((6, field.grid.height, field.grid.width), np.float32)
     rho[: field.components] = field.images()
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says

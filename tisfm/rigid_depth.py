@@ -126,13 +126,14 @@ def rigid_depth(
     warps = [settings.warps * WARPS] + coarsest * [
         settings.coarse_warps if start is None else settings.warps
     ]
-    for level in reversed(range(coarsest + 1)):
+    last = min(pyramid.last(settings), coarsest)
+    for level in reversed(range(last, coarsest + 1)):
         field = pyramid.field(level, 1, coarse)
         if level == coarsest and depth is not None:
             field.set_images(depth[None])
         focal = camera.focal * pyramid.scale(level)
         state = _Level(pyramid, level, field, labels, focal, settings, support)
-        for warp in range(warps[level]):
+        for warp in range(warps[level - last]):
             restricted = state.linearise(motions)
             state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
             iterations, converged = state.minimiser.minimise(restricted)
@@ -143,7 +144,11 @@ def rigid_depth(
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
         coarse = field
-    state.minimiser.renew(restricted)  # depth was despeckled
+    if last > 0:
+        field = pyramid.full(field, last)
+        state = _Level(pyramid, 0, field, labels, camera.focal, settings, support)
+        restricted = state.linearise(motions)
+    state.minimiser.renew(restricted)  # depth was despeckled, or interpolated
     state.displace(motions)
     return RigidSolution(
         motions=motions,

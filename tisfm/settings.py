@@ -15,6 +15,7 @@ Preset = Literal["paper", "fast", "balanced", "accurate"]
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
 _COUNTS = (
     "pyramid_levels",
+    "finest_level",
     "warps",
     "coarse_warps",
     "outer_iterations",
@@ -22,6 +23,7 @@ _COUNTS = (
     "cycles",
     "max_objects",
 )
+_MAY_BE_0 = ("finest_level", "cycles")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +94,12 @@ class Settings:
     pyramid_levels : int or None
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
         about 12 px.
+    finest_level : int
+        Level to end on, 0 the finest: what is found there is interpolated. 1, with a
+        `pyramid_factor` of ½, leaves a quarter of the pixels to compute, and blurs motion over two
+        pixels. Beyond the coarsest level it is that. ``motion="objects"`` takes 0.
     warps : int
-        Linearisations on the finest level.
+        Linearisations on the last level.
     coarse_warps : int
         Linearisations on each of the others, at most: twice as many as on the next finer one. They
         cost little there, and what a coarse level gets wrong no finer one mends; untextured parts
@@ -140,6 +146,7 @@ class Settings:
     presmoothing: float = 0.6
     pyramid_factor: float = 0.5
     pyramid_levels: int | None = None
+    finest_level: int = 0
     warps: int = 2
     coarse_warps: int = 8
     outer_iterations: int = 20
@@ -187,7 +194,7 @@ class Settings:
         _check_real("tolerance", self.tolerance, least=0)
         for name in _COUNTS:
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                _check_count(name, getattr(self, name), least=0 if name == "cycles" else 1)
+                _check_count(name, getattr(self, name), least=0 if name in _MAY_BE_0 else 1)
         # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
@@ -233,7 +240,7 @@ class Settings:
         return self.smoothness * self.beta
 
     def warps_on(self, level: int) -> int:
-        """Return the number of linearisations on a level of the pyramid, 0 the finest."""
+        """Return the number of linearisations on a level of the pyramid, 0 the last."""
         return self.warps if level == 0 else min(self.coarse_warps, self.warps * 2**level)
 
     def contrast_for(self, focal: float) -> float:
@@ -325,7 +332,7 @@ _PRESETS: dict[str, Settings] = {
         tolerance=1e-2,
         solver="cholesky",
     ),
-    "fast": Settings(warps=1, sweeps=4, relaxation=1.97, tolerance=3e-2),
+    "fast": Settings(finest_level=1, sweeps=4, relaxation=1.97, tolerance=3e-2),
     "balanced": Settings(),
     "accurate": Settings(pyramid_factor=0.7, sweeps=6, relaxation=1.93, tolerance=1e-2),
 }

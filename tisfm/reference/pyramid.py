@@ -44,7 +44,8 @@ def coarse_to_fine(
     if normalization is not None:
         normalization *= mean_step(pyramid0[0])
     rho: np.ndarray | None = None
-    for level in reversed(range(len(pyramid0))):
+    last = min(settings.finest_level, len(pyramid0) - 1)
+    for level in reversed(range(last, len(pyramid0))):
         frame0, frame1 = pyramid0[level], pyramid1[level]
         shape = frame0.shape
         rho = np.zeros((n, *shape)) if rho is None else prolong(rho, shape, factor)
@@ -55,7 +56,7 @@ def coarse_to_fine(
             joint=settings.joint_edges,
             edges=image_edges(frame0, settings.image_edges) if settings.image_edges > 0 else None,
         )
-        for _ in range(settings.warps_on(level)):
+        for _ in range(settings.warps_on(level - last)):
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)
             gradients = derivatives(frame0, warped, settings.derivatives, halo=2)
@@ -80,4 +81,4 @@ def coarse_to_fine(
             )
     if rho is None:
         raise ValueError("pyramids are empty: expected at least one level")
-    return rho
+    return rho if last == 0 else prolong(rho, (height, width), factor**last)
