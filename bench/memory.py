@@ -1,4 +1,6 @@
-"""Peak memory of one interpretation, in a process of its own: ``python -m bench.memory PRESET``.
+"""Peak memory of one interpretation, in a process of its own.
+
+``python -m bench.memory PRESET [HxW]`` prints it.
 
 What the process holds after a first interpretation of a tiny pair (libraries, compiled kernels)
 and the two frames, uint8, exist before and do not count; the result does.
@@ -44,7 +46,8 @@ def measure(preset: str, height: int, width: int) -> float:
     blobs = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
     frame0 = cv2.resize(blobs, (width, height))
     frame1 = np.roll(frame0, 2, axis=1)
-    tisfm.interpret(blobs[:32, :32].copy(), blobs[:32, 1:33].copy(), settings=settings)
+    tiny = blobs[:32, :32].copy()
+    tisfm.interpret(tiny, np.roll(tiny, 1, axis=1), settings=settings)
     gc.collect()
     restart()
     before = peak()
@@ -53,4 +56,6 @@ def measure(preset: str, height: int, width: int) -> float:
 
 
 if __name__ == "__main__":
-    print(json.dumps({"preset": sys.argv[1], "floats_per_pixel": measure(sys.argv[1], *SIZE)}))
+    preset, *sizes = sys.argv[1:]
+    size = tuple(map(int, sizes[0].split("x"))) if sizes else SIZE
+    print(json.dumps({"preset": preset, "floats_per_pixel": measure(preset, *size)}))

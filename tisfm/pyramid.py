@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +21,7 @@ from tisfm.runtime import lane_grid
 from tisfm.settings import Settings
 
 COARSEST_SIDE = 12  # px
+BESIDE = 1 << 16  # pixels from which on a second thread pays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,13 +125,16 @@ class Pyramid:
             found = frames(grey)
             return found, [spline_coefficients(frame) for frame in found]
 
-        with ThreadPoolExecutor(max_workers=1) as beside:  # OpenCV's filters take one thread each
-            others = beside.submit(frames_and_splines, grey1)
-            if runtime.threads() == 1:
-                wait([others])
+        if runtime.threads() > 1 and grey0.size >= BESIDE:
+            # OpenCV's filters take one thread each.
+            with ThreadPoolExecutor(max_workers=1) as beside:
+                others = beside.submit(frames_and_splines, grey1)
+                self.frames0 = frames(grey0)
+                self.frames1, self.splines1 = others.result()
+        else:
             self.frames0 = frames(grey0)
-            self.contrast = mean_step(self.frames0[0])
-            self.frames1, self.splines1 = others.result()
+            self.frames1, self.splines1 = frames_and_splines(grey1)
+        self.contrast = mean_step(self.frames0[0])
 
     @property
     def levels(self) -> int:

@@ -1,0 +1,113 @@
+"""Times of whole pairs on so many threads, in a process of its own, which `bench.scaling` starts.
+
+One line of JSON comes in on standard input, one goes out on standard output.
+"""
+
+import contextlib
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+import tisfm
+from tisfm import runtime
+
+# Where the time of a pair goes: what each of these takes, less what those that it calls take.
+STAGES = (
+    ("tisfm.pair", "grey_pair", "grey levels"),
+    ("tisfm.pyramid", "Pyramid.__init__", "pyramids and splines"),
+    ("tisfm.pyramid", "Pyramid.field", "start of a level"),
+    ("tisfm.pyramid", "Pyramid.data_term", "start of a level"),
+    ("tisfm.pyramid", "Pyramid.minimiser", "start of a level"),
+    ("tisfm.pyramid", "Pyramid.full", "interpolation to the finest grid"),
+    ("tisfm.data_term", "DataTerm.linearise", "warp, derivatives, tensors"),
+    ("tisfm.half_quadratic", "sweep", "sweeps"),
+    ("tisfm.half_quadratic", "HalfQuadratic.renew", "weights, tensors and energies"),
+    ("tisfm.half_quadratic", "HalfQuadratic.evidence", "read-out"),
+    ("tisfm.field", "Field.to_images", "read-out"),
+    ("tisfm.pyramid", "Pyramid.occlusion", "occlusion"),
+    ("tisfm.pair", "confidence", "confidence"),
+    ("tisfm.pair", "interpret", "all else"),
+)
+
+
+class Stopwatch:
+    """Adds up the time of stages, each less the others that run within it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._inside: list[float] = []
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Watch the stages while the context lasts."""
+        originals = []
+        for module, path, label in STAGES:
+            owner: Any = importlib.import_module(module)
+            *outer, name = path.split(".")
+            for part in outer:
+                owner = getattr(owner, part)
+            originals.append((owner, name, getattr(owner, name)))
+            setattr(owner, name, self._timed(originals[-1][2], label))
+        try:
+            yield
+        finally:
+            for owner, name, original in originals:
+                setattr(owner, name, original)
+
+    def _timed(self, function: Callable[..., Any], label: str) -> Callable[..., Any]:
+        def timed(*arguments, **options):
+            self._inside.append(0.0)
+            started = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                spent = time.perf_counter() - started
+                inside = self._inside.pop()
+                self.seconds[label] = self.seconds.get(label, 0.0) + spent - inside
+                if self._inside:
+                    self._inside[-1] += spent
+
+        return timed
+
+
+def measure(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the times of every pair in every round, and where the time goes."""
+    runtime.start(threads=request["threads"])
+    settings = tisfm.Settings.preset(request["preset"])
+    pairs = {}
+    for name, path in request["pairs"].items():
+        with np.load(path) as file:
+            camera = tisfm.Camera(focal=float(file["focal"]))
+            pairs[name] = (file["frame0"], file["frame1"], camera)
+
+    def interpret(name: str) -> None:
+        from tisfm import pair  # by its module, where the stopwatch looks
+
+        frame0, frame1, camera = pairs[name]
+        pair.interpret(frame0, frame1, camera=camera, settings=settings)
+
+    times: dict[str, list[float]] = {name: [] for name in pairs}
+    for turn in range(request["rounds"] + 1):
+        for name in pairs:
+            started = time.perf_counter()
+            interpret(name)
+            if turn:  # the first compiles
+                times[name].append(time.perf_counter() - started)
+    shares = {}
+    for name in pairs:
+        watch = Stopwatch()
+        with watch.watching():
+            for _ in range(request["rounds"]):
+                interpret(name)
+        total = sum(watch.seconds.values())
+        shares[name] = {label: seconds / total for label, seconds in watch.seconds.items()}
+    return {"times": times, "shares": shares}
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(json.loads(sys.stdin.readline()))))
