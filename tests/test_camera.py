@@ -211,12 +211,33 @@ def test_a_pose_that_is_a_rotation_shows_no_depth(small):
         (2 * np.eye(3), "no rotation"),
         (np.full((4, 4), np.nan), "NaN"),
         (np.diag([1.0, 1, 1, 2]), "last row"),
-        ("pose.txt", "expected a 4×4 or 3×3 array"),
+        (np.diag([1.0, -1, -1]), "turns by 180°: expected less than 90°"),
+        (rigid_motion((0, 0, 0, 0, 0, np.pi / 2))[0], "turns by 90°"),
     ],
 )
 def test_poses_that_are_none(pose, words, small):
-    with pytest.raises((TypeError, ValueError), match=words):
+    with pytest.raises(ValueError, match=words):
         interpreted(small, pose=pose)
+
+
+@pytest.mark.parametrize("pose", ["pose.txt", np.eye(4, dtype=complex), np.eye(3, dtype=bool)])
+def test_poses_that_are_not_real_numbers(pose, small):
+    with pytest.raises(TypeError, match="expected a 4×4 or 3×3 array of real numbers"):
+        interpreted(small, pose=pose)
+
+
+def test_the_last_row_may_be_rounded():
+    pose = pose_matrix((1, 2, 3, 0.1, 0.2, 0.3))
+    pose[3] += 1e-7
+    np.testing.assert_array_equal(check_pose(pose).translation, pose[:3, 3])
+    pose[3, 0] = 0.01
+    with pytest.raises(ValueError, match="last row"):
+        check_pose(pose)
+
+
+def test_a_turn_below_the_bound_is_a_pose():
+    turn = rigid_motion((0, 0, 0, *np.radians((0, 0, 89))))[0]
+    np.testing.assert_allclose(check_pose(turn).rotation, turn, atol=1e-12)
 
 
 def test_the_field_takes_no_pose(small):

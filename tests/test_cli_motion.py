@@ -362,6 +362,8 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         (IDENTITY + 12 * "1 " + "\n" + IDENTITY, ["poses.txt, line 2 holds no rotation"]),
         (2 * IDENTITY + IDENTITY.replace("0 0 0 0", "0 0 0 nan", 1),
          ["poses.txt, line 3 is not finite"]),
+        (2 * IDENTITY + "-1 0 0 0 0 1 0 0 0 0 -1 0\n",
+         ["poses.txt, frames 1 and 2: pose turns by 180°", "less than 90°"]),
     ],
 )  # fmt: skip
 def test_bad_poses_are_one_line(tisfm_run, text, words):
