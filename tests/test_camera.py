@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tisfm.agreement import unrelated
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.reference import flow as flow_of
@@ -211,12 +212,33 @@ def test_a_pose_that_is_a_rotation_shows_no_depth(small):
         (2 * np.eye(3), "no rotation"),
         (np.full((4, 4), np.nan), "NaN"),
         (np.diag([1.0, 1, 1, 2]), "last row"),
-        ("pose.txt", "expected a 4×4 or 3×3 array"),
+        (np.diag([1.0, -1, -1]), "turns by 180°: expected less than 90°"),
+        (rigid_motion((0, 0, 0, 0, 0, np.pi / 2))[0], "turns by 90°"),
     ],
 )
 def test_poses_that_are_none(pose, words, small):
-    with pytest.raises((TypeError, ValueError), match=words):
+    with pytest.raises(ValueError, match=words):
         interpreted(small, pose=pose)
+
+
+@pytest.mark.parametrize("pose", ["pose.txt", np.eye(4, dtype=complex), np.eye(3, dtype=bool)])
+def test_poses_that_are_not_real_numbers(pose, small):
+    with pytest.raises(TypeError, match="expected a 4×4 or 3×3 array of real numbers"):
+        interpreted(small, pose=pose)
+
+
+def test_the_last_row_may_be_rounded():
+    pose = pose_matrix((1, 2, 3, 0.1, 0.2, 0.3))
+    pose[3] += 1e-7
+    np.testing.assert_array_equal(check_pose(pose).translation, pose[:3, 3])
+    pose[3, 0] = 0.01
+    with pytest.raises(ValueError, match="last row"):
+        check_pose(pose)
+
+
+def test_a_turn_below_the_bound_is_a_pose():
+    turn = rigid_motion((0, 0, 0, *np.radians((0, 0, 89))))[0]
+    np.testing.assert_allclose(check_pose(turn).rotation, turn, atol=1e-12)
 
 
 def test_the_field_takes_no_pose(small):
@@ -236,6 +258,96 @@ def test_a_rounded_rotation_is_made_exact():
 def test_twists_and_motions_are_each_others_inverse(spin):
     twist = np.array([0.5, -1, 2, *spin])
     np.testing.assert_allclose(rigid_twist(*rigid_motion(twist)), twist, atol=1e-9)
+
+
+# --- A pose that contradicts the images -------------------------------------------------------
+
+
+def with_turn(axis, degrees):
+    twist = np.zeros(6)
+    twist[3 + axis] = np.radians(degrees)
+    return pose_matrix(twist)
+
+
+@pytest.fixture(scope="module")
+def posed():
+    scene = static_scene("sideways+rotation", 180, 240, seed=5)
+    return scene, pose_matrix(scene.motions[0])
+
+
+WRONG = {
+    "backwards": lambda pose: np.block([[pose[:3, :3], -pose[:3, 3:]], [pose[3:]]]),
+    "inverse": np.linalg.inv,
+    "forward": lambda pose: np.block(
+        [[pose[:3, :3], np.array([[0], [0], [-1.0]])], [np.array([0, 0, 0, 1.0])]]
+    ),
+    "axes": lambda pose: np.diag([1, -1, -1, 1]) @ pose @ np.diag([1, -1, -1, 1]),
+    **{f"turned about {'xyz'[axis]}": lambda pose, axis=axis: with_turn(axis, 3) @ pose
+       for axis in range(3)},
+}  # fmt: skip
+FAST = tisfm.Settings.preset("fast", motion="camera")
+
+
+@pytest.mark.parametrize("change", WRONG.values(), ids=WRONG)
+def test_a_wrong_pose_is_said_and_its_depth_kept(posed, change):
+    scene, pose = posed
+    result = interpreted(scene, FAST, pose=change(pose))
+    assert result.status == "pose_mismatch"
+    assert result.inverse_depth.any() and np.isfinite(result.inverse_depth).all()
+    assert "the pose given does not explain the images" in result.status.message
+    assert ("np.linalg.inv(pose)" in result.status.message) == (change is np.linalg.inv)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_wrong_rotation_is_said(posed, axis):
+    scene, pose = posed
+    result = interpreted(scene, FAST, pose=(with_turn(axis, 3) @ pose)[:3, :3])
+    assert result.status == "pose_mismatch"
+
+
+@pytest.mark.parametrize("noise", [0, 15, 40])
+@pytest.mark.parametrize("known", [3, 4])
+def test_a_right_pose_is_not_doubted(posed, noise, known):
+    scene, pose = posed
+    rng = np.random.default_rng(0)
+    frames = [
+        np.clip(frame + rng.normal(scale=noise, size=frame.shape), 0, 255).astype(np.uint8)
+        for frame in (scene.frame0, scene.frame1)
+    ]
+    result = tisfm.interpret(*frames, camera=scene.camera, settings=FAST, pose=pose[:known, :known])
+    assert result.status == "converged"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["fast", "balanced"])
+@pytest.mark.parametrize("focal", [300.0, 320.0, 600.0, 1200.0])
+@pytest.mark.parametrize("kind", STATIC_KINDS)
+def test_right_poses_of_all_scenes(kind, focal, preset):
+    scene = static_scene(kind, 240, 320, seed=1, focal=focal)
+    settings = tisfm.Settings.preset(preset, motion="camera")
+    result = interpreted(scene, settings, pose=pose_matrix(scene.motions[0]))
+    assert result.status == "converged"
+
+
+def test_things_that_move_are_no_reason_to_doubt_a_pose():
+    pair = two_blocks(240, 320, seed=1)
+    result = interpreted(pair, FAST, pose=pose_matrix(pair.motions[0]))
+    assert result.status == "converged"
+
+
+def test_a_pose_of_noise_without_parallax_puts_all_far_away(posed):
+    """What moves by no more than noise is not known to be near: 0, within its deviation."""
+    scene, _ = posed
+    rng = np.random.default_rng(1)
+    frames = (scene.frame0 + rng.normal(scale=3, size=(2, 180, 240))).astype(np.float32)
+    pose = np.eye(4)
+    pose[0, 3] = 1
+    result = tisfm.interpret(*frames, camera=scene.camera, settings=FAST, pose=pose)
+    assert result.status == "converged"
+    seen = ~result.occlusion
+    assert np.isfinite(result.inverse_depth_std[seen]).all()
+    near = np.abs(result.inverse_depth) < 3 * result.inverse_depth_std
+    assert near[seen].mean() > 0.9
 
 
 # --- What shows no depth ----------------------------------------------------------------------
@@ -317,17 +429,71 @@ def moved_scene(motion):
     return pair
 
 
-def test_uniform_frames_have_no_texture():
+KNOWN = {
+    "nothing": None,
+    "rotation": rigid_motion((0, 0, 0, 0, 0.01, 0))[0],
+    "pose": pose_matrix((-1, 0, 0, 0, 0.01, 0)),
+}
+
+
+@pytest.mark.parametrize("pose", KNOWN.values(), ids=KNOWN)
+def test_uniform_frames_have_no_texture(pose):
     frames = [np.full((40, 60), grey, np.uint8) for grey in (90, 120)]
-    result = tisfm.interpret(*frames, camera=tisfm.Camera(60.0), settings=CAMERA)
+    result = tisfm.interpret(*frames, camera=tisfm.Camera(60.0), settings=CAMERA, pose=pose)
     assert result.status == "no_texture" and no_depth(result)
 
 
-def test_unrelated_frames_give_no_exception():
+@pytest.mark.parametrize("pose", KNOWN.values(), ids=KNOWN)
+def test_identical_frames_have_no_motion(pose, small):
+    result = tisfm.interpret(
+        small.frame0, small.frame0, camera=small.camera, settings=CAMERA, pose=pose
+    )
+    assert result.status == "no_motion" and no_depth(result)
+    if pose is not None and len(pose) == 4:
+        np.testing.assert_allclose(pose_matrix(result.motions[0]), pose, atol=1e-3)
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced"])
+@pytest.mark.parametrize("size", [(60, 80), (180, 240)])
+@pytest.mark.parametrize("pose", KNOWN.values(), ids=KNOWN)
+def test_noise_has_no_depth(pose, size, preset):
     rng = np.random.default_rng(0)
-    frames = rng.integers(0, 256, (2, 60, 80), dtype=np.uint8)
-    result = tisfm.interpret(*frames, camera=tisfm.Camera(80.0), settings=CAMERA)
-    assert np.isfinite(result.flow).all() and result.status != ""
+    frames = rng.integers(0, 256, (2, *size), dtype=np.uint8)
+    settings = tisfm.Settings.preset(preset, motion="camera")
+    camera = tisfm.Camera(float(size[1]))
+    result = tisfm.interpret(*frames, camera=camera, settings=settings, pose=pose)
+    assert result.status == "unrelated" and no_depth(result)
+    assert np.isfinite(result.flow).all()
+
+
+@pytest.mark.parametrize("pose", KNOWN.values(), ids=KNOWN)
+def test_unrelated_scenes_have_no_depth(pose, small):
+    other = static_scene("forward", *SIZE, seed=9)
+    result = tisfm.interpret(
+        small.frame0, other.frame1, camera=small.camera, settings=FAST, pose=pose
+    )
+    assert result.status == "unrelated" and no_depth(result)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1 / 255, 0), (0.02, 200), (100, 0)])
+def test_frames_of_any_scale_are_related(scale, offset, small):
+    """What is found in common depends neither on the scale of the brightness nor on its level."""
+    frames = [np.float32(scale) * f + np.float32(offset) for f in (small.frame0, small.frame1)]
+    flow, trust = small.flow.astype(np.float32), small.visible.astype(np.float32)
+    assert unrelated(*frames, flow, trust) is None
+    assert unrelated(frames[0], frames[1][::-1], flow, trust) == "unrelated"
+
+
+def test_the_deviation_is_never_zero(small):
+    """Black around what is seen: nothing is violated there, and nothing known."""
+    frames = [np.zeros(SIZE, np.uint8) for _ in range(2)]
+    for frame, whole in zip(frames, (small.frame0, small.frame1), strict=True):
+        frame[40:80, 40:120] = whole[40:80, 40:120]
+    pose = pose_matrix(small.motions[0])
+    result = tisfm.interpret(*frames, camera=small.camera, settings=CAMERA, pose=pose)
+    deviation = result.inverse_depth_std
+    assert deviation.min() > 0
+    assert np.median(deviation[:10]) > np.median(deviation[50:70, 50:110])
 
 
 # --- Camera and files -------------------------------------------------------------------------

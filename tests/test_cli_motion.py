@@ -151,7 +151,9 @@ def replaced(result, **arrays):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("status", ["no_motion", "pure_rotation", "little_parallax", "no_texture"])
+@pytest.mark.parametrize(
+    "status", ["no_motion", "pure_rotation", "little_parallax", "no_texture", "unrelated"]
+)
 def test_outputs_without_depth(tisfm_run, place, status):
     frame0 = SCENE.frame0 if status != "no_texture" else np.full((H, W), 7, np.uint8)
     frame1 = {
@@ -159,6 +161,7 @@ def test_outputs_without_depth(tisfm_run, place, status):
         "no_texture": np.full((H, W), 9, np.uint8),
         "pure_rotation": np.roll(SCENE.frame0, 2, axis=1),
         "little_parallax": np.roll(SCENE.frame0, (1, 1), (0, 1)),
+        "unrelated": np.random.default_rng(0).integers(0, 256, (H, W), np.uint8),
     }[status]
     two = [place / "a.png", place / "b.png"]
     write_png(two[0], frame0)
@@ -182,7 +185,7 @@ def test_outputs_without_depth(tisfm_run, place, status):
     np.testing.assert_array_equal(anaglyph, np.dstack([anaglyph[..., 0]] * 3))
     rows = np.loadtxt("out/a_pose.txt", ndmin=2)
     assert np.isfinite(rows).all()
-    if status in ("no_motion", "no_texture"):
+    if status in ("no_motion", "no_texture", "unrelated"):
         np.testing.assert_array_equal(rows, [[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]])
     about = record("out")
     assert about["depth_range"] is None and about["depth16_values_per_unit"] is None
@@ -362,6 +365,8 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         (IDENTITY + 12 * "1 " + "\n" + IDENTITY, ["poses.txt, line 2 holds no rotation"]),
         (2 * IDENTITY + IDENTITY.replace("0 0 0 0", "0 0 0 nan", 1),
          ["poses.txt, line 3 is not finite"]),
+        (2 * IDENTITY + "-1 0 0 0 0 1 0 0 0 0 -1 0\n",
+         ["poses.txt, frames 1 and 2: pose turns by 180°", "less than 90°"]),
     ],
 )  # fmt: skip
 def test_bad_poses_are_one_line(tisfm_run, text, words):
@@ -373,10 +378,25 @@ def test_bad_poses_are_one_line(tisfm_run, text, words):
     assert not Path("out").exists()
 
 
-def test_poses_are_for_rigid_motions(tisfm_run):
+@pytest.mark.parametrize("motion", ["field", "objects"])
+def test_poses_are_for_rigid_motions(tisfm_run, motion):
     Path("poses.txt").write_text(3 * IDENTITY)
-    code, _, err = tisfm_run("run", "frames", "-o", "out", "--poses", "poses.txt")
-    assert_one_line(code, err, "poses.txt", "'field'", "--motion camera")
+    code, _, err = tisfm_run(
+        "run", "frames", "-o", "out", "--poses", "poses.txt", "--motion", motion
+    )
+    assert_one_line(code, err, "poses.txt", f"'{motion}'", "--motion camera")
+    assert not Path("out").exists()
+
+
+def test_poses_that_contradict_the_images(tisfm_run):
+    """The depth is written, but sets no range for other pairs."""
+    write_poses("poses.txt", to_world(np.linalg.inv(MOTION), MOTION))
+    code, _, err = tisfm_run("run", "frames", "-o", "out", *CAMERA, "--poses", "poses.txt")
+    first, advice = err.splitlines()
+    assert code == 0 and first.startswith("2 pairs: 2 pose_mismatch")
+    assert advice.startswith("pose_mismatch: the pose given does not explain the images")
+    assert "np.linalg.inv(pose)" in advice
+    assert load("out", "f0").inverse_depth.any() and record("out")["depth_range"] is None
 
 
 def test_poses_that_do_not_move_leave_no_depth(tisfm_run):

@@ -653,9 +653,12 @@ def test_a_wrong_pose_names_its_frames():
         next(results)
 
 
-def test_poses_are_for_rigid_motions():
-    with pytest.raises(ValueError, match='poses are given, but motion="field"'):
-        tisfm.interpret_sequence(FRAMES[:3], poses=TURNS[:2])
+@pytest.mark.parametrize("motion", ["field", "objects"])
+def test_poses_are_for_rigid_motions(motion):
+    with pytest.raises(ValueError, match=f'poses are given, but motion="{motion}"'):
+        tisfm.interpret_sequence(
+            FRAMES[:3], settings=tisfm.Settings(motion=motion), poses=TURNS[:2]
+        )
 
 
 def test_a_pair_is_known_by_its_pose_as_well():

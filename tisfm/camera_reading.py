@@ -5,16 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tisfm.agreement import mismatch, unrelated
 from tisfm.camera import Camera
 from tisfm.confidence import confidence
 from tisfm.depth_start import depth_start
-from tisfm.egomotion import CameraMotion, camera_motion
+from tisfm.egomotion import CameraMotion, camera_motion, distance_from_rays
 from tisfm.interpretation import Status
 from tisfm.occlusion import leaves_image
 from tisfm.pyramid import Iteration, Pyramid, coarse_to_fine
 from tisfm.reading import Reading, unmoved
 from tisfm.rigid import KnownPose
-from tisfm.rigid_depth import rigid_depth, scaled_translations
+from tisfm.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.rigid_reading import with_depth, without_depth
 from tisfm.settings import Settings
 
@@ -47,65 +48,55 @@ def camera_reading(
     """
     shape = pyramid.frames0[0].shape
     labels = np.zeros(shape, np.int32)
-    if pose is not None and pose.translation is not None:
-        if not pose.translation.any():
-            return without_depth(
-                pyramid,
-                camera,
-                settings,
-                rotation=pose.rotation,
-                translation=pose.translation,
-                status=Status(
-                    "pure_rotation",
-                    "the pose given has no translation, so there is no parallax to see depth by",
-                ),
-                history=[],
-            )
-        start = first_motion(pyramid, camera, settings, rotation=pose.rotation, pixels=START)
-        motions = scaled_translations(
-            np.column_stack([pose.rotation, pose.translation])[None], labels, camera
-        )
-        solution = rigid_depth(
+    if pose is not None and pose.translation is not None and not pose.translation.any():
+        return without_depth(
             pyramid,
-            settings,
             camera,
-            motions,
-            labels,
-            refine="none",
-            start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
+            settings,
+            rotation=pose.rotation,
+            translation=pose.translation,
+            status=Status(
+                "pure_rotation",
+                "the pose given has no translation, so there is no parallax to see depth by",
+            ),
+            history=[],
         )
-        unit = float(np.linalg.norm(pose.translation))
-        return with_depth(solution, labels, camera, settings, unit=unit)
-
-    rotation = None if pose is None else pose.rotation
-    start = first_motion(pyramid, camera, settings, rotation=rotation, pixels=START)
+    start = first_motion(pyramid, camera, settings, pose=pose, pixels=START)
     if start.status is not None:
         return only_turned(pyramid, camera, settings, start, start.status)
     motions = scaled_translations(start.matrix[None], labels, camera)
+    refine: Refinement = "motion"
+    unit = None
+    if pose is not None:
+        refine = "translation" if pose.translation is None else "none"
+        unit = None if pose.translation is None else float(np.linalg.norm(pose.translation))
     solution = rigid_depth(
         pyramid,
         settings,
         camera,
         motions,
         labels,
-        refine="motion" if pose is None else "translation",
+        refine=refine,
         start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
     )
-    return with_depth(solution, labels, camera, settings)
+    reading = with_depth(solution, labels, camera, settings, unit=unit)
+    return reading if start.doubt is None else replace(reading, status=start.doubt)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FirstMotion:
-    """The motion that most of a flow field shows.
+    """The motion that most of a flow field shows, or the pose that is known.
 
     Attributes
     ----------
     rotation, translation : (3, 3) and (3,) float64
-        ‖t‖ = 1, or 0 where none is seen.
+        ‖t‖ = 1 unless it was given, or 0 where none is seen.
     residual : float
         Of the fit, px of the finest level.
     status : Status or None
         Why there is no depth to go on to, None if there is.
+    doubt : Status or None
+        Why the pose given may be wrong.
     history : list of (level, warp, Iteration)
     flow : (h, w, 2) float32
         The flow field, px of its level.
@@ -119,6 +110,7 @@ class FirstMotion:
     translation: np.ndarray
     residual: float
     status: Status | None
+    doubt: Status | None
     history: list[tuple[int, int, Iteration]]
     flow: np.ndarray
     trust: np.ndarray
@@ -135,10 +127,12 @@ def first_motion(
     camera: Camera,
     settings: Settings,
     *,
-    rotation: np.ndarray | None = None,
+    pose: KnownPose | None = None,
     pixels: float = math.inf,
 ) -> FirstMotion:
-    """Fit a motion to the flow field of a level.
+    """Fit a motion to the flow field of a level, or judge a known one by it.
+
+    A pose with translation needs no parallax: where there is little, depth is far or uncertain.
 
     Parameters
     ----------
@@ -146,8 +140,8 @@ def first_motion(
     camera : Camera
         Of the finest level.
     settings : Settings
-    rotation : (3, 3) array, optional
-        R, where it is known.
+    pose : KnownPose, optional
+        What is known of the motion; its translation, if any, is not 0.
     pixels : float
         Of the level, at least: the coarsest that has as many, by default the finest.
     """
@@ -169,11 +163,13 @@ def first_motion(
             normalized=settings.normalization is not None,
         )
     flow = np.moveaxis(flow, 0, -1)
+    given = pose or KnownPose(rotation=np.eye(3), translation=None)
     still = FirstMotion(
-        rotation=np.eye(3) if rotation is None else rotation,
-        translation=np.zeros(3),
+        rotation=given.rotation,
+        translation=np.zeros(3) if given.translation is None else given.translation,
         residual=0.0,
         status=unmoved(solution, textured=pyramid.contrast > 0),
+        doubt=None,
         history=solution.history,
         flow=flow,
         trust=trust,
@@ -184,13 +180,36 @@ def first_motion(
     scale = pyramid.scale(level)
     coarse = camera.scaled(scale, *pyramid.frames0[0].shape)
     try:
-        found = camera_motion(flow, trust, coarse, rotation=rotation)
+        found = camera_motion(flow, trust, coarse)
     except ValueError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(still, status=Status("no_texture", message))
+    apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)
+    if apart is not None:
+        return replace(still, status=apart)
+    doubt = None
+    if given.translation is not None:
+        off, back = (
+            distance_from_rays(flow, trust, coarse, turn, offset) / scale
+            for turn, offset in (
+                (given.rotation, given.translation),
+                (given.rotation.T, -given.rotation.T @ given.translation),
+            )
+        )
+        residual = found.residual / scale
+        return replace(still, residual=residual, doubt=mismatch(off, residual, inverse=back))
+    if pose is not None:
+        best = found.residual / scale
+        found = camera_motion(flow, trust, coarse, rotation=pose.rotation)
+        doubt = mismatch(found.residual / scale, best)
     moved = float(np.median(np.linalg.norm(flow, axis=-1))) / scale
     status = _parallax_status(found, scale, moved)
-    known = replace(still, status=status, residual=found.residual / scale)
+    known = replace(
+        still,
+        residual=found.residual / scale,
+        status=None if status is None else doubt or status,
+        doubt=doubt,
+    )
     if status == "no_motion":
         return known
     if status == "pure_rotation":

@@ -25,6 +25,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.outputs import RECORD, PairWriter
 from tisfm.paper_figures import write_paper_figures
+from tisfm.rigid import check_pose
 from tisfm.runtime import Arch
 from tisfm.sequence import FramePair, FrameSource, Source, with_poses
 from tisfm.settings import Settings
@@ -183,10 +184,10 @@ def _refuse_mixing(source: Source, output: Path) -> None:
 
 def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
     """Return the motion of every pair, of a file with the pose of every frame."""
-    if settings.motion == "field":
+    if settings.motion != "camera":
         raise ValueError(
-            f"the poses of {path} are given, but motion 'field' leaves the motion free: give "
-            "--motion camera"
+            f"the poses of {path} are given, but motion '{settings.motion}' leaves the motion "
+            "free: give --motion camera"
         )
     poses = read_poses(path)
     if pairs.count is not None and len(poses) != pairs.count:
@@ -194,7 +195,14 @@ def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndar
             f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
             "of twelve numbers for every frame"
         )
-    return [motion_between(*ends) for ends in pairwise(poses[:: pairs.step])]
+    motions = [motion_between(*ends) for ends in pairwise(poses[:: pairs.step])]
+    for index, motion in enumerate(motions):
+        try:
+            check_pose(motion)
+        except ValueError as error:
+            first = index * pairs.step
+            raise ValueError(f"{path}, frames {first} and {first + pairs.step}: {error}") from None
+    return motions
 
 
 def _guessed(camera: Camera, pairs: FrameSource) -> Camera:

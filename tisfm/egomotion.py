@@ -128,6 +128,45 @@ def camera_motion(
     )
 
 
+def distance_from_rays(
+    flow: np.ndarray,
+    confidence: np.ndarray,
+    camera: Camera,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> float:
+    """Return how far a flow is from where a known motion can take points.
+
+    Where the nearest point of the epipolar line lies behind the camera, that is the distance from
+    its end, the point at infinity.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) float32
+        px/frame.
+    confidence : (H, W) float32
+        In [0, 1], the weight of a pixel.
+    camera : Camera
+    rotation, translation : (3, 3) and (3,)
+        R and t ≠ 0, of any length.
+
+    Returns
+    -------
+    float
+        Robust standard deviation, px.
+
+    Raises
+    ------
+    ValueError
+        If too few pixels are trusted.
+    """
+    before, after, trust = _correspondences(flow, confidence, camera)
+    direction = translation / np.linalg.norm(translation)
+    distance, _, depth = _epipolar(before, after, rotation, direction, camera.focal)
+    end = camera.focal * np.linalg.norm(_beyond(before, after, rotation), axis=1)
+    return 1.4826 * _weighted_median(np.where(depth > 0, np.abs(distance), end), trust)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Free:
     """What of a motion is free: the first unknowns of (t, ω), and a rotation it lies near to."""

@@ -22,8 +22,10 @@ class Status(str):
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by; ``"pure_rotation"``, the camera only turned, and
-    ``"little_parallax"``, it hardly changed its place: there is no depth, ``motion="camera"`` only;
+    gradient that motion could be seen by; ``"pure_rotation"``, the camera only turned,
+    ``"little_parallax"``, it hardly changed its place, and ``"unrelated"``, the frames have nothing
+    in common: there is no depth, ``motion="camera"`` only; ``"pose_mismatch"``, the pose given
+    contradicts the images, and the depth is what follows from it all the same;
     ``"diverged"``, the numbers are of no use: somewhere the
     image motion grew beyond half of the image's longer side, or more than half of the pixels leave
     the image.
@@ -81,7 +83,7 @@ class Interpretation:
         see: everywhere if the status says so, or on a background that shows no parallax.
     inverse_depth_std : (H, W) float32 or None
         Its standard deviation: about 68% of the pixels that are visible in frame 1 are off by
-        less. Infinite where there is no depth. None for ``motion="field"``.
+        less. Infinite where there is no depth, never 0. None for ``motion="field"``.
     confidence : (H, W) float32
         In [0, 1]: how much the data in a window of 15 px around a pixel, not its neighbours'
         motion, determine its image motion. 0 where the pixel is not visible in frame 1.

@@ -177,7 +177,8 @@ class PairWriter:
             If a file cannot be written.
         """
         record = self._record
-        usable = result.status != "diverged" and bool((result.inverse_depth > 0).any())
+        wrong = result.status in ("diverged", "pose_mismatch")
+        usable = not wrong and bool((result.inverse_depth > 0).any())
         # Each pair has a scale of its own, ‖T‖ = 1, which is taken out first: a camera that speeds
         # up would make everything brighter. Not so with known poses.
         level = 1.0 if pose is not None else _mean_inverse_depth(result) if usable else 0.0

@@ -44,7 +44,8 @@ def interpret(
     pose : (4, 4) or (3, 3) array, optional
         A known motion, for ``motion="camera"``: points in frame 0's camera axes to frame 1's, P₁ =
         R P₀ + t, which makes depth one in the unit of t; or R alone, which leaves the direction
-        of translation to be found.
+        of translation to be found. With t, what shows no parallax is far, its inverse depth 0
+        within the deviation; only frames that are identical have no depth.
 
     Returns
     -------
@@ -56,9 +57,8 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN or infinite; if `pose` is not one of these, or given for a motion that is
-        not ``"camera"``; if
-        distortion leaves next to nothing of the frames.
+        NaN or infinite; if `pose` is not one of these, turns by 90° or more, or is given for a
+        motion that is not ``"camera"``; if distortion leaves next to nothing of the frames.
 
     References
     ----------
@@ -104,6 +104,9 @@ def interpret(
         trust = confidence(
             reading.evidence, unseen, normalized=reading.normalized, freedom=reading.freedom
         )
+    status = reading.status
+    if status != "pose_mismatch":  # which is why, if the flow has run away as well
+        status = diverged(flow) or status
     return Interpretation(
         rho=reading.rho,
         flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
@@ -116,7 +119,7 @@ def interpret(
         frame=frame,
         camera=camera,
         settings=settings,
-        status=diverged(flow) or reading.status,
+        status=status,
         history=history_of(reading.history),
         version=__version__,
     )

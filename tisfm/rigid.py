@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import Floats, finite
 
 _ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
+_TURN = 90.0  # degrees: frames that differ by more have hardly anything in common
 
 
 def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
@@ -131,15 +132,20 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
 
     Raises
     ------
-    TypeError, ValueError
-        If it is neither.
+    TypeError
+        If it is not an array of real numbers.
+    ValueError
+        If it is neither, or turns by 90° or more.
     """
     if pose is None:
         return None
     try:
-        matrix = np.array(pose, np.float64)
+        given = np.asarray(pose)
+        if given.dtype.kind in "bc":
+            raise TypeError
+        matrix = given.astype(np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"pose is {pose!r}: expected a 4×4 or 3×3 array of numbers") from None
+        raise TypeError(f"pose is {pose!r}: expected a 4×4 or 3×3 array of real numbers") from None
     if matrix.shape not in ((4, 4), (3, 3)):
         raise ValueError(
             f"pose has the shape {matrix.shape}: expected (4, 4), points in frame 0's camera axes "
@@ -147,7 +153,9 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
         )
     if not np.isfinite(matrix).all():
         raise ValueError("pose has a value that is NaN or infinite")
-    if matrix.shape == (4, 4) and not np.array_equal(matrix[3], (0, 0, 0, 1)):
+    if matrix.shape == (4, 4) and not np.allclose(
+        matrix[3], (0, 0, 0, 1), rtol=0, atol=_ORTHONORMAL
+    ):
         raise ValueError(f"the last row of pose is {matrix[3].tolist()}: expected 0, 0, 0, 1")
     rotation = matrix[:3, :3]
     if not is_rotation(rotation):
@@ -157,6 +165,14 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
         )
     # Measured poses are rounded: the nearest rotation.
     left, _, right = np.linalg.svd(rotation)
+    rotation = left @ right
+    turn = math.degrees(math.acos(min(max((np.trace(rotation) - 1) / 2, -1), 1)))
+    if turn >= _TURN:
+        raise ValueError(
+            f"pose turns by {turn:.0f}°: expected less than {_TURN:g}° between two frames of one "
+            "scene; check that it is the motion from frame 0's camera to frame 1's, not a pose in "
+            "the world, and that both have their axes right, down and forward"
+        )
     return KnownPose(
-        rotation=left @ right, translation=matrix[:3, 3].copy() if len(matrix) == 4 else None
+        rotation=rotation, translation=matrix[:3, 3].copy() if len(matrix) == 4 else None
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
+from tisfm.confidence import ROUNDING
 from tisfm.egomotion import spin_prior
 from tisfm.field import Field, LaneData
 from tisfm.half_quadratic import HalfQuadratic, Iteration
@@ -29,6 +30,7 @@ TINY = 1e-12
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
+SUREST = np.float32(0.001)  # px: the least deviation
 SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
 
 Refinement = Literal["none", "translation", "motion"]
@@ -75,10 +77,12 @@ class RigidSolution:
         precision = cv2.blur(evidence[0], window) + TINY
         residual = cv2.blur(evidence[3], window)
         # Where nothing is seen, nothing is violated either.
-        np.maximum(residual, np.median(evidence[3]), out=residual)
+        seen = evidence[0] > ROUNDING * evidence[0].max()
+        usual = np.median(evidence[3][seen]) if seen.any() else 0.0
+        np.maximum(residual, usual, out=residual)
         spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
         variance = spread * np.log1p(1 / (spread * precision))
-        return np.sqrt(variance * residual) * np.float32(CALIBRATION)
+        return np.maximum(np.sqrt(variance * residual) * np.float32(CALIBRATION), SUREST)
 
 
 def rigid_depth(

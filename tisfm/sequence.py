@@ -230,13 +230,17 @@ def interpret_sequence(
     ------
     FileNotFoundError, TypeError, ValueError
         At once if the source does not exist or has fewer than two frames, or if there are poses
-        for ``motion="field"``, or not as many as pairs; while iterating if a frame cannot be read,
-        if the poses end too early, or as `tisfm.interpret`, with the names of the frames.
+        for a motion that is not ``"camera"``, or not as many as pairs; while iterating if a frame
+        cannot be read, if the poses end too early, or as `tisfm.interpret`, with the names of the
+        frames.
     """
     camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
     frames = FrameSource(source, step=step)
-    if poses is not None and settings.motion == "field":
-        raise ValueError('poses are given, but motion="field" leaves the motion free')
+    if poses is not None and settings.motion != "camera":
+        raise ValueError(
+            f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
+            "out"
+        )
     return _interpret_pairs(with_poses(frames, poses), frames.first_file, camera, settings)
 
 
