@@ -3,8 +3,10 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.lanes import check_array
+from tisfm.kernels.lanes import CHUNK, check_array
 from tisfm.kernels.launch import Kernel
+
+BAND = 32  # rows, at least
 
 
 def splat(flow, residual, claims, *, any_order: bool = False) -> None:
@@ -27,7 +29,13 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     Flow and residual must be finite: under fast arithmetic, comparisons with NaN prove nothing.
     """
     _check(flow, residual, claims)
-    (_splat_in_any_order if any_order else _splat)(flow, residual, claims)
+    if any_order:
+        _splat_in_any_order(flow, residual, claims)
+        return
+    height = residual.shape[0]
+    reach = min(int(np.abs(flow[1]).max()) + 1, height)  # rows that a pixel can go up or down
+    bands = max(1, height // max(BAND, 2 * reach))
+    _splat(flow, residual, bands, reach, claims)
 
 
 def defeated(flow, residual, claims, out, *, density: float, apart: float) -> None:
@@ -69,14 +77,21 @@ _Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be
 def _splat(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    bands: ti.i32,
+    reach: ti.i32,
     claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
 ):
-    for y, x in ti.ndrange(claims.shape[0], claims.shape[1]):
-        claims[y, x] = _Claims(0.0)
-    # One thread: sums whose order, and so whose bits, are always the same.
-    ti.loop_config(serialize=True)
-    for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
-        _claim(flow, residual, claims, y, x, False)
+    """Add up a band of rows of frame 1 in one thread: the order of every sum is always the same."""
+    height, width = residual.shape[0], residual.shape[1]
+    for task in range(CHUNK * bands):
+        if task % CHUNK == 0:
+            band = task // CHUNK
+            first, last = band * height // bands, (band + 1) * height // bands
+            for y, x in ti.ndrange((first, last), width):
+                claims[y, x] = _Claims(0.0)
+            for y in range(ti.max(0, first - reach), ti.min(height, last + reach)):
+                for x in range(width):
+                    _claim(flow, residual, claims, y, x, first, last, False)
 
 
 @Kernel
@@ -88,7 +103,7 @@ def _splat_in_any_order(
     for y, x in ti.ndrange(claims.shape[0], claims.shape[1]):
         claims[y, x] = _Claims(0.0)
     for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
-        _claim(flow, residual, claims, y, x, True)
+        _claim(flow, residual, claims, y, x, 0, residual.shape[0], True)
 
 
 @ti.func
@@ -98,9 +113,11 @@ def _claim(
     claims: ti.template(),
     y,
     x,
+    first,
+    last,
     atomic: ti.template(),
 ):
-    """Add one pixel to the four around the place it goes to."""
+    """Add one pixel to those of the four around the place it goes to whose rows are asked for."""
     u, v = flow[0, y, x], flow[1, y, x]
     target_x, target_y = x + u, y + v
     if _is_inside(target_x, target_y, residual):
@@ -111,10 +128,12 @@ def _claim(
         right = ti.min(column + 1, residual.shape[1] - 1)
         claim = _Claims(1.0, residual[y, x], u, v)
         upper, lower = (1.0 - down) * claim, down * claim
-        _add(claims, row, column, (1.0 - across) * upper, atomic)
-        _add(claims, row, right, across * upper, atomic)
-        _add(claims, below, column, (1.0 - across) * lower, atomic)
-        _add(claims, below, right, across * lower, atomic)
+        if first <= row and row < last:
+            _add(claims, row, column, (1.0 - across) * upper, atomic)
+            _add(claims, row, right, across * upper, atomic)
+        if first <= below and below < last:
+            _add(claims, below, column, (1.0 - across) * lower, atomic)
+            _add(claims, below, right, across * lower, atomic)
 
 
 @ti.func

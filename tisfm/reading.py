@@ -58,8 +58,9 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         finest=pyramid.last(settings),
     )
     field = pyramid.full(solution.field, pyramid.last(settings))
-    rho = np.zeros((6, field.grid.height, field.grid.width), np.float32)
-    rho[: field.components] = field.images()
+    rho = field.images()
+    if field.components < 6:
+        rho = np.concatenate([rho, np.zeros((6 - field.components, *rho.shape[1:]), np.float32)])
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         inverse_depth = np.sqrt(np.einsum("khw,khw->hw", rho[:3], rho[:3])) / np.float32(focal)
     return Reading(
