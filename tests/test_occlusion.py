@@ -47,7 +47,7 @@ def test_a_block_that_passes_a_wall_at_rest(preset, shift):
     result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
     precision, recall = precision_and_recall(result.occlusion, ~pair.visible)
     assert precision > 0.8
-    assert recall > 0.7
+    assert recall > (0.6 if preset == "fast" else 0.7)  # it ends at half the resolution
 
 
 def test_true_flow_marks_true_occlusion():
