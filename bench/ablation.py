@@ -41,6 +41,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "translation model": {"model": "translation"},
     "pyramid factor 0.5": {"pyramid_factor": 0.5},
     "pyramid factor 0.8": {"pyramid_factor": 0.8},
+    "half the resolution": {"finest_level": 1},
     "one warp": {"warps": 1},
     "five warps": {"warps": 5},
     "as few warps on coarse levels": {"coarse_warps": 2},

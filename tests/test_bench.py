@@ -317,12 +317,12 @@ def test_smoke_of_the_peers(tmp_path, monkeypatch, capsys):
 
 def test_smoke_of_the_changes(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(ablation, "RESULTS", tmp_path)
-    monkeypatch.setattr(ablation, "CHANGES", {"two warps": {"warps": 2}, "none": {"warps": 1}})
+    monkeypatch.setattr(ablation, "CHANGES", {"one warp": {"warps": 1}, "none": {"warps": 2}})
     threads = str(os.cpu_count())
     assert ablation.main(["--smoke", "--preset", "fast", "--threads", threads]) == 0
     printed = capsys.readouterr().out
     assert "missing: none: the same as the preset" in printed
-    assert "two warps: warps = 2" in (tmp_path / "smoke-ablation.md").read_text(encoding="utf-8")
+    assert "one warp: warps = 1" in (tmp_path / "smoke-ablation.md").read_text(encoding="utf-8")
 
 
 def test_parts_without_texture(tmp_path, monkeypatch, capsys):
