@@ -160,18 +160,19 @@ def _scene(
     name: str, group: str, kind: str, seed: int, focal: float, height: int, width: int
 ) -> DepthPair:
     pair = static_scene(kind, height, width, seed=seed, focal=focal * width / 320)
-    return _rendered(name, group, pair)
+    return rendered(name, group, pair)
 
 
 def _blocks(name: str, seed: int, height: int, width: int) -> DepthPair:
     pair = two_blocks(height, width, seed=seed)
     movers = np.where(pair.labels < AT_REST, 0, pair.labels)
-    return _rendered(name, MOVING, pair, movers)
+    return rendered(name, MOVING, pair, movers)
 
 
-def _rendered(
+def rendered(
     name: str, group: str, pair: SyntheticPair, movers: NDArray | None = None
 ) -> DepthPair:
+    """Return a rendered scene as a pair whose depth and motion are known."""
     return DepthPair(
         name=name,
         group=group,

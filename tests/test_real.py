@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import statue
 from bench.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
@@ -40,6 +41,13 @@ def test_the_walking_man_moves_on_his_own(shared_data):
     man = np.median(flow[90:140, 88:102].reshape(-1, 2), axis=0)
     wall = np.median(flow[30:110, 130:170].reshape(-1, 2), axis=0)
     assert np.linalg.norm(man - wall) > 1.5
+
+
+@pytest.mark.slow
+def test_the_man_and_the_cyclist_have_labels_of_their_own(shared_data):
+    found = [statue.seen("balanced", *pair, 600.0) for pair in statue.statue_pairs(shared_data)]
+    assert len(found) == 14
+    assert sum(seen.man and seen.cyclist and seen.apart for seen in found) >= 11  # 12 measured
 
 
 # Accuracy. The bars lie somewhat above what is measured (README, bench/results/peers.md).

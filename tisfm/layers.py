@@ -161,36 +161,55 @@ class Layering:
     def pruned(self, layers: Layers) -> Layers:
         """Return the layers without those whose motion the others can do as well without.
 
-        Every layer but the first, the smallest first, is taken away, the others fitted anew, and
-        their cost on its pixels compared. For a layer added because it floats, the background is
-        not fitted anew where it would have to float: it is continued from around.
+        Those that are too small go first. Then every layer but the first is taken away in turn,
+        and the one that is missed least goes, until all that are left are needed. The least goes
+        first because a thing may have lost its pixels to a motion that is not needed itself. What
+        was needed once stays so: fewer others are left to do its work.
         """
         needed = {0}
         while len(needed) < len(layers.motions):
             areas = np.bincount(layers.labels.ravel(), minlength=len(layers.motions))
             doubtful = [label for label in range(len(areas)) if label not in needed]
-            label = min(doubtful, key=lambda k: areas[k])
-            rest = [k for k in range(len(areas)) if k != label]
-            weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
-            without = self.fitted(
-                [layers.motions[k] for k in rest],
-                self._potts.assign(layers.costs[rest], weight),
-                layers.hidden,
-                reach=layers.reach[rest],
-                rounds=1,
-            )
-            mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
-            rival = _own_cost(without)
-            if not layers.reach[label].all():
-                rival = np.where(without.floats > 0, layers.costs[0], rival)
-            gain = float((rival - _own_cost(layers))[mine].sum())
-            enough = max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
-            if gain >= enough and areas[label] >= self.smallest:
-                needed.add(label)
-                continue
-            layers = without
-            needed = {rest.index(k) for k in needed}
+            least = min(doubtful, key=lambda label: areas[label])
+            if areas[least] < self.smallest:
+                layers = self._without(layers, least)
+            else:
+                trials = {label: self._without(layers, label) for label in doubtful}
+                worths = {
+                    label: self._worth(layers, label, trial) for label, trial in trials.items()
+                }
+                needed |= {label for label in doubtful if worths[label] >= 1}
+                least = min(doubtful, key=lambda label: worths[label])
+                if least in needed:
+                    break
+                layers = trials[least]
+            needed = {label - (label > least) for label in needed}
         return layers
+
+    def _without(self, layers: Layers, label: int) -> Layers:
+        """Return the layers without one of them, the others fitted anew."""
+        rest = [k for k in range(len(layers.motions)) if k != label]
+        weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
+        return self.fitted(
+            [layers.motions[k] for k in rest],
+            self._potts.assign(layers.costs[rest], weight),
+            layers.hidden,
+            reach=layers.reach[rest],
+            rounds=1,
+        )
+
+    def _worth(self, layers: Layers, label: int, without: Layers) -> float:
+        """Return what a layer spares on its own pixels, 1 or more if it is needed.
+
+        For one added because it floats, the background is not fitted anew where it would have to
+        float: it is continued from around.
+        """
+        mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
+        rival = _own_cost(without)
+        if not layers.reach[label].all():
+            rival = np.where(without.floats > 0, layers.costs[0], rival)
+        gain = float((rival - _own_cost(layers))[mine].sum())
+        return gain / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
 
     def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.

@@ -112,26 +112,29 @@ class _Search:
     def _split(self, motions: list[np.ndarray], most: int) -> list[np.ndarray]:
         """Give separate parts of a label motions of their own where those fit clearly better.
 
-        One motion, its depths free, often explains two things that move alike only roughly.
+        One motion, its depths free, often explains two things that move alike only roughly. It
+        is that of the largest part rather than of the others: so the others are asked.
         """
         labels = self._labels(motions)
-        separate = [motions[0]]
-        for label, motion in enumerate(motions[1:], start=1):
-            parts = _parts(labels == label, self.smallest)
-            fitted = [self._fit(part) for part in parts]
-            own = [found for found in fitted if found is not None]
-            if len(own) < 2 or len(own) < len(parts) or len(separate) + len(own) > most:
-                separate.append(motion)
+        added: list[np.ndarray] = []
+        for label in range(1, len(motions)):
+            parts = sorted(_parts(labels == label, self.smallest), key=np.sum)
+            joint = self._fit(np.any(parts, axis=0)) if len(parts) > 1 else None
+            if joint is None:
                 continue
-            joint = self._fit(np.any(parts, axis=0))
-            together = self._distance(motion if joint is None else joint)
-            apart = [self._distance(found) for found in own]
-            better = [
-                np.median(distance[part]) < CLEARLY * np.median(together[part])
-                for distance, part in zip(apart, parts, strict=True)
-            ]
-            separate += own if all(better) else [motion]
-        return separate
+            together = self._distance(joint)
+            left = np.any(parts, axis=0)
+            for part in parts[:-1]:
+                found = self._fit(part)
+                if found is None or len(motions) + len(added) == most:
+                    continue
+                apart = self._distance(found)
+                if np.median(apart[part]) < CLEARLY * np.median(together[part]):
+                    added.append(found)
+                    left &= ~part
+            rest = self._fit(left)
+            motions[label] = joint if rest is None else rest
+        return motions + added
 
     def _refitted_with(
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray

@@ -15,6 +15,10 @@ from tisfm.rigid_depth import rigid_depth
 from tisfm.rigid_reading import with_depth
 from tisfm.settings import Settings
 
+# Things show less parallax than a scene does, so that their depth has more noise: it takes more of
+# its neighbours' to even that out.
+SMOOTHER = 4 / 3
+
 
 def objects_reading(
     pyramid: Pyramid,
@@ -74,7 +78,13 @@ def objects_reading(
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))
     labels = rank[labels]
-    solution = rigid_depth(pyramid, settings, camera, np.stack([motions[k] for k in order]), labels)
+    solution = rigid_depth(
+        pyramid,
+        replace(settings, depth_smoothness=SMOOTHER * settings.depth_smoothness),
+        camera,
+        np.stack([motions[k] for k in order]),
+        labels,
+    )
     reading = with_depth(
         solution, labels, camera, settings, unseen=int(rank[0]) if start.status else None
     )
