@@ -1,5 +1,6 @@
 """What a half-quadratic iteration does besides relaxation, in one pass over memory."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from tisfm.kernels.lanes import (
     LaneArray,
     LaneGrid,
     SumArray,
+    bind_kernel,
     lane_count,
     lane_kernel,
     refresh_halo,
@@ -68,6 +70,43 @@ def advance(
 ) -> Sums:
     """Measure ρ̂, and renew the auxiliary fields for it.
 
+    Parameters are those of `advancer`.
+    """
+    return advancer(
+        grid,
+        terms,
+        edges,
+        x_hat,
+        y_hat,
+        rho,
+        weights,
+        tensor,
+        previous,
+        alpha=alpha,
+        contrast=contrast,
+        scales=scales,
+        stiffness=stiffness,
+    )()
+
+
+def advancer(
+    grid: LaneGrid,
+    terms,
+    edges,
+    x_hat,
+    y_hat,
+    rho,
+    weights,
+    tensor,
+    previous,
+    *,
+    alpha: float,
+    contrast: float,
+    scales,
+    stiffness=1.0,
+) -> Callable[[], Sums]:
+    """Return what measures ρ̂, and renews the auxiliary fields for it.
+
     An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, joint, g Φ_δ of the length of the vector
     of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
     g [bΔ² + δ²(b + 1/b − 2)], least for b = 1/√(1 + Δ²/δ²); and likewise the data term
@@ -108,7 +147,7 @@ def advance(
     if not contrast > 0:
         raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")
     partial = block_sums(grid, 6)
-    _advance[grid.lanes](
+    arguments = (
         terms,
         edges,
         x_hat,
@@ -129,13 +168,19 @@ def advance(
         previous,
         partial,
     )
-    data, half_data, smooth, half_smooth, moved, size = add_blocks(partial)
-    return Sums(
-        energy=float(data + alpha * smooth),
-        half_quadratic=float(half_data + alpha * half_smooth),
-        moved=float(np.sqrt(moved)),
-        size=float(np.sqrt(size)),
-    )
+    launch = bind_kernel(grid, _advance, arguments)
+
+    def run() -> Sums:
+        launch()
+        data, half_data, smooth, half_smooth, moved, size = add_blocks(partial)
+        return Sums(
+            energy=float(data + alpha * smooth),
+            half_quadratic=float(half_data + alpha * half_smooth),
+            moved=float(np.sqrt(moved)),
+            size=float(np.sqrt(size)),
+        )
+
+    return run
 
 
 @lane_kernel

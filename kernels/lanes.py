@@ -15,7 +15,9 @@ and `on_host` take them there and back.
 """
 
 import types
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import taichi as ti
@@ -67,6 +69,12 @@ def lane_kernel(function):
         return Kernel(copy)
 
     return {1: typed(ti.f32, ti.f32), 8: typed(ti.types.vector(8, ti.f32), ti.f64)}
+
+
+def bind_kernel(grid: "LaneGrid", kernels, arguments: tuple) -> Callable[[], None]:
+    """Return a launch of a lane kernel of a grid with these arguments."""
+    kernel = kernels[grid.lanes]
+    return partial(kernel, *arguments) if grid.on_device else kernel.bound(*arguments)
 
 
 def lane_count(array) -> int:

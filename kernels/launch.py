@@ -4,6 +4,7 @@ Taichi looks at each argument anew on every launch, for longer than a small grid
 What its look can find, the wrappers of kernels have checked already.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,31 @@ class Kernel:
             self._compiled[constants] = self._prepared(arguments)
             return
         kernel, compiled = known
+        program.launch_kernel(compiled, self._context(kernel, arguments))
+
+    def bound(self, *arguments) -> Callable[[], None]:
+        """Return a launch with these arguments, arrays and numbers as they are now.
+
+        It saves what handing over the arguments takes, for whoever launches often, on a CPU. Arrays
+        are read and written where they lie, and must not be replaced.
+        """
+        program = ti.lang.impl.get_runtime().prog
+        constants = tuple([arguments[index] for index in self._constants])
+        if program is not self._program or constants not in self._compiled:
+            prepared = self._prepared(arguments)
+            if program is not self._program:
+                self._program, self._compiled = program, {}
+            self._compiled[constants] = prepared
+        kernel, compiled = self._compiled[constants]
+        context = self._context(kernel, arguments)
+
+        def launch(_arguments=arguments) -> None:  # which keeps the arrays alive
+            program.launch_kernel(compiled, context)
+
+        return launch
+
+    def _context(self, kernel: Any, arguments: tuple) -> Any:
+        """Return the context of a launch."""
         context = kernel.make_launch_context()
         for index, slot, axes in self._arrays:
             array = arguments[index]
@@ -76,7 +102,7 @@ class Kernel:
             context.set_arg_float((slot,), float(arguments[index]))
         for index, slot in self._integers:
             context.set_arg_int((slot,), int(arguments[index]))
-        program.launch_kernel(compiled, context)
+        return context
 
     def _prepared(self, arguments: tuple) -> tuple[Any, Any]:
         """Return the kernel that a call with such arguments has compiled, as launches need it."""
@@ -84,5 +110,4 @@ class Kernel:
         program = ti.lang.impl.get_runtime().prog
         kernel = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
         compiled = program.compile_kernel(program.config(), program.get_device_caps(), kernel)
-        self._program = program
         return kernel, compiled

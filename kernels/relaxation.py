@@ -5,10 +5,19 @@ iteration as solving Bρ̂ = c, but with differences of neighbours in place of d
 numbers, and safe where a pivot floor acts.
 """
 
+from collections.abc import Callable
+
 import taichi as ti
 
 from tisfm.kernels.edges import component_table, spread, weight_sets
-from tisfm.kernels.lanes import CHUNK, LaneArray, LaneGrid, lane_kernel, refresh_halo
+from tisfm.kernels.lanes import (
+    CHUNK,
+    LaneArray,
+    LaneGrid,
+    bind_kernel,
+    lane_kernel,
+    refresh_halo,
+)
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.small_spd import DIAGONAL_FLOOR, bind, cholesky_solve, woodbury_solve
 
@@ -31,6 +40,39 @@ def sweep(
     source=None,
 ) -> None:
     """Run full red–black sweeps; `rho` is modified in place, halo included.
+
+    Parameters are those of `sweeper`.
+    """
+    sweeper(
+        grid,
+        tensor,
+        weights,
+        x_hat,
+        y_hat,
+        rho,
+        alpha=alpha,
+        relaxation=relaxation,
+        solver=solver,
+        sweeps=sweeps,
+        source=source,
+    )()
+
+
+def sweeper(
+    grid: LaneGrid,
+    tensor,
+    weights,
+    x_hat,
+    y_hat,
+    rho,
+    *,
+    alpha,
+    relaxation: float,
+    solver: str = "cholesky",
+    sweeps: int = 1,
+    source=None,
+) -> Callable[[], None]:
+    """Return what runs full red–black sweeps; `rho` is modified in place, halo included.
 
     Parameters
     ----------
@@ -71,18 +113,25 @@ def sweep(
     alphas = component_table(alpha, components)
     system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alphas, relaxation)
     if grid.lanes == 1:
-        for _ in range(sweeps):
-            _sweep_sites[1](*system, components, sets, closed_form, sourced, rho)
-        return
+        arguments = (*system, components, sets, closed_form, sourced, rho)
+        return _repeated(bind_kernel(grid, _sweep_sites, arguments), sweeps)
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * BAND)))
     # One band is one thread's, which may as well go on to the next sweep.
     launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
-    for _ in range(launches):
-        _sweep[grid.lanes](
-            *system, components, sets, closed_form, sourced, bands == 1, bands, repeats, rho
-        )
+    arguments = (
+        *system, components, sets, closed_form, sourced, bands == 1, bands, repeats, rho
+    )  # fmt: skip
+    return _repeated(bind_kernel(grid, _sweep, arguments), launches)
+
+
+def _repeated(launch: Callable[[], None], times: int) -> Callable[[], None]:
+    def run() -> None:
+        for _ in range(times):
+            launch()
+
+    return run
 
 
 @lane_kernel

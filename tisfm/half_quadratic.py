@@ -1,6 +1,6 @@
 """The half-quadratic algorithm (Table 1), within one linearisation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,8 @@ import numpy as np
 from tisfm.field import Field, LaneData
 from tisfm.kernels.edges import component_table
 from tisfm.kernels.evidence import evidence
-from tisfm.kernels.iteration import Sums, advance
-from tisfm.kernels.relaxation import sweep
+from tisfm.kernels.iteration import Sums, advancer
+from tisfm.kernels.relaxation import sweeper
 from tisfm.multigrid import Multigrid
 
 LEAST = 2  # iterations, if so many are allowed: the first alone brings nothing from afar
@@ -150,28 +150,31 @@ class HalfQuadratic:
         """
         field = self.field
         iterations: list[Iteration] = []
-        self.renew(terms)
+        renew = self._advancer(terms)
+        renew()
         if self._multigrid:
             self._multigrid.restart()
+        else:
+            relax = sweeper(
+                field.grid,
+                self.tensor,
+                self.weights,
+                field.x_hat,
+                field.y_hat,
+                field.rho,
+                alpha=self._alphas,
+                relaxation=self.relaxation,
+                solver=self.solver,
+                sweeps=self.sweeps,
+            )
         for _ in range(self.outer_iterations):
             if self._multigrid:
                 self._multigrid.set_system(self.tensor, self.weights, self._alphas)
                 for _ in range(self._cycles):
                     self._multigrid.descend()
             else:
-                sweep(
-                    field.grid,
-                    self.tensor,
-                    self.weights,
-                    field.x_hat,
-                    field.y_hat,
-                    field.rho,
-                    alpha=self._alphas,
-                    relaxation=self.relaxation,
-                    solver=self.solver,
-                    sweeps=self.sweeps,
-                )
-            sums = self.renew(terms)
+                relax()
+            sums = renew()
             iterations.append(
                 Iteration(
                     energy=sums.energy,
@@ -188,8 +191,11 @@ class HalfQuadratic:
 
         `minimise` leaves them so.
         """
+        return self._advancer(terms)()
+
+    def _advancer(self, terms: LaneData) -> Callable[[], Sums]:
         field = self.field
-        return advance(
+        return advancer(
             field.grid,
             terms,
             field.edges,

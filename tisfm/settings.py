@@ -332,7 +332,7 @@ _PRESETS: dict[str, Settings] = {
         tolerance=1e-2,
         solver="cholesky",
     ),
-    "fast": Settings(finest_level=1, sweeps=4, relaxation=1.97, tolerance=3e-2),
+    "fast": Settings(finest_level=1, coarse_warps=4, sweeps=4, relaxation=1.97, tolerance=3e-2),
     "balanced": Settings(),
     "accurate": Settings(pyramid_factor=0.7, sweeps=6, relaxation=1.93, tolerance=1e-2),
 }
