@@ -3,8 +3,7 @@
 The rule, for kernels and for the stream alike: every array that a kernel must read or write
 counts once, 4 bytes per pixel and component, however often the kernel comes back to it. Not
 counted are halo, padding and column tables, and the reads of cache lines about to be overwritten.
-So a kernel that passes twice over its arrays, as a red–black sweep does, stays at half the
-bandwidth at best.
+So a kernel that passes twice over its arrays stays at half the bandwidth at best.
 """
 
 from dataclasses import dataclass

@@ -18,19 +18,17 @@ def component_table(values, components: int, name: str = "alpha") -> np.ndarray:
     Parameters
     ----------
     values : float or sequence of n floats
-        One for all, or one for each: above 0 and finite. Such a table is returned as it is.
+        One for all, or one for each: above 0 and finite.
     components : int
     name : str
         What the error calls them.
     """
-    if isinstance(values, np.ndarray) and values.dtype == np.float32:
-        return values  # such a table
-    table = np.asarray(values, np.float64)
+    table = np.asarray(values)
     if table.ndim == 0:
         table = np.full(components, table)
     if table.shape != (components,) or not (np.isfinite(table).all() and (table > 0).all()):
         raise ValueError(f"{name} is {values}: expected {components} positive numbers")
-    return table.astype(np.float32)
+    return np.ascontiguousarray(table, np.float32)
 
 
 def weight_sets(grid: LaneGrid, weights, components: int) -> int:

@@ -26,7 +26,7 @@ from tisfm.kernels.reductions import (
     store_sum,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.robust import check_terms, finite_scales
+from tisfm.kernels.robust import check_terms, finite_scales, form
 from tisfm.kernels.small_spd import bind
 
 ROWS = 4  # of a band, which one thread takes at a time
@@ -271,7 +271,7 @@ def _advance_block(
         half_data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
         half_data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
         first = ti.static([bind(terms[k, y, s]) for k in range(6)])
-        q0 = _form(first, u, v)
+        q0 = form(first, u, v)
         root0 = ti.sqrt(1.0 + inverse0 * q0)
         w0 = 1.0 / root0
         data += 2.0 * q0 / (1.0 + root0)
@@ -282,7 +282,7 @@ def _advance_block(
             tensor[5, y, s] = w0 * first[5] + constant
         else:
             second = ti.static([bind(terms[6 + k, y, s]) for k in range(6)])
-            q1 = _form(second, u, v)
+            q1 = form(second, u, v)
             root1 = ti.sqrt(1.0 + inverse1 * q1)
             w1 = 1.0 / root1
             data += 2.0 * q1 / (1.0 + root1)
@@ -316,11 +316,3 @@ def _sum(values):
     for value in values[1:]:
         total = total + value
     return bind(total)
-
-
-@ti.func
-def _form(term: ti.template(), u, v):
-    """Return the quadratic form of a tensor, at least 0: a square, but for its rounding."""
-    value = u * (term[0] * u + 2.0 * (term[1] * v + term[3]))
-    value += v * (term[2] * v + 2.0 * term[4]) + term[5]
-    return ti.max(value, 0.0)

@@ -19,7 +19,13 @@ from tisfm.kernels.lanes import (
     refresh_halo,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.small_spd import DIAGONAL_FLOOR, bind, cholesky_solve, woodbury_solve
+from tisfm.kernels.small_spd import (
+    DATA_FLOOR,
+    DIAGONAL_FLOOR,
+    bind,
+    cholesky_solve,
+    woodbury_solve,
+)
 
 SOLVERS = ("cholesky", "closed_form")
 BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
@@ -310,21 +316,27 @@ def _solve(closed_form, alphas, edges, sets, columns, tensor, residual):
     totals = spread(
         [bind(east[k] + west[k] + south[k] + north[k]) for k in range(sets)], len(alphas)
     )
-    if closed_form:
+    j11, j12, j22 = tensor
+    # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
+    # to, where the residual is zero, it leaves alone.
+    floor = bind(DATA_FLOOR * (j11 + j22) + DIAGONAL_FLOOR)
+    if closed_form and len(alphas) > 1:  # a single equation is solved as it is
         if sets == 1:  # a single quotient of vectors
-            shared = bind(1.0 / (totals[0] + DIAGONAL_FLOOR))
+            softest = alphas[0]
+            for alpha in alphas[1:]:
+                softest = ti.min(softest, alpha)
+            shared = bind(1.0 / ti.max(totals[0], floor / softest))
             inverse = [bind(shared * bind(1.0 / alpha)) for alpha in alphas]
         else:
             inverse = [
-                bind(1.0 / (alpha * total + DIAGONAL_FLOOR))
+                bind(1.0 / ti.max(alpha * total, floor))
                 for alpha, total in zip(alphas, totals, strict=True)
             ]
         return woodbury_solve(inverse, columns, tensor, residual)
-    j11, j12, j22 = tensor
     image = [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
     matrix = []
     for i, (a, b) in enumerate(columns):
         row = [a * image[j][0] + b * image[j][1] for j in range(i)]
-        diagonal = alphas[i] * totals[i]
+        diagonal = ti.max(alphas[i] * totals[i], floor)
         matrix.append([*row, diagonal + a * image[i][0] + b * image[i][1]])
     return cholesky_solve([[bind(entry) for entry in row] for row in matrix], residual)

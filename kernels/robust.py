@@ -8,6 +8,8 @@ Its half-quadratic form is w q + m ε²(w + 1/w − 2), least for w = 1/√(1 + 
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.small_spd import bind
+
 
 def check_terms(grid, terms, x_hat, y_hat, rho, scales) -> int:
     """Raise unless terms, tables and ρ̂ are of the grid; return the number of terms."""
@@ -32,7 +34,13 @@ def finite_scales(scales) -> tuple[float, ...]:
 @ti.func
 def quadratic(terms: ti.template(), first: ti.template(), y, s, u, v):
     """Return the quadratic form of the term that begins at component `first`, at least 0."""
-    j12, j1 = terms[first + 1, y, s], terms[first + 3, y, s]
-    value = u * (terms[first, y, s] * u + 2.0 * (j12 * v + j1))
-    value += v * (terms[first + 2, y, s] * v + 2.0 * terms[first + 4, y, s])
-    return ti.max(value + terms[first + 5, y, s], 0.0)  # a square, but for its rounding
+    term = ti.static([bind(terms[first + k, y, s]) for k in range(6)])
+    return form(term, u, v)
+
+
+@ti.func
+def form(term: ti.template(), u, v):
+    """Return the quadratic form of a list of six, at least 0: a square, but for its rounding."""
+    value = u * (term[0] * u + 2.0 * (term[1] * v + term[3]))
+    value += v * (term[2] * v + 2.0 * term[4]) + term[5]
+    return ti.max(value, 0.0)

@@ -11,6 +11,7 @@ from taichi.lang.impl import expr_init as bind  # names a value, so that it is c
 PIVOT_FLOOR = 1e-6  # relative to the diagonal entry: about ten float32 roundings
 TINY = 1e-20  # absolute: keeps a pixel without data and without neighbours exactly at zero
 DIAGONAL_FLOOR = 1e-12  # the same for what is inverted and then squared in float32
+DATA_FLOOR = 1e-6  # of the data: beyond it, differences in the closed form are rounding
 
 
 def cholesky_solve(matrix, rhs):
@@ -66,7 +67,8 @@ def woodbury_solve(inverse, columns, tensor, rhs):
         K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
 
     For one channel and the translation model this is the paper's eq. 18 (whose third line must
-    read s3, not s1). The denominator is at least 1: nothing needs a floor but D. A J
+    read s3, not s1). The denominator is at least 1: nothing needs a floor but D, which must
+    not be below `DATA_FLOOR` of J. A J
     of rank 1 has det J = 0 only up to rounding, which costs up to ‖J M‖ roundings of accuracy.
 
     Parameters

@@ -12,7 +12,7 @@ from tisfm import reference, runtime
 
 # Real sequences are no part of the project: a folder of them may lie beside the checkout.
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
-SHARED_DATA = Path(os.environ.get("TISFM_DATA", BESIDE))
+SHARED_DATA = Path(os.environ.get("TISFM_DATA") or BESIDE)
 
 
 def pytest_collection_modifyitems(config, items):

@@ -356,3 +356,14 @@ def test_frames_near_the_scale_do_not_diverge(scale):
     result = tisfm.interpret(frame0, frame1)
     assert np.isfinite(result.rho).all()
     assert result.status in ("iteration_limit", "converged")
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_frames_of_any_layout_in_memory(preset):
+    rng = np.random.default_rng(3)
+    frames = rng.integers(0, 256, (2, 24, 30, 3), dtype=np.uint8)
+    settings = tisfm.Settings.preset(preset, outer_iterations=2)
+    expected = tisfm.interpret(*frames, settings=settings)
+    for lay in (np.asfortranarray, lambda frame: np.rot90(np.rot90(frame, -1).copy())):
+        result = tisfm.interpret(*map(lay, frames), settings=settings)
+        np.testing.assert_array_equal(result.flow, expected.flow)

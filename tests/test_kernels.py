@@ -208,6 +208,8 @@ def kernel_weights(problem, rho, smoothness):
         ({"stiffness": (1.0, 1.0)}, "stiffness is .*: expected 3 positive numbers"),
         ({"stiffness": (1.0, 1.0, 0.0)}, "expected 3 positive numbers"),
         ({"stiffness": (1.0, 1.0, np.inf)}, "expected 3 positive numbers"),
+        ({"stiffness": np.ones(2, np.float32)}, "expected 3 positive numbers"),
+        ({"stiffness": np.zeros(3, np.float32)}, "expected 3 positive numbers"),
         ({"contrast": 0.0}, "contrast is 0"),
     ],
 )
@@ -275,6 +277,43 @@ def test_one_sweep_is_the_reference_sweep(
     np.testing.assert_allclose(problem.from_lanes(field.rho), expected, rtol=1e-4, atol=1e-4)
     assert np.abs(expected - problem.rho).max() > 0.1
     np.testing.assert_array_equal(field.rho, problem.to_lanes(problem.from_lanes(field.rho)))
+
+
+@each_lanes
+@pytest.mark.parametrize("components", [1, 2, 3, 6])
+@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_pixel_without_an_open_edge_goes_by_its_data(
+    components, lanes, solver, joint, make_problem
+):
+    from tisfm.kernels.relaxation import sweep
+
+    problem = make_problem(6, 16, components, lanes)
+    field = problem.field
+    closed = problem.grid.allocate(2 if joint else 2 * components)
+    sweep(
+        problem.grid,
+        problem.tensor_lanes,
+        closed,
+        field.x_hat,
+        field.y_hat,
+        field.rho,
+        alpha=np.geomspace(0.5, 10, components),
+        relaxation=1.0,
+        solver=solver,
+        sweeps=20,
+    )
+    found = problem.from_lanes(field.rho).astype(float)
+    motion = np.zeros((2, 1, 6, 16)) if components == 1 else problem.motion
+    if components == 1:
+        motion[0] = 1
+    ix, iy = np.sqrt(problem.tensor[0]), np.sqrt(problem.tensor[2])
+    iy *= np.sign(problem.tensor[1])
+    it = np.sqrt(problem.tensor[5]) * np.sign(problem.tensor[3])
+    u, v = reference.flow(motion, found)
+    # A channel is one equation, of which there are solutions for every model.
+    assert np.abs(ix * u + iy * v + it).max() < 0.1 * np.abs(it).max()
+    assert np.abs(found).max() < 1e3
 
 
 @each_lanes

@@ -110,7 +110,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
     with np.errstate(over="ignore"):
         if frame.ndim == 3:
             # One by one: a matrix product may round differently from one machine to the next.
-            channels = [frame[..., k].astype(np.float32) for k in range(3)]
+            channels = [frame[..., k].astype(np.float32, order="C") for k in range(3)]
             for channel, share in zip(channels, _LUMA, strict=True):
                 channel *= share
             grey, green, blue = channels

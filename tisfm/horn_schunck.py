@@ -66,5 +66,7 @@ def horn_schunck(
     from tisfm.pyramid import Pyramid, coarse_to_fine
 
     pyramid = Pyramid(grey0, grey1, Camera(), settings)
-    solution = coarse_to_fine(pyramid, settings, components=2, contrast=float("inf"))
-    return np.ascontiguousarray(np.moveaxis(solution.field.images(), 0, -1))
+    last = pyramid.last(settings)
+    solution = coarse_to_fine(pyramid, settings, components=2, contrast=float("inf"), finest=last)
+    flow = pyramid.full(solution.field, last, edges=False).images()
+    return np.ascontiguousarray(np.moveaxis(flow, 0, -1))

@@ -38,7 +38,7 @@ class Multigrid:
     Parameters
     ----------
     field : Field
-        Its `rho` is modified in place by `cycle`.
+        Its `rho` is modified in place by `cycle` and `descend`.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved.
     sets : int, optional

@@ -26,7 +26,7 @@ BESIDE = 1 << 16  # pixels from which on a second thread pays
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """What coarse to fine leaves at the finest level.
+    """What coarse to fine leaves at the level that it ends on.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Solution:
     history : list of (level, warp, Iteration)
         Every half-quadratic iteration; level 0 is the finest.
     converged : bool
-        Whether the last warp of the finest level ceased to evolve.
+        Whether the last warp of that level ceased to evolve.
     """
 
     field: Field
@@ -161,12 +161,19 @@ class Pyramid:
         """Return the level to end on."""
         return min(settings.finest_level, self.levels - 1)
 
-    def full(self, field: Field, level: int) -> Field:
-        """Return the unknown of a level on the finest grid; itself, if it is there."""
+    def full(self, field: Field, level: int, *, edges: bool = True) -> Field:
+        """Return the unknown of a level on the finest grid; itself, if it is there.
+
+        Without `edges` it is good for no more than reading it.
+        """
         if level == 0:
             return field
         fine = Field(lane_grid(*self.frames0[0].shape), self._camera, field.components)
         fine.start_from(field, self.scale(level))
+        if edges and self._settings.image_edges > 0:
+            fine.edges = image_edges_in_lanes(
+                fine.grid, self.frames0[0], self._settings.image_edges
+            )
         return fine
 
     def data_term(

@@ -22,7 +22,7 @@ class Reading:
         (u, v), px/frame.
     inverse_depth : (H, W) float32
     evidence : (7, h, w) float32
-        Of `tisfm.kernels.evidence`, on the level that motion was found on.
+        Of `tisfm.kernels.evidence`; of a field, on the level that it ended on.
     normalized : bool
         Whether its residual is in squared px.
     freedom : {1, 2}
@@ -57,7 +57,7 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         contrast=settings.contrast_for(focal),
         finest=pyramid.last(settings),
     )
-    field = pyramid.full(solution.field, pyramid.last(settings))
+    field = pyramid.full(solution.field, pyramid.last(settings), edges=False)
     rho = field.images()
     if field.components < 6:
         rho = np.concatenate([rho, np.zeros((6 - field.components, *rho.shape[1:]), np.float32)])

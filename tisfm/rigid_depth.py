@@ -23,7 +23,7 @@ REFINED = 0.45  # of the finest level's sampling density: coarser levels do not 
 HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
 MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
-WARPS = 3  # linearisations on the finest level for one of the field's
+WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
 TINY = 1e-12
@@ -144,13 +144,15 @@ def rigid_depth(
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
             noise = state.noise(motions)
-            if refine != "none" and pyramid.scale(level) >= REFINED:
+            if refine != "none" and (level == last or pyramid.scale(level) >= REFINED):
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
         coarse = field
     if last > 0:
         field = pyramid.full(field, last)
+        alpha = state.minimiser.alpha
         state = _Level(pyramid, 0, field, labels, camera.focal, settings, support)
+        state.minimiser.alpha = alpha
         restricted = state.linearise(motions)
     state.minimiser.renew(restricted)  # depth was despeckled, or interpolated
     state.displace(motions)

@@ -97,7 +97,8 @@ class Settings:
     finest_level : int
         Level to end on, 0 the finest: what is found there is interpolated. 1, with a
         `pyramid_factor` of ½, leaves a quarter of the pixels to compute, and blurs motion over two
-        pixels. Beyond the coarsest level it is that. ``motion="objects"`` takes 0.
+        pixels. Beyond the coarsest level it is that; ``motion="camera"`` ends on the level that
+        depth starts from, where that is finer. ``motion="objects"`` takes 0.
     warps : int
         Linearisations on the last level.
     coarse_warps : int
