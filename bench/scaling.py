@@ -16,6 +16,7 @@ from typing import Any, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from bench.contest import machine
 from tisfm.scenes import two_blocks
@@ -160,12 +161,14 @@ def draw(found: dict[str, Any], path: Path) -> None:
             linestyle="-" if entry["threads"] == most else ":",
             marker="o",
             markersize=3.5,
-            label=f"{entry['preset']}, {entry['threads']} threads",
+            label=f"{entry['preset']}, {entry['threads']} thread{'s' * (entry['threads'] > 1)}",
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xticks(pixels, [size.replace("x", "×") for size in found["sizes"]], minor=False)
     axes.minorticks_off()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("ns per pixel of a whole pair")
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
