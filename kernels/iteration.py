@@ -52,41 +52,9 @@ class Sums:
     size: float
 
 
-def advance(
-    grid: LaneGrid,
-    terms,
-    edges,
-    x_hat,
-    y_hat,
-    rho,
-    weights,
-    tensor,
-    previous,
-    *,
-    alpha: float,
-    contrast: float,
-    scales,
-    stiffness=1.0,
-) -> Sums:
-    """Measure ρ̂, and renew the auxiliary fields for it.
-
-    Parameters are those of `advancer`.
-    """
-    return advancer(
-        grid,
-        terms,
-        edges,
-        x_hat,
-        y_hat,
-        rho,
-        weights,
-        tensor,
-        previous,
-        alpha=alpha,
-        contrast=contrast,
-        scales=scales,
-        stiffness=stiffness,
-    )()
+def advance(*arguments, **options) -> Sums:
+    """Measure ρ̂, and renew the auxiliary fields for it, once; arguments are those of `advancer`."""
+    return advancer(*arguments, **options)()
 
 
 def advancer(

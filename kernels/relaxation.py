@@ -31,37 +31,9 @@ SOLVERS = ("cholesky", "closed_form")
 BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
 
 
-def sweep(
-    grid: LaneGrid,
-    tensor,
-    weights,
-    x_hat,
-    y_hat,
-    rho,
-    *,
-    alpha,
-    relaxation: float,
-    solver: str = "cholesky",
-    sweeps: int = 1,
-    source=None,
-) -> None:
-    """Run full red–black sweeps; `rho` is modified in place, halo included.
-
-    Parameters are those of `sweeper`.
-    """
-    sweeper(
-        grid,
-        tensor,
-        weights,
-        x_hat,
-        y_hat,
-        rho,
-        alpha=alpha,
-        relaxation=relaxation,
-        solver=solver,
-        sweeps=sweeps,
-        source=source,
-    )()
+def sweep(*arguments, **options) -> None:
+    """Run full red–black sweeps once; arguments are those of `sweeper`."""
+    sweeper(*arguments, **options)()
 
 
 def sweeper(
