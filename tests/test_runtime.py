@@ -180,6 +180,53 @@ def test_asking_for_other_threads_is_refused_with_advice(before):
     )
 
 
+# Bound to cores
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0
+BOUND = """
+import os
+from tisfm import runtime
+from tisfm.cores import thread_ids
+runtime.start({options})
+import tisfm.kernels.flow
+cores = [sorted(os.sched_getaffinity(thread)) for thread in thread_ids()]
+alone = sorted(core[0] for core in cores if len(core) == 1)
+"""
+
+
+@pytest.mark.skipif(CORES < 2, reason="binding takes Linux and two cores")
+def test_every_thread_gets_a_core_of_its_own():
+    code = BOUND.format(options="") + "print(alone == sorted(os.sched_getaffinity(0)))"
+    assert answer(code) == "True"
+
+
+@pytest.mark.skipif(CORES < 2, reason="binding takes Linux and two cores")
+def test_bound_threads_are_those_that_work():
+    work = """
+import numpy as np
+import tisfm
+frame = np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8)
+def ticks(thread):
+    stat = open(f"/proc/self/task/{thread}/stat").read().rpartition(")")[2].split()
+    return int(stat[11]) + int(stat[12])
+tisfm.interpret(frame, frame[::-1])  # compiled in other threads
+before = {thread: ticks(thread) for thread in thread_ids()}
+for _ in range(3):
+    tisfm.interpret(frame, frame[::-1])
+work = {thread: ticks(thread) - before[thread] for thread in before}
+bound = [thread for thread in work if len(os.sched_getaffinity(thread)) == 1]
+free = [thread for thread in work if thread not in bound and thread != os.getpid()]
+print(min(work[thread] for thread in bound) > max(work[thread] for thread in free))
+"""
+    assert answer(BOUND.format(options="") + work) == "True"
+
+
+@pytest.mark.skipif(CORES < 2, reason="binding takes Linux and two cores")
+@pytest.mark.parametrize("options", ["threads=1", "bind_threads=False"])
+def test_threads_stay_free(options):
+    assert answer(BOUND.format(options=options) + "print(alone)") == "[]"
+
+
 def test_no_more_threads_than_cores():
     code = """
     import os

@@ -1,0 +1,51 @@
+"""Threads bound to cores of their own.
+
+Left to itself, Linux may wake both of two threads on one core, and not move one of them to the
+other, idle core for as long as a kernel on a small image takes.
+"""
+
+import contextlib
+import os
+
+
+def thread_ids() -> list[int]:
+    """Return the kernel's ids of the threads of this process, oldest first; empty if unknown."""
+    try:
+        return sorted(int(name) for name in os.listdir("/proc/self/task"))
+    except OSError:
+        return []
+
+
+def bind_newest(count: int, before: list[int]) -> bool:
+    """Bind each of the newest threads to a core of its own, if there is one for each and no more.
+
+    Parameters
+    ----------
+    count : int
+        Threads to bind: the newest of those started since.
+    before : list of int
+        `thread_ids` from before they were started.
+
+    Returns
+    -------
+    bool
+        Whether they are bound now. They are not where threads are fewer than the cores of this
+        process, which leaves room for other processes that would choose the same cores, nor on
+        systems that have no such call.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return False
+    known = set(before)
+    threads = [thread for thread in thread_ids() if thread not in known][-count:]
+    cores = sorted(os.sched_getaffinity(0))
+    if not len(threads) == count == len(cores) > 1:
+        return False
+    try:
+        for thread, core in zip(threads, cores, strict=True):
+            os.sched_setaffinity(thread, {core})
+    except OSError:  # not allowed here
+        for thread in threads:
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(thread, cores)
+        return False
+    return True
