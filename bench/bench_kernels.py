@@ -23,7 +23,7 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image t
 # thresholds, and some pixels of thousands lie so near one that rounding decides.
 TOLERANCE = 1e-6
 TOLERANCES = {
-    "constancy_tensors": 1e-5,  # squares of differences of larger numbers
+    "constancy_constraints": 1e-5,  # squares of differences of larger numbers
     "sweep": 1e-4,
     "evidence": 1e-4,
     "advance": 1e-4,
@@ -66,7 +66,7 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-PLAIN = ("image_to_lanes", "warp", "constancy_tensors", "splat", "defeated")
+PLAIN = ("image_to_lanes", "warp", "constancy_constraints", "splat", "defeated")
 PER_MODEL = (
     "lanes_to_images",
     "flow",

@@ -20,12 +20,12 @@ from tisfm.field import Field, LaneData
 from tisfm.interpolation import spline_coefficients
 from tisfm.kernels import (
     claims,
+    constraints,
     derivatives,
     evidence,
     flow,
     images,
     iteration,
-    motion_tensor,
     relaxation,
     transfer,
     warp,
@@ -99,7 +99,7 @@ class Operations:
             lambda _: np.stack([on_host(out), self.read(mask)[0]]),
         )
 
-    def constancy_tensors(self) -> Timed:
+    def constancy_constraints(self) -> Timed:
         p = self.problem
         halo = derivatives.DERIVATIVE_HALO
         gradients = aligned_zeros(self.grid.shape(3, halo))
@@ -110,10 +110,11 @@ class Operations:
             self.grid.place(gradients),
             *(self.lay(array) for array in (p.flow, p.mask[None])),
         ]
-        out = self.grid.allocate(12)
+        out, tensor = self.grid.allocate(9), self.grid.allocate(6)
+        arguments, options = (self.grid, *inputs, out, tensor), {"scales": SCALES, **CONSTRAINTS}
         return (
-            lambda: motion_tensor.constancy_tensors(self.grid, *inputs, out, **CONSTRAINTS),
-            lambda _: self.read(out),
+            lambda: constraints.constancy_constraints(*arguments, **options),
+            lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 
     def sweep(self) -> Timed:
@@ -127,7 +128,15 @@ class Operations:
         tensor, weights = self._system()
         previous = self.lay(p.previous[: self.n])
         tables = (field.edges, field.x_hat, field.y_hat)
-        arguments = (self.grid, self.lay(p.terms), *tables, field.rho, weights, tensor, previous)
+        arguments = (
+            self.grid,
+            self.lay(p.constraints),
+            *tables,
+            field.rho,
+            weights,
+            tensor,
+            previous,
+        )
         options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES}
         return (
             lambda: iteration.advance(*arguments, **options),

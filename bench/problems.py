@@ -71,11 +71,17 @@ class Problem:
         return single(reference.brightness_tensor(inner, self.flow, self.mask))
 
     @cached_property
-    def terms(self) -> np.ndarray:
-        """Motion tensors of brightness and gradient constancy, normalised, (12, H, W)."""
+    def constraints(self) -> np.ndarray:
+        """Constraints of brightness and gradient constancy, normalised, (9, H, W)."""
         gradients = tuple(self.gradients)
-        tensors = reference.constancy_tensors(gradients, self.flow, self.mask, **CONSTRAINTS)
-        return single(np.concatenate(tensors))
+        terms = reference.constancy_constraints(gradients, self.flow, self.mask, **CONSTRAINTS)
+        return single(np.concatenate(terms).reshape(9, self.height, self.width))
+
+    @cached_property
+    def terms(self) -> list[np.ndarray]:
+        """Motion tensors, (6, H, W), of brightness and of its gradient."""
+        constraints = self.constraints.reshape(3, 3, self.height, self.width)
+        return reference.tensors_of([constraints[:1], constraints[1:]])
 
 
 def single(values: np.ndarray) -> np.ndarray:

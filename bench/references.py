@@ -47,10 +47,20 @@ class References:
         image, flow = self.problem.frames[1], self.problem.flow
         return lambda: np.array(reference.warp(image, flow))
 
-    def constancy_tensors(self) -> Run:
+    def constancy_constraints(self) -> Run:
         p = self.problem
         arguments = (tuple(p.gradients), p.flow, p.mask)
-        return lambda: np.concatenate(reference.constancy_tensors(*arguments, **CONSTRAINTS))
+        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+
+        def run() -> np.ndarray:
+            terms = reference.constancy_constraints(*arguments, **CONSTRAINTS)
+            tensors = reference.tensors_of(terms)
+            tensor = reference.robust_tensor(tensors, identity, p.flow, SCALES)
+            return np.concatenate(
+                [*(term.reshape(-1, p.height, p.width) for term in terms), tensor]
+            )
+
+        return run
 
     def sweep(self) -> Run:
         weights = self.problem.weights(self.n, joint=self.scheme == "joint")
@@ -65,7 +75,7 @@ class References:
 
     def advance(self) -> Run:
         joint = self.scheme == "joint"
-        smoothness, terms = SMOOTHNESS[joint], np.split(self.problem.terms, 2)
+        smoothness, terms = SMOOTHNESS[joint], self.problem.terms
         before = self.problem.weights(self.n, joint=joint), self.problem.tensor
         previous = self.problem.previous[: self.n].copy()
 

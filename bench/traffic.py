@@ -31,12 +31,13 @@ TRAFFIC = {
     "derivatives five_tap": Traffic(read=(2, 0), written=(3, 0)),
     "flow": Traffic(read=(0, 1), written=(2, 0)),  # ρ̂ | u, v
     "warp": Traffic(read=(3, 0), written=(2, 0)),  # frame, u, v | warped, mask
-    "constancy_tensors": Traffic(read=(6, 0), written=(12, 0)),  # ∇I, I_t, u, v, mask | terms
+    # ∇I, I_t, u, v, mask | constraints, tensor
+    "constancy_constraints": Traffic(read=(6, 0), written=(15, 0)),
     "sweep separate": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂
     "sweep joint": Traffic(read=(7, 1), written=(0, 1)),
-    # terms, g, tensor, b, ρ̂, previous | tensor, b, previous
-    "advance separate": Traffic(read=(20, 4), written=(6, 3)),
-    "advance joint": Traffic(read=(22, 2), written=(8, 1)),
+    # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
+    "advance separate": Traffic(read=(17, 4), written=(6, 3)),
+    "advance joint": Traffic(read=(19, 2), written=(8, 1)),
     "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
     "evidence": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | claims

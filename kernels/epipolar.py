@@ -2,8 +2,8 @@
 
 A pixel at x̂ = (x̂, ŷ, 1) of inverse depth d, on the surface that moves by P₁ = R P₀ + t, goes to
 π(R x̂ + d t), exactly. The unknown of the solver is D = f·d, and about a current D₀ the flow is
-(u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A motion
-tensor then is a quadratic in D.
+(u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A
+constraint then is one on D.
 """
 
 import numpy as np
@@ -42,26 +42,26 @@ def displacement(
 
 
 def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
-    """Restrict motion tensors to the epipolar line.
+    """Restrict constraints to the epipolar line.
 
     Parameters
     ----------
     grid : LaneGrid
-    terms : lane array, 6 components for each term
+    terms : lane array, 3 components for each constraint
+        (p, q, c) (`tisfm.kernels.constraints`).
     flow, direction : lane arrays, 2 components
         Of `displacement`, at the same D.
     inverse_depth : lane array, 1 component
         D₀.
     out : lane array, as many components as `terms`
-        J11 = aᵀJa, j1 = aᵀ(Jc + j) and J_tt = cᵀJc + 2jᵀc + J_tt, with c = (u₀, v₀) − D₀ a: the
-        tensors of a flow (D, 0). J12, J22 and j2 are 0.
+        (p', 0, c') of a flow (D, 0): p' = (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀.
     """
-    count = terms.shape[0] // 6
-    grid.check(terms, 6 * count, "terms")
+    count = terms.shape[0] // 3
+    grid.check(terms, 3 * count, "terms")
     grid.check(flow, 2, "flow")
     grid.check(direction, 2, "direction")
     grid.check(inverse_depth, 1, "inverse_depth")
-    grid.check(out, 6 * count, "out")
+    grid.check(out, 3 * count, "out")
     _along[grid.lanes](terms, flow, direction, inverse_depth, count, out)
 
 
@@ -122,12 +122,12 @@ def _coordinate(motions: ti.template(), k, row: ti.template(), x, y):
 
 @lane_kernel
 def _along(
-    terms: LaneArray(3),  # (6 count, H+2, S+2)
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
     flow: LaneArray(3),  # (2, H+2, S+2)
     direction: LaneArray(3),  # (2, H+2, S+2)
     inverse_depth: LaneArray(3),  # (1, H+2, S+2)
     count: ti.template(),
-    out: LaneArray(3),  # (6 count, H+2, S+2)
+    out: LaneArray(3),  # (3 count, H+2, S+2)
 ):
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
@@ -135,12 +135,7 @@ def _along(
         d = inverse_depth[0, y, s]
         u, v = flow[0, y, s] - d * a, flow[1, y, s] - d * b
         for i in ti.static(range(count)):
-            j11, j12, j22 = terms[6 * i, y, s], terms[6 * i + 1, y, s], terms[6 * i + 2, y, s]
-            j1, j2 = terms[6 * i + 3, y, s], terms[6 * i + 4, y, s]
-            g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
-            out[6 * i, y, s] = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
-            out[6 * i + 1, y, s] = 0.0 * a
-            out[6 * i + 2, y, s] = 0.0 * a
-            out[6 * i + 3, y, s] = a * g1 + b * g2
-            out[6 * i + 4, y, s] = 0.0 * a
-            out[6 * i + 5, y, s] = u * (g1 + j1) + v * (g2 + j2) + terms[6 * i + 5, y, s]
+            p, q = terms[3 * i, y, s], terms[3 * i + 1, y, s]
+            out[3 * i, y, s] = p * a + q * b
+            out[3 * i + 1, y, s] = 0.0 * a
+            out[3 * i + 2, y, s] = p * u + q * v + terms[3 * i + 2, y, s]

@@ -26,7 +26,7 @@ from tisfm.kernels.reductions import (
     store_sum,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.robust import check_terms, finite_scales, form
+from tisfm.kernels.robust import check_terms, finite_scales, robust_data, terms_of
 from tisfm.kernels.small_spd import bind
 
 ROWS = 4  # of a band, which one thread takes at a time
@@ -83,8 +83,8 @@ def advancer(
     Parameters
     ----------
     grid : LaneGrid
-    terms : lane array, 6 components for each of 1 or 2 terms
-        Motion tensors.
+    terms : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.constraints`).
     edges : lane array, 2 components
     x_hat : column table
     y_hat : (H + 2,) float32
@@ -153,7 +153,7 @@ def advancer(
 
 @lane_kernel
 def _advance(
-    terms: LaneArray(3),  # (6 or 12, H+2, S+2)
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
     edges: LaneArray(3),  # (2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
@@ -238,26 +238,12 @@ def _advance_block(
         u, v = ti.static(flow_of(columns, here))
         half_data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
         half_data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
-        first = ti.static([bind(terms[k, y, s]) for k in range(6)])
-        q0 = form(first, u, v)
-        root0 = ti.sqrt(1.0 + inverse0 * q0)
-        w0 = 1.0 / root0
-        data += 2.0 * q0 / (1.0 + root0)
-        constant = scale0 * (1.0 - w0) * (root0 - 1.0)  # m ε²(w + 1/w − 2)
-        if ti.static(count == 1):
-            for k in ti.static(range(5)):
-                tensor[k, y, s] = w0 * first[k]
-            tensor[5, y, s] = w0 * first[5] + constant
-        else:
-            second = ti.static([bind(terms[6 + k, y, s]) for k in range(6)])
-            q1 = form(second, u, v)
-            root1 = ti.sqrt(1.0 + inverse1 * q1)
-            w1 = 1.0 / root1
-            data += 2.0 * q1 / (1.0 + root1)
-            constant += scale1 * (1.0 - w1) * (root1 - 1.0)
-            for k in ti.static(range(5)):
-                tensor[k, y, s] = w0 * first[k] + w1 * second[k]
-            tensor[5, y, s] = w0 * first[5] + w1 * second[5] + constant
+        lines = ti.static([[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)])
+        scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
+        energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
+        data += energy
+        for k in ti.static(range(6)):
+            tensor[k, y, s] = sums[k]
         for side in ti.static(range(2)):  # east, south
             g = edges[side, y, s]
             steps = ti.static([bind(rho[k, y + side, s + 1 - side] - here[k]) for k in range(n)])

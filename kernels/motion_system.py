@@ -6,7 +6,7 @@ import taichi as ti
 from tisfm.kernels.epipolar import NEAREST, check_geometry
 from tisfm.kernels.lanes import LaneArray, LaneGrid, SumArray, lane_count, lane_kernel
 from tisfm.kernels.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.robust import finite_scales, quadratic
+from tisfm.kernels.robust import check_constraints, finite_scales, products, squares, terms_of
 from tisfm.kernels.small_spd import bind
 
 TINY = 1e-12  # in place of a curvature where there is neither data nor a neighbour
@@ -39,8 +39,8 @@ def motion_system(
     Parameters
     ----------
     grid : LaneGrid
-    terms : lane array, 6 components for each of 1 or 2 terms
-        Motion tensors, as `displacement` made them hold: about `flow`.
+    terms : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.constraints`), linearised about `flow`.
     inverse_depth : lane array, 1 component
         D.
     labels : lane array, 1 component
@@ -68,9 +68,8 @@ def motion_system(
     matrix, vector : (6, 6) and (6,) float64
         The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
     """
-    count = len(scales)
+    count = check_constraints(grid, terms, scales)
     check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions)
-    grid.check(terms, 6 * count, "terms")
     grid.check(weights, 2, "weights")
     partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
@@ -99,7 +98,7 @@ def motion_system(
 
 @lane_kernel
 def _motion_system(
-    terms: LaneArray(3),  # (6 count, H+2, S+2)
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
     inverse_depth: LaneArray(3),  # (1, H+2, S+2)
     labels: LaneArray(3),  # (1, H+2, S+2)
     weights: LaneArray(3),  # (2, H+2, S+2)
@@ -129,21 +128,19 @@ def _motion_system(
             mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
             u, v = flow[0, y, s], flow[1, y, s]
             a, b = direction[0, y, s], direction[1, y, s]
-            q0, q1 = quadratic(terms, 0, y, s, u, v), 0.0 * u
-            if ti.static(count == 2):
-                q1 = quadratic(terms, 6, y, s, u, v)
-            trusted = 1.0 / (1.0 + inverse_tolerated * (q0 + q1))
+            lines = ti.static(
+                [[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)]
+            )
+            parts = ti.static(terms_of(lines))
+            square = ti.static([bind(squares(part, u, v)) for part in parts])
+            off = 0.0 * u
+            for part in ti.static(range(len(parts))):
+                off += square[part]
+            trusted = 1.0 / (1.0 + inverse_tolerated * off)
             trusted = mine * trusted * trusted
-            w0 = trusted / ti.sqrt(1.0 + inverse0 * q0)
-            j11, j12, j22 = w0 * terms[0, y, s], w0 * terms[1, y, s], w0 * terms[2, y, s]
-            j1, j2 = w0 * terms[3, y, s], w0 * terms[4, y, s]
-            if ti.static(count == 2):
-                w1 = trusted / ti.sqrt(1.0 + inverse1 * q1)
-                j11 += w1 * terms[6, y, s]
-                j12 += w1 * terms[7, y, s]
-                j22 += w1 * terms[8, y, s]
-                j1 += w1 * terms[9, y, s]
-                j2 += w1 * terms[10, y, s]
+            j11, j12, j22, j1, j2 = ti.static(
+                _trusted(parts, square, (inverse0, inverse1), trusted)
+            )
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
             neighbours += weights[1, y, s] + weights[1, y - 1, s]
@@ -171,6 +168,16 @@ def _motion_system(
                 )
         for k in ti.static(range(27)):
             store_sum(partial, row, block, k, sums[k], ti.static(lane_count(flow)))
+
+
+def _trusted(parts, square, inverses, trusted):
+    """Return J11, J12, J22, j1 and j2 of all terms, weighted."""
+    total = [0.0] * 5
+    for lines, q, inverse in zip(parts, square, inverses, strict=False):
+        weight = bind(trusted / ti.sqrt(1.0 + inverse * q))
+        entries = products(lines)[:5]
+        total = [before + weight * entry for before, entry in zip(total, entries, strict=True)]
+    return [bind(entry) for entry in total]
 
 
 def _motion_columns(x, y, lever, focal):

@@ -67,6 +67,7 @@ class Problem:
     camera: tisfm.Camera
     motion: np.ndarray  # (2, n, H, W)
     tensor: np.ndarray  # (6, H, W)
+    constraints: np.ndarray  # (channels, 3, H, W)
     rho: np.ndarray  # (n, H, W)
     tensor_lanes: np.ndarray
 
@@ -102,15 +103,13 @@ def make_problem():
         camera = tisfm.Camera(focal=focal, center=(0.4 * width, 0.6 * height))
         grid = LaneGrid(height, width, lanes)
         field = Field(grid, camera, components)
-        tensor = np.zeros((6, height, width))
-        for _ in range(channels):
-            gradients = rng.normal(scale=(10, 10, 5), size=(height, width, 3)).transpose(2, 0, 1)
-            zero = np.zeros((2, height, width))
-            tensor += reference.brightness_tensor(tuple(gradients), zero, 1.0)
-        tensor = tensor.astype(np.float32).astype(np.float64)
+        size = (channels, height, width, 3)
+        constraints = rng.normal(scale=(10, 10, 5), size=size).transpose(0, 3, 1, 2)
+        constraints = constraints.astype(np.float32).astype(np.float64)
+        tensor = reference.tensors_of([constraints])[0].astype(np.float32).astype(np.float64)
         rho = rng.normal(size=(components, height, width)).astype(np.float32).astype(np.float64)
         motion = reference.motion_matrix(camera, height, width, components)
-        problem = Problem(grid, field, camera, motion, tensor, rho, None)
+        problem = Problem(grid, field, camera, motion, tensor, constraints, rho, None)
         problem.tensor_lanes = problem.to_lanes(tensor)
         field.rho[...] = problem.to_lanes(rho)
         return problem

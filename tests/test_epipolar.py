@@ -67,9 +67,14 @@ def test_displacement_and_direction(size, lanes, make_problem):
     np.testing.assert_allclose(problem.from_lanes(direction), slope, atol=2e-6, rtol=1e-5)
 
 
+def split(constraints):
+    """Return the constraints of each term."""
+    return [constraints] if len(constraints) < 3 else [constraints[:1], constraints[1:]]
+
+
 @each_size
 @each_lanes
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("label", [0, 1])
 @pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
 def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
@@ -78,8 +83,9 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
 
     problem = make_problem(*size, 1, lanes)
     grid, field = problem.grid, problem.field
-    terms = [make_problem(*size, 1, lanes, seed=k).tensor for k in range(count)]
-    scales = (2.0, 0.5)[:count]
+    constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
+    terms = reference.tensors_of(split(constraints))
+    scales = (2.0, 0.5)[: len(terms)]
     inverse_depth = np.abs(problem.rho) + 1
     field.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
@@ -92,7 +98,8 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     rng = np.random.default_rng(7)
     weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
     matrix, vector = motion_system(
-        grid, problem.to_lanes(np.concatenate(terms)), field.rho, labels, problem.to_lanes(weights),
+        grid, problem.to_lanes(constraints.reshape(-1, *size)), field.rho, labels,
+        problem.to_lanes(weights),
         field.x_hat, field.y_hat, flow, direction, motions=motions, label=label,
         focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
     )  # fmt: skip
@@ -120,21 +127,23 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
 
 @each_size
 @each_lanes
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3])
 def test_along(size, lanes, count, make_problem):
     from tisfm.kernels.epipolar import along
 
-    problem = make_problem(*size, 1, lanes)
-    terms = [make_problem(*size, 1, lanes, seed=k).tensor for k in range(count)]
+    problem = make_problem(*size, 1, lanes, channels=count)
+    constraints = problem.constraints
     rng = np.random.default_rng(3)
     flow, direction = rng.normal(size=(2, 2, *size)).astype(np.float32).astype(np.float64)
-    out = problem.grid.allocate(6 * count)
+    out = problem.grid.allocate(3 * count)
     along(
-        problem.grid, problem.to_lanes(np.concatenate(terms)), problem.to_lanes(flow),
+        problem.grid, problem.to_lanes(constraints.reshape(-1, *size)), problem.to_lanes(flow),
         problem.to_lanes(direction), problem.field.rho, out,
     )  # fmt: skip
+    terms = reference.tensors_of(split(constraints))
     expected = reference.along(terms, flow, direction, problem.rho[0])
-    actual = problem.from_lanes(out).reshape(count, 6, *size)
+    restricted = problem.from_lanes(out).reshape(count, 3, *size).astype(float)
+    actual = reference.tensors_of(split(restricted))
     identity = reference.motion_matrix(problem.camera, *size, 2)
     moved = np.stack([problem.rho[0] + 0.7, np.zeros(size)])
     for term, found, wanted in zip(terms, actual, expected, strict=True):

@@ -136,10 +136,11 @@ CONSTRAINTS = [
 @each_size
 @each_lanes
 @pytest.mark.parametrize("constraints", CONSTRAINTS, ids=["brightness", "gradient", "normalized"])
-def test_constancy_tensors(size, lanes, constraints, make_problem):
+@pytest.mark.parametrize("contrast", [0.1, np.inf])
+def test_constancy_constraints(size, lanes, constraints, contrast, make_problem):
+    from tisfm.kernels.constraints import constancy_constraints
     from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
     from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
-    from tisfm.kernels.motion_tensor import constancy_tensors
 
     problem = make_problem(*size, 6, lanes)
     grid, rng = problem.grid, np.random.default_rng(4)
@@ -151,27 +152,38 @@ def test_constancy_tensors(size, lanes, constraints, make_problem):
         image_to_lanes(grid, frame, array)
     gradients = grid.allocate(3, halo=DERIVATIVE_HALO)
     derivatives(grid, *in_lanes, gradients, scheme="five_tap")
-    count = (constraints["brightness"] > 0) + (constraints["gradient"] > 0)
-    out = grid.allocate(6 * count)
+    weights = [constraints[name] for name in ("brightness", "gradient")]
+    scales = [weight * contrast**2 for weight in weights if weight > 0]
+    count = (weights[0] > 0) + 2 * (weights[1] > 0)
+    out, tensor = grid.allocate(3 * count), grid.allocate(6)
     arguments = [problem.to_lanes(a) for a in (flow, mask)]
-    constancy_tensors(grid, gradients, *arguments, out, **constraints)
-    expected = reference.constancy_tensors(
+    constancy_constraints(grid, gradients, *arguments, out, tensor, scales=scales, **constraints)
+    terms = reference.constancy_constraints(
         reference.derivatives(*frames, "five_tap", halo=2), flow, mask[0], **constraints
     )
-    actual = problem.from_lanes(out)
-    for k in range(6 * count):
-        # Each constraint carries roundings of 255 grey levels: relative to the largest of the sum.
-        scale = max(np.abs(expected[k // 6][k % 6]).max(), 1e-6)
-        np.testing.assert_allclose(actual[k], expected[k // 6][k % 6], rtol=2e-4, atol=2e-6 * scale)
-    assert not padding(problem, out).any()
+    expected = np.concatenate(terms).reshape(3 * count, *size)
+    # Each constraint carries roundings of 255 grey levels: relative to the largest of them.
+    scale = max(np.abs(expected).max(), 1e-6)
+    np.testing.assert_allclose(problem.from_lanes(out), expected, rtol=2e-4, atol=2e-6 * scale)
+    identity = reference.motion_matrix(problem.camera, *size, 2)
+    tensors = reference.tensors_of(terms)
+    expected = reference.robust_tensor(tensors, identity, flow.astype(float), scales)
+    for found, wanted in zip(problem.from_lanes(tensor), expected, strict=True):
+        scale = max(np.abs(wanted).max(), 1e-6)
+        np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-5 * scale)
+    assert not padding(problem, out).any() and not padding(problem, tensor).any()
+    alone = grid.allocate(3 * count)
+    constancy_constraints(grid, gradients, *arguments, alone, scales=scales, **constraints)
+    np.testing.assert_array_equal(alone, out)
 
 
-def test_constancy_tensors_refuse_bad_weights(make_problem):
-    from tisfm.kernels.motion_tensor import constancy_tensors
+def test_constancy_constraints_refuse_bad_weights(make_problem):
+    from tisfm.kernels.constraints import constancy_constraints
 
+    nothing = (None,) * 5
     for weights in ({"brightness": 0.0, "gradient": 0.0}, {"brightness": -1.0, "gradient": 2.0}):
         with pytest.raises(ValueError, match="expected weights of at least 0"):
-            constancy_tensors(None, None, None, None, None, **weights, normalization=None)
+            constancy_constraints(*nothing, **weights, normalization=None, scales=(1.0,))
 
 
 def smoothness_of(problem, contrast, kind):
@@ -219,11 +231,11 @@ def test_advance_refuses_bad_values(change, match, make_problem):
     problem = make_problem(5, 7, 3, 1)
     grid, field = problem.grid, problem.field
     arrays = [grid.allocate(k) for k in (6, 6, 3)]
+    terms = problem.to_lanes(problem.constraints[0])
     options = {"alpha": 1.0, "contrast": 1.0, "scales": (1.0,), "stiffness": 1.0} | change
     with pytest.raises(ValueError, match=match):
         advance(
-            grid, problem.tensor_lanes, field.edges, field.x_hat, field.y_hat, field.rho, *arrays,
-            **options,
+            grid, terms, field.edges, field.x_hat, field.y_hat, field.rho, *arrays, **options,
         )  # fmt: skip
 
 
@@ -349,13 +361,19 @@ def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
 @each_lanes
 @pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
 @pytest.mark.parametrize("contrast", [0.03, 0.3, 600.0, np.inf])
-@pytest.mark.parametrize("scales", [(np.inf,), (5.0,), (3.0, np.inf), (3.0, 50.0)], ids=str)
-def test_advance(size, components, lanes, kind, contrast, scales, make_problem):
+@pytest.mark.parametrize(
+    ("scales", "count"),
+    [((np.inf,), 1), ((5.0,), 2), ((3.0, np.inf), 3), ((3.0, 50.0), 3)],
+    ids=["quadratic", "gradient", "one quadratic", "both"],
+)
+def test_advance(size, components, lanes, kind, contrast, scales, count, make_problem):
     from tisfm.kernels.iteration import advance
 
     problem = make_problem(*size, components, lanes)
     grid, field = problem.grid, problem.field
-    terms = [problem.tensor, make_problem(*size, components, lanes, seed=1).tensor][: len(scales)]
+    constraints = make_problem(*size, components, lanes, seed=1, channels=count).constraints
+    split = [constraints] if count < 3 else [constraints[:1], constraints[1:]]
+    terms = reference.tensors_of(split)
     smoothness, stiffness, edges = smoothness_of(problem, contrast, kind)
     before = np.random.default_rng(5).normal(size=problem.rho.shape).astype(np.float32)
     old_weights = reference.edge_weights(before.astype(float), smoothness)
@@ -364,7 +382,7 @@ def test_advance(size, components, lanes, kind, contrast, scales, make_problem):
     previous = problem.to_lanes(before)
     sums = advance(
         grid,
-        problem.to_lanes(np.concatenate(terms)),
+        problem.to_lanes(constraints.reshape(-1, *size)),
         edges,
         field.x_hat,
         field.y_hat,

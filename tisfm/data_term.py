@@ -1,12 +1,12 @@
-"""What the images say: motion tensors, renewed at every warp."""
+"""What the images say: constraints on the flow, renewed at every warp."""
 
 import numpy as np
 
 from tisfm.field import LaneData
+from tisfm.kernels.constraints import constancy_constraints, constraint_count
 from tisfm.kernels.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.lanes import LaneGrid
-from tisfm.kernels.motion_tensor import constancy_tensors
 from tisfm.kernels.warp import warp
 
 
@@ -34,6 +34,8 @@ class DataTerm:
     ----------
     scales : tuple of float
         m ε² of each term in use, m its weight (`tisfm.kernels.robust`).
+    constraints : int
+        How many a pixel has.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class DataTerm:
             "normalization": normalization,
         }
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
+        self.constraints = constraint_count(brightness, gradient)
         self._frame1 = grid.place(frame1)
         self._spline1 = grid.place(spline1)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
@@ -63,27 +66,36 @@ class DataTerm:
         self._warped = grid.place(np.empty_like(frame1))
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
         self._mask = grid.allocate(1)
-        self._terms = grid.allocate(6 * len(self.scales))
+        self._terms = grid.allocate(3 * self.constraints)
         image_to_lanes(grid, frame0, self._lanes0)
 
-    def linearise(self, flow: LaneData) -> LaneData:
-        """Warp frame 1 by a flow and return the motion tensors there.
+    def linearise(self, flow: LaneData, tensor: LaneData | None = None) -> LaneData:
+        """Warp frame 1 by a flow and return the constraints there.
 
         Parameters
         ----------
         flow : lane array, 2 components
             (u, v), px/frame.
+        tensor : lane array, 6 components, optional
+            Overwritten with their motion tensors, added up with the robust weights of this flow.
 
         Returns
         -------
-        lane array, 6 components for each term
-            J11, J12, J22, j1, j2, J_tt: overwritten by the next call.
+        lane array, 3 components for each constraint
+            (p, q, c) (`tisfm.kernels.constraints`): overwritten by the next call.
         """
         grid = self._grid
         warp(grid, self._frame1, self._spline1, flow, self._warped, self._mask)
         image_to_lanes(grid, self._warped, self._lanes1)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
-        constancy_tensors(
-            grid, self._derivatives, flow, self._mask, self._terms, **self._constraints
+        constancy_constraints(
+            grid,
+            self._derivatives,
+            flow,
+            self._mask,
+            self._terms,
+            tensor,
+            scales=self.scales,
+            **self._constraints,
         )
         return self._terms

@@ -134,13 +134,16 @@ class HalfQuadratic:
         )
         return out
 
-    def minimise(self, terms: LaneData) -> tuple[list[Iteration], bool]:
+    def minimise(self, terms: LaneData, *, renewed: bool = False) -> tuple[list[Iteration], bool]:
         """Iterate until ρ̂ ceases to evolve, twice at least, or to the limit of iterations.
 
         Parameters
         ----------
-        terms : lane array, 6 components for each data term
-            Motion tensors.
+        terms : lane array, 3 components for each constraint
+            (p, q, c) (`tisfm.kernels.constraints`).
+        renewed : bool
+            Whether `weights` and `tensor` are those of the current ρ̂ and these constraints:
+            since the last call ρ̂ is as it left it, and `DataTerm.linearise` wrote the tensor.
 
         Returns
         -------
@@ -151,7 +154,8 @@ class HalfQuadratic:
         field = self.field
         iterations: list[Iteration] = []
         renew = self._advancer(terms)
-        renew()
+        if not renewed:
+            renew()
         if self._multigrid:
             self._multigrid.restart()
         else:

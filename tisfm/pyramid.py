@@ -268,8 +268,8 @@ def coarse_to_fine(
         )
         flow = field.grid.allocate(2)
         for warp in range(settings.warps_on(level - finest)):
-            terms = data_term.linearise(field.flow(flow))
-            iterations, converged = minimiser.minimise(terms)
+            terms = data_term.linearise(field.flow(flow), minimiser.tensor)
+            iterations, converged = minimiser.minimise(terms, renewed=warp > 0)
             history += [(level, warp, iteration) for iteration in iterations]
         coarse = field
     return Solution(field=field, minimiser=minimiser, history=history, converged=converged)

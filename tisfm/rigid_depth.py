@@ -235,7 +235,7 @@ class _Level:
         self._support: LaneData | None = None
         if counted is not None:
             self._support = grid.allocate(1)
-            image_to_lanes(grid, counted, self._support)
+            image_to_lanes(grid, np.sqrt(counted), self._support)  # of what is squared
         self._data_term = pyramid.data_term(
             level,
             grid,
@@ -252,7 +252,7 @@ class _Level:
             stiffness=(1.0,),
         )
         self.flow, self._direction = grid.allocate(2), grid.allocate(2)
-        self._restricted = grid.allocate(6 * len(self._data_term.scales))
+        self._restricted = grid.allocate(3 * self._data_term.constraints)
         self._terms: LaneData | None = None
 
     def displace(self, motions: np.ndarray) -> None:

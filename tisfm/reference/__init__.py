@@ -21,6 +21,7 @@ has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
 
 from tisfm.reference.data import (
     brightness_tensor,
+    constancy_constraints,
     constancy_tensors,
     data_energy,
     flow,
@@ -28,6 +29,7 @@ from tisfm.reference.data import (
     residual,
     robust_energy,
     robust_tensor,
+    tensors_of,
 )
 from tisfm.reference.energies import (
     energy,
@@ -72,6 +74,7 @@ __all__ = [
     "brightness_tensor",
     "claims",
     "coarse_to_fine",
+    "constancy_constraints",
     "constancy_tensors",
     "data_energy",
     "defeated",
@@ -96,5 +99,6 @@ __all__ = [
     "smoothness_energy",
     "sweep_lexicographic",
     "sweep_red_black",
+    "tensors_of",
     "warp",
 ]

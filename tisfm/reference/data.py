@@ -45,6 +45,40 @@ def brightness_tensor(
     return mask * np.array([ix * ix, ix * iy, iy * iy, c * ix, c * iy, c * c])
 
 
+def constancy_constraints(
+    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
+    flow0: np.ndarray,
+    mask: np.ndarray,
+    *,
+    brightness: float,
+    gradient: float,
+    normalization: float | None,
+) -> list[np.ndarray]:
+    """Return (p, q, c) of the constraints p u + q v + c = 0 of each term whose weight is not 0.
+
+    Brightness has one, (1, 3, H, W), its gradient two, (2, 3, H, W). `gradients` have a halo of
+    2 px; `flow0`, (2, H, W), is the flow that their frame 1 was warped by. Normalised, each
+    constraint squared is divided by |∇I|² + ζ².
+    """
+
+    def constraint(weight: float, ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:
+        squared = weight * mask
+        if normalization is not None:
+            squared = squared / (ix**2 + iy**2 + normalization**2 + 1e-12)
+        return np.sqrt(squared) * np.array([ix, iy, it - ix * flow0[0] - iy * flow0[1]])
+
+    ix, iy, it = gradients
+    terms = []
+    if brightness > 0:
+        inner = np.s_[2:-2, 2:-2]
+        terms.append(constraint(brightness, ix[inner], iy[inner], it[inner])[None])
+    if gradient > 0:
+        of_x = _five_tap(ix, 1), _five_tap(iy, 1), _five_tap(it, 1)
+        of_y = _five_tap(iy, 1), _five_tap(iy, 0), _five_tap(it, 0)
+        terms.append(np.stack([constraint(gradient, *of_x), constraint(gradient, *of_y)]))
+    return terms
+
+
 def constancy_tensors(
     gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
     flow0: np.ndarray,
@@ -54,27 +88,23 @@ def constancy_tensors(
     gradient: float,
     normalization: float | None,
 ) -> list[np.ndarray]:
-    """Return the tensors, (6, H, W), of brightness and gradient constancy whose weight is not 0.
+    """Return the motion tensors, (6, H, W), of `constancy_constraints`."""
+    return tensors_of(
+        constancy_constraints(
+            gradients,
+            flow0,
+            mask,
+            brightness=brightness,
+            gradient=gradient,
+            normalization=normalization,
+        )
+    )
 
-    `gradients` have a halo of 2 px. Normalised, each constraint is divided by |∇I|² + ζ².
-    """
 
-    def constraint(ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:
-        tensor = brightness_tensor((ix, iy, it), flow0, mask)
-        if normalization is None:
-            return tensor
-        return tensor / (ix**2 + iy**2 + normalization**2 + 1e-12)
-
-    ix, iy, it = gradients
-    terms = []
-    if brightness > 0:
-        inner = np.s_[2:-2, 2:-2]
-        terms.append(brightness * constraint(ix[inner], iy[inner], it[inner]))
-    if gradient > 0:
-        of_x = constraint(_five_tap(ix, 1), _five_tap(iy, 1), _five_tap(it, 1))
-        of_y = constraint(_five_tap(iy, 1), _five_tap(iy, 0), _five_tap(it, 0))
-        terms.append(gradient * (of_x + of_y))
-    return terms
+def tensors_of(terms: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W), of terms of constraints, (k, 3, H, W)."""
+    pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
+    return [np.array([(term[:, i] * term[:, j]).sum(axis=0) for i, j in pairs]) for term in terms]
 
 
 def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
