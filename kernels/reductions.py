@@ -1,7 +1,7 @@
 """Sums over the image whose bits do not depend on the number of threads.
 
 A kernel sums blocks of `BLOCK` strip positions of one row, each by one thread in one order; the
-blocks are then added in float64, in the order of the image.
+blocks are then added in float64, by one thread.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
 
 def add_blocks(partial: np.ndarray) -> np.ndarray:
     """Return the sums over the image, (terms,) float64."""
-    return partial.sum(axis=1, dtype=np.float64).sum(axis=0)
+    return np.einsum("ybt->t", partial, dtype=np.float64)
 
 
 @ti.func

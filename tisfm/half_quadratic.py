@@ -89,6 +89,9 @@ class HalfQuadratic:
             "contrast": contrast,
             "stiffness": component_table(stiffness, n, "stiffness"),
         }
+        # Launches bound to their arrays: of sweeps, and of the renewal for certain constraints.
+        self._relax: Callable[[], None] | None = None
+        self._advance: tuple[LaneData, Callable[[], Sums]] | None = None
         self.alpha = alpha
         self.tensor = field.grid.allocate(6)
         shared = joint or not np.isfinite(contrast)  # then b is 1
@@ -107,6 +110,7 @@ class HalfQuadratic:
     def alpha(self, value: float) -> None:
         self._alpha = value
         self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
+        self._relax = self._advance = None  # which are bound to it
 
     def evidence(self) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
@@ -151,7 +155,6 @@ class HalfQuadratic:
         converged : bool
             Whether the last relative change was within the tolerance.
         """
-        field = self.field
         iterations: list[Iteration] = []
         renew = self._advancer(terms)
         if not renewed:
@@ -159,18 +162,7 @@ class HalfQuadratic:
         if self._multigrid:
             self._multigrid.restart()
         else:
-            relax = sweeper(
-                field.grid,
-                self.tensor,
-                self.weights,
-                field.x_hat,
-                field.y_hat,
-                field.rho,
-                alpha=self._alphas,
-                relaxation=self.relaxation,
-                solver=self.solver,
-                sweeps=self.sweeps,
-            )
+            relax = self._relax = self._relax or self._sweeper()
         for _ in range(self.outer_iterations):
             if self._multigrid:
                 self._multigrid.set_system(self.tensor, self.weights, self._alphas)
@@ -197,19 +189,37 @@ class HalfQuadratic:
         """
         return self._advancer(terms)()
 
-    def _advancer(self, terms: LaneData) -> Callable[[], Sums]:
+    def _sweeper(self) -> Callable[[], None]:
         field = self.field
-        return advancer(
+        return sweeper(
             field.grid,
-            terms,
-            field.edges,
+            self.tensor,
+            self.weights,
             field.x_hat,
             field.y_hat,
             field.rho,
-            self.weights,
-            self.tensor,
-            self._previous,
-            alpha=self.alpha,
-            scales=self.scales,
-            **self._penalty,
+            alpha=self._alphas,
+            relaxation=self.relaxation,
+            solver=self.solver,
+            sweeps=self.sweeps,
         )
+
+    def _advancer(self, terms: LaneData) -> Callable[[], Sums]:
+        if self._advance is None or self._advance[0] is not terms:
+            field = self.field
+            advance = advancer(
+                field.grid,
+                terms,
+                field.edges,
+                field.x_hat,
+                field.y_hat,
+                field.rho,
+                self.weights,
+                self.tensor,
+                self._previous,
+                alpha=self.alpha,
+                scales=self.scales,
+                **self._penalty,
+            )
+            self._advance = terms, advance
+        return self._advance[1]
