@@ -101,24 +101,25 @@ class System:
             normalization=None,
             contrast=math.inf,
         )
-        self.tensor = term.linearise(self.grid.allocate(2))
+        self.tensor = self.grid.allocate(6)
+        self._terms = term.linearise(self.grid.allocate(2), self.tensor)
         self.edges = image_edges_in_lanes(self.grid, frame0, IMAGE_EDGES)
         self.edges *= self.grid.open_edges() > 0
         self.weights = self.grid.allocate(2)
-        self._tensor, self._previous = self.grid.allocate(6), self.grid.allocate(6)
+        self._previous = self.grid.allocate(6)
         self.energy()  # leaves the weights, g
 
     def energy(self) -> float:
         """Return the energy of ρ̂ as it is."""
         return advance(
             self.grid,
-            self.tensor,
+            self._terms,
             self.edges,
             self.field.x_hat,
             self.field.y_hat,
             self.field.rho,
             self.weights,
-            self._tensor,
+            self.tensor,
             self._previous,
             alpha=ALPHA,
             contrast=math.inf,

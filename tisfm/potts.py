@@ -75,9 +75,10 @@ class Potts:
             stiffness=(1.0,),
             joint=True,
         )
-        # weight · (p − share)² as a motion tensor of the flow (p, 0).
-        terms = grid.allocate(6)
-        for component, values in ((0, weight), (3, -weight * share), (5, weight * share**2)):
+        # weight · (p − share)² as a constraint on the flow (p, 0).
+        root = np.sqrt(weight).astype(np.float32)
+        terms = grid.allocate(3)
+        for component, values in ((0, root), (2, -root * share)):
             image_to_lanes(
                 grid, np.ascontiguousarray(values, np.float32), terms, component=component
             )
