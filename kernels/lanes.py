@@ -14,6 +14,7 @@ On a GPU there is one lane, and the arrays of a grid stay on the device (``ti.nd
 and `on_host` take them there and back.
 """
 
+import math
 import types
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,11 +23,11 @@ from functools import partial
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.buffers import buffers
 from tisfm.kernels.launch import Kernel
 
 CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
-ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
 
 
 @dataclass(frozen=True)
@@ -159,10 +160,12 @@ class LaneGrid:
         """Return the shape of a lane array of this grid."""
         return (components, self.height + 2 * halo, *self._strip_shape(halo))
 
-    def allocate(self, components: int, halo: int = 1):
-        """Return a lane array of zeros, aligned for vector loads."""
+    def allocate(self, components: int, halo: int = 1, *, zeros: bool = True):
+        """Return a lane array of zeros, or of any values, aligned for vector loads."""
         shape = self.shape(components, halo)
-        return ti.ndarray(ti.f32, shape) if self.on_device else aligned_zeros(shape)
+        if self.on_device:
+            return ti.ndarray(ti.f32, shape)
+        return aligned_zeros(shape) if zeros else aligned_empty(shape)
 
     def place(self, array: np.ndarray):
         """Return a float32 array where the kernels of this grid want it: itself, or a copy."""
@@ -237,10 +240,14 @@ class LaneGrid:
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
     """Return float32 zeros whose first element lies on an `ALIGNMENT` boundary."""
-    count = int(np.prod(shape))
-    buffer = np.zeros(count * 4 + ALIGNMENT, np.uint8)
-    start = -buffer.ctypes.data % ALIGNMENT
-    return buffer[start : start + count * 4].view(np.float32).reshape(shape)
+    array = aligned_empty(shape)
+    array.fill(0)
+    return array
+
+
+def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
+    """Return a float32 array of any values that is aligned likewise."""
+    return buffers.floats(math.prod(shape)).reshape(shape)
 
 
 def on_host(array) -> np.ndarray:

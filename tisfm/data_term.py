@@ -61,12 +61,12 @@ class DataTerm:
         self.constraints = constraint_count(brightness, gradient)
         self._frame1 = grid.place(frame1)
         self._spline1 = grid.place(spline1)
-        self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
-        self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
+        self._lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._warped = grid.place(np.empty_like(frame1))
-        self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
-        self._mask = grid.allocate(1)
-        self._terms = grid.allocate(3 * self.constraints)
+        self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
+        self._mask = grid.allocate(1, zeros=False)
+        self._terms = grid.allocate(3 * self.constraints, zeros=False)
         image_to_lanes(grid, frame0, self._lanes0)
 
     def linearise(self, flow: LaneData, tensor: LaneData | None = None) -> LaneData:

@@ -99,7 +99,7 @@ class HalfQuadratic:
         self._cycles = cycles
         sets = self.weights.shape[0] // 2
         self._multigrid = Multigrid(field, solver=solver, sets=sets) if cycles else None
-        self._previous = field.grid.allocate(field.components)
+        self._previous = field.grid.allocate(field.components, zeros=False)
 
     @property
     def alpha(self) -> float:
@@ -125,7 +125,7 @@ class HalfQuadratic:
 
     def _evidence(self) -> LaneData:
         field = self.field
-        out = field.grid.allocate(7)
+        out = field.grid.allocate(7, zeros=False)
         evidence(
             field.grid,
             self.tensor,

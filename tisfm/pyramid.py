@@ -266,7 +266,7 @@ def coarse_to_fine(
             contrast=contrast,
             stiffness=settings.stiffness[:components],
         )
-        flow = field.grid.allocate(2)
+        flow = field.grid.allocate(2, zeros=False)
         for warp in range(settings.warps_on(level - finest)):
             terms = data_term.linearise(field.flow(flow), minimiser.tensor)
             iterations, converged = minimiser.minimise(terms, renewed=warp > 0)

@@ -65,7 +65,7 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         inverse_depth = np.sqrt(np.einsum("khw,khw->hw", rho[:3], rho[:3])) / np.float32(focal)
     return Reading(
         rho=rho,
-        flow=field.to_images(field.flow(field.grid.allocate(2))),
+        flow=field.to_images(field.flow(field.grid.allocate(2, zeros=False))),
         inverse_depth=inverse_depth,
         evidence=solution.minimiser.evidence(),
         normalized=settings.normalization is not None,
