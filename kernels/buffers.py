@@ -11,8 +11,9 @@ import numpy as np
 
 ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
 LEAST = 1 << 16  # bytes: less is not worth keeping
+GREATEST = 1 << 22  # bytes: NumPy asks the system for pages of 2 MiB for more, which cost little
 SPARE = 1.25  # times what is asked for: at most so much is given
-MOST = 1 << 28  # bytes that are kept while no array uses them
+MOST = 1 << 26  # bytes that are kept while no array uses them
 
 
 class Buffers:
@@ -41,7 +42,7 @@ class Buffers:
         start = -block.ctypes.data % ALIGNMENT
         # Of a memoryview: views of it have this array as their base, and none behind it.
         array = np.frombuffer(memoryview(block), np.float32, count, start)
-        if block.nbytes >= LEAST:
+        if LEAST <= block.nbytes <= GREATEST:
             key = id(array)
 
             def give_back(_: weakref.ref) -> None:
@@ -54,7 +55,7 @@ class Buffers:
 
     def _block(self, size: int) -> np.ndarray:
         """Return the smallest block that is large enough, and not far too large, or a new one."""
-        if size < LEAST:
+        if not LEAST <= size <= GREATEST:
             return np.empty(size, np.uint8)
         for key, block in sorted(self._free.items(), key=lambda item: item[1].nbytes):
             if size <= block.nbytes <= SPARE * size and self._free.pop(key, None) is not None:

@@ -110,7 +110,7 @@ class HalfQuadratic:
     def alpha(self, value: float) -> None:
         self._alpha = value
         self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
-        self._relax = self._advance = None  # which are bound to it
+        self.unbind()
 
     def evidence(self) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
@@ -188,6 +188,10 @@ class HalfQuadratic:
         `minimise` leaves them so.
         """
         return self._advancer(terms)()
+
+    def unbind(self) -> None:
+        """Let go of what `minimise` keeps for its next call, the constraints among it."""
+        self._relax = self._advance = None
 
     def _sweeper(self) -> Callable[[], None]:
         field = self.field

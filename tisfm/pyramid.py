@@ -271,5 +271,6 @@ def coarse_to_fine(
             terms = data_term.linearise(field.flow(flow), minimiser.tensor)
             iterations, converged = minimiser.minimise(terms, renewed=warp > 0)
             history += [(level, warp, iteration) for iteration in iterations]
+        minimiser.unbind()
         coarse = field
     return Solution(field=field, minimiser=minimiser, history=history, converged=converged)
