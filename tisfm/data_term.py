@@ -18,8 +18,8 @@ class DataTerm:
     grid : LaneGrid
     frame0, frame1 : (H, W) float32
         Grey levels.
-    spline1 : (H, W) float32
-        `tisfm.interpolation.spline_coefficients` of frame 1.
+    taps1 : ((H + 3)·W, 4) float32
+        `tisfm.interpolation.spline_taps` of frame 1.
     scheme : {"cube", "five_tap"}
         Derivatives.
     brightness, gradient : float
@@ -41,7 +41,7 @@ class DataTerm:
         grid: LaneGrid,
         frame0: np.ndarray,
         frame1: np.ndarray,
-        spline1: np.ndarray,
+        taps1: np.ndarray,
         *,
         scheme: str,
         brightness: float,
@@ -57,10 +57,9 @@ class DataTerm:
         }
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
         self._frame1 = grid.place(frame1)
-        self._spline1 = grid.place(spline1)
+        self._taps1 = grid.place(taps1, vectors=True)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO)
-        self._warped = grid.place(np.empty_like(frame1))
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO)
         self._mask = grid.allocate(1)
         self._terms = grid.allocate(6 * len(self.scales))
@@ -80,8 +79,7 @@ class DataTerm:
             J11, J12, J22, j1, j2, J_tt: overwritten by the next call.
         """
         grid = self._grid
-        warp(grid, self._frame1, self._spline1, flow, self._warped, self._mask)
-        image_to_lanes(grid, self._warped, self._lanes1)
+        warp(grid, self._frame1, self._taps1, flow, self._lanes1, self._mask)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
         constancy_tensors(
             grid, self._derivatives, flow, self._mask, self._terms, **self._constraints
