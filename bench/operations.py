@@ -17,7 +17,7 @@ from bench.problems import (
 )
 from bench.references import mask_moments
 from tisfm.field import Field, LaneData
-from tisfm.interpolation import spline_coefficients
+from tisfm.interpolation import spline_taps
 from tisfm.kernels import (
     claims,
     constraints,
@@ -90,13 +90,15 @@ class Operations:
 
     def warp(self) -> Timed:
         frame = self.problem.frames[1].astype(np.float32)
-        image, spline, out = map(
-            self.grid.place, (frame, spline_coefficients(frame), np.empty_like(frame))
-        )
+        image, taps = self.grid.place(frame), self.grid.place(spline_taps(frame), vectors=True)
         motion, mask = self.lay(self.problem.flow), self.grid.allocate(1)
+        halo = images.IMAGE_HALO
+        out = self.grid.allocate(1, halo=halo)
         return (
-            lambda: warp.warp(self.grid, image, spline, motion, out, mask),
-            lambda _: np.stack([on_host(out), self.read(mask)[0]]),
+            lambda: warp.warp(self.grid, image, taps, motion, out, mask),
+            lambda _: np.concatenate(
+                [self.read(out, halo=halo)[:, halo:-halo, halo:-halo], self.read(mask)]
+            ),
         )
 
     def constancy_constraints(self) -> Timed:

@@ -24,7 +24,7 @@ from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.frames import grey_pair
 from tisfm.image_edges import image_edges_in_lanes
-from tisfm.interpolation import spline_coefficients
+from tisfm.interpolation import spline_taps
 from tisfm.kernels.iteration import advance
 from tisfm.kernels.lanes import LaneGrid
 from tisfm.kernels.relaxation import sweep
@@ -94,7 +94,7 @@ class System:
             self.grid,
             frame0,
             frame1,
-            spline_coefficients(frame1),
+            spline_taps(frame1),
             scheme="cube",
             brightness=1.0,
             gradient=0.0,

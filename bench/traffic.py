@@ -30,7 +30,7 @@ TRAFFIC = {
     "derivatives cube": Traffic(read=(2, 0), written=(3, 0)),  # frames | I_x, I_y, I_t
     "derivatives five_tap": Traffic(read=(2, 0), written=(3, 0)),
     "flow": Traffic(read=(0, 1), written=(2, 0)),  # ρ̂ | u, v
-    "warp": Traffic(read=(3, 0), written=(2, 0)),  # frame, u, v | warped, mask
+    "warp": Traffic(read=(6, 0), written=(2, 0)),  # taps, u, v | warped, mask
     # ∇I, I_t, u, v, mask | constraints, tensor
     "constancy_constraints": Traffic(read=(6, 0), written=(15, 0)),
     "sweep separate": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂

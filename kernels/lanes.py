@@ -96,6 +96,15 @@ def lane_of(value, lane: ti.template(), lanes: ti.template()):
 
 
 @ti.func
+def set_lane(value: ti.template(), lane: ti.template(), lanes: ti.template(), part):
+    """Replace one lane of a variable."""
+    if ti.static(lanes > 1):
+        value[lane] = part
+    else:
+        value = part
+
+
+@ti.func
 def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
     """Write one lane of an element of a lane array."""
     if ti.static(lane_count(array) > 1):
@@ -167,11 +176,18 @@ class LaneGrid:
             return ti.ndarray(ti.f32, shape)
         return aligned_zeros(shape) if zeros else aligned_empty(shape)
 
-    def place(self, array: np.ndarray):
-        """Return a float32 array where the kernels of this grid want it: itself, or a copy."""
+    def place(self, array: np.ndarray, *, vectors: bool = False):
+        """Return a float32 array where the kernels of this grid want it: itself, or a copy.
+
+        `vectors`: whether they take its last axis for vectors.
+        """
         if not self.on_device:
             return array
-        copy = ti.ndarray(ti.f32, array.shape)
+        copy = (
+            ti.Vector.ndarray(array.shape[-1], ti.f32, array.shape[:-1])
+            if vectors
+            else ti.ndarray(ti.f32, array.shape)
+        )
         copy.from_numpy(np.ascontiguousarray(array))
         return copy
 
@@ -270,8 +286,9 @@ def check_array(
         If its shape differs, or it is not C-contiguous, writable and (if asked) aligned.
     """
     if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
-        if array.shape != tuple(shape):
-            raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
+        whole = array.shape + array.element_shape
+        if whole != tuple(shape):
+            raise ValueError(f"{name} is {whole}: expected {tuple(shape)}")
         return
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         kind = getattr(array, "dtype", type(array).__name__)

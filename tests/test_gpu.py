@@ -156,6 +156,9 @@ def test_placed_arrays_come_back():
         grid.copy(array, other)
         np.testing.assert_array_equal(on_host(other), values)
     assert on_host(values) is values
+    vectors = device.place(values, vectors=True)
+    assert (vectors.shape, vectors.element_shape) == ((2, 7), (8,))
+    np.testing.assert_array_equal(on_host(vectors), values)
     with pytest.raises(ValueError, match=r"rho is \(2, 7, 8\): expected \(3, 7, 8\)"):
         device.check(placed, 3, "rho")
     with pytest.raises(TypeError, match="rho is i32: expected a NumPy array of float32"):

@@ -104,26 +104,95 @@ def test_flow(size, components, lanes, make_problem):
 @each_size
 @each_lanes
 def test_warp(size, lanes, make_problem):
-    from tisfm.interpolation import spline_coefficients
+    from tisfm.interpolation import spline_taps
+    from tisfm.kernels.images import IMAGE_HALO, image_to_lanes
     from tisfm.kernels.warp import warp
 
     problem = make_problem(*size, 6, lanes)
-    rng = np.random.default_rng(3)
+    grid, rng = problem.grid, np.random.default_rng(3)
     image = rng.uniform(0, 255, size=size).astype(np.float32)
     flow = rng.normal(scale=3, size=(2, *size)).astype(np.float32)
     flow.reshape(2, -1)[:, 0] = 1e9, -1e9  # far outside
     flow.reshape(2, -1)[:, -1] = 0
-    spline = spline_coefficients(image)
-    out, mask = np.empty_like(image), problem.grid.allocate(1)
-    warp(problem.grid, image, spline, problem.to_lanes(flow), out, mask)
+    in_lanes, mask = grid.allocate(1, halo=IMAGE_HALO), grid.allocate(1)
+    mask[...] = 7
+    warp(grid, image, spline_taps(image), problem.to_lanes(flow), in_lanes, mask)
+    out = problem.from_lanes(in_lanes[:, 3:-3, 3:-3])[0]
     expected, expected_mask = reference.warp(image, flow.astype(np.float64))
     np.testing.assert_array_equal(problem.from_lanes(mask)[0], expected_mask)
-    assert not padding(problem, mask).any()
+    inner = grid.inside()[0, 1:-1, 1:-1] > 0
+    assert not mask[0, 1:-1, 1:-1][~inner].any()
     # A float32 position is off by up to 2⁻²³ of the width, times the steepest slope of a spline
     # through noise, 3 · 255 a pixel.
     np.testing.assert_allclose(out, expected, atol=3 * 255 * 64 * 2.0**-23)
-    if out.size > 1:
-        assert out.flat[-1] == image.flat[-1]  # no motion, to the last bit
+    assert out.flat[-1] == image.flat[-1]  # no motion, to the last bit
+    # Halo and padding, which the derivatives look at, repeat the border.
+    laid = grid.allocate(1, halo=IMAGE_HALO)
+    image_to_lanes(grid, np.ascontiguousarray(out), laid)
+    np.testing.assert_array_equal(in_lanes, laid)
+
+
+@each_lanes
+@pytest.mark.parametrize("halo", [1, 2])
+def test_warp_in_parallel_and_to_any_halo(lanes, halo, make_problem):
+    from tisfm.interpolation import spline_taps
+    from tisfm.kernels.images import image_to_lanes
+    from tisfm.kernels.lanes import SERIAL
+    from tisfm.kernels.warp import BAND, warp
+
+    size = (6 * BAND + 5, 131)
+    assert size[0] * size[1] > SERIAL
+    problem = make_problem(*size, 2, lanes)
+    grid, rng = problem.grid, np.random.default_rng(3)
+    image = rng.uniform(0, 255, size=size).astype(np.float32)
+    flow = rng.normal(scale=3, size=(2, *size)).astype(np.float32)
+    flow[:, 40:50, 30:90] = 0
+    in_lanes, mask = grid.allocate(1, halo=halo), grid.allocate(1)
+    warp(grid, image, spline_taps(image), problem.to_lanes(flow), in_lanes, mask)
+    inner = slice(halo - 1, in_lanes.shape[1] - halo + 1), slice(halo - 1, grid.strip + halo + 1)
+    out = problem.from_lanes(in_lanes[:, inner[0], inner[1]])[0]
+    expected, expected_mask = reference.warp(image, flow.astype(np.float64))
+    np.testing.assert_allclose(out, expected, atol=3 * 255 * 256 * 2.0**-23)
+    np.testing.assert_array_equal(out[40:50, 30:90], image[40:50, 30:90])
+    np.testing.assert_array_equal(problem.from_lanes(mask)[0], expected_mask)
+    laid = grid.allocate(1, halo=halo)
+    image_to_lanes(grid, np.ascontiguousarray(out), laid)
+    np.testing.assert_array_equal(in_lanes, laid)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 1), (3, 5), (2, 3), (9, 4)])
+def test_spline_taps(size):
+    from tisfm.interpolation import spline_coefficients, spline_taps
+
+    image = np.random.default_rng(5).uniform(0, 255, size=size).astype(np.float32)
+    coefficients = spline_coefficients(image)
+    height, width = size
+
+    def mirrored(index, size):
+        period = max(2 * (size - 1), 1)
+        return min(index % period, -index % period)
+
+    taps = spline_taps(image)
+    assert taps.dtype == np.float32 and taps.shape == ((height + 3) * width, 4)
+    for r, x, k in np.ndindex(height + 3, width, 4):
+        expected = coefficients[mirrored(r - 1, height), mirrored(x + k - 1, width)]
+        assert taps[r * width + x, k] == expected
+
+
+def test_warp_refuses_what_it_cannot_read(make_problem):
+    from tisfm.interpolation import spline_coefficients, spline_taps
+    from tisfm.kernels.warp import warp
+
+    grid = make_problem(5, 7, 2, 1).grid
+    image, flow = np.ones((5, 7), np.float32), grid.allocate(2)
+    out, mask = grid.allocate(1, halo=4), grid.allocate(1)
+    with pytest.raises(ValueError, match=r"taps is \(5, 7\): expected \(56, 4\)"):
+        warp(grid, image, spline_coefficients(image), flow, out, mask)
+    with pytest.raises(ValueError, match=r"out is \(1, 13, 15\): expected \(1, 13, 16\)"):
+        warp(grid, image, spline_taps(image), flow, np.zeros((1, 13, 15), np.float32), mask)
+    taps = spline_taps(np.ones((6, 7), np.float32))[1:57].ravel()
+    with pytest.raises(ValueError, match="taps must be aligned"):
+        warp(grid, image, taps.reshape(56, 4), flow, out, mask)
 
 
 CONSTRAINTS = [

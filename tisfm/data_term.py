@@ -18,8 +18,8 @@ class DataTerm:
     grid : LaneGrid
     frame0, frame1 : (H, W) float32
         Grey levels.
-    spline1 : (H, W) float32
-        `tisfm.interpolation.spline_coefficients` of frame 1.
+    taps1 : ((H + 3)·W, 4) float32
+        `tisfm.interpolation.spline_taps` of frame 1.
     scheme : {"cube", "five_tap"}
         Derivatives.
     brightness, gradient : float
@@ -43,7 +43,7 @@ class DataTerm:
         grid: LaneGrid,
         frame0: np.ndarray,
         frame1: np.ndarray,
-        spline1: np.ndarray,
+        taps1: np.ndarray,
         *,
         scheme: str,
         brightness: float,
@@ -60,10 +60,9 @@ class DataTerm:
         self.scales = tuple(weight * contrast**2 for weight in (brightness, gradient) if weight > 0)
         self.constraints = constraint_count(brightness, gradient)
         self._frame1 = grid.place(frame1)
-        self._spline1 = grid.place(spline1)
+        self._taps1 = grid.place(taps1, vectors=True)
         self._lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
-        self._warped = grid.place(np.empty_like(frame1))
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
         self._mask = grid.allocate(1, zeros=False)
         self._terms = grid.allocate(3 * self.constraints, zeros=False)
@@ -85,8 +84,7 @@ class DataTerm:
             (p, q, c) (`tisfm.kernels.constraints`): overwritten by the next call.
         """
         grid = self._grid
-        warp(grid, self._frame1, self._spline1, flow, self._warped, self._mask)
-        image_to_lanes(grid, self._warped, self._lanes1)
+        warp(grid, self._frame1, self._taps1, flow, self._lanes1, self._mask)
         derivatives(grid, self._lanes0, self._lanes1, self._derivatives, scheme=self._scheme)
         constancy_constraints(
             grid,

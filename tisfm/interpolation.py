@@ -33,7 +33,33 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
 
 
-def sample(image: np.ndarray, flow: np.ndarray, spline: np.ndarray | None = None) -> np.ndarray:
+def spline_taps(image: np.ndarray) -> np.ndarray:
+    """Return the coefficients of an image's spline as the kernels take them, four at once.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+
+    Returns
+    -------
+    ((H + 3)·W, 4) float32
+        Row r·W + x holds the coefficients of columns x − 1 to x + 2 in row r − 1: those of a
+        sample between rows y and y + 1 and columns x and x + 1 are in r = y to y + 3. Beyond the
+        border they are mirrored at the centres of its pixels. Allocated by `aligned_zeros`.
+    """
+    from tisfm.kernels.lanes import aligned_zeros
+
+    height, width = image.shape
+    coefficients = cv2.copyMakeBorder(
+        spline_coefficients(image), 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101
+    )
+    taps = aligned_zeros(((height + 3) * width, 4))
+    shifted = [coefficients[:, k : k + width] for k in range(4)]
+    cv2.mixChannels(shifted, [taps.reshape(height + 3, width, 4)], [0, 0, 1, 1, 2, 2, 3, 3])
+    return taps
+
+
+def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) -> np.ndarray:
     """Return an image sampled where a flow leads, by its cubic spline; beyond, it repeats.
 
     Parameters
@@ -41,20 +67,21 @@ def sample(image: np.ndarray, flow: np.ndarray, spline: np.ndarray | None = None
     image : (H, W) float32
     flow : (2, H, W) float32
         (u, v), px; finite.
-    spline : (H, W) float32, optional
-        Its `spline_coefficients`, if they are at hand.
+    taps : ((H + 3)·W, 4) float32, optional
+        Its `spline_taps`, if they are at hand.
 
     Returns
     -------
     (H, W) float32
     """
     grid = runtime.lane_grid(*image.shape)  # before kernels are imported: it starts Taichi
-    from tisfm.kernels.images import image_to_lanes
+    from tisfm.kernels.images import image_to_lanes, lanes_to_images
     from tisfm.kernels.warp import warp
 
-    motion, inside, out = grid.allocate(2), grid.allocate(1), np.empty_like(image)
+    motion, inside, warped = grid.allocate(2), grid.allocate(1), grid.allocate(1)
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)
-    spline = spline_coefficients(image) if spline is None else spline
-    warp(grid, image, spline, motion, out, inside)
+    warp(grid, image, spline_taps(image) if taps is None else taps, motion, warped, inside)
+    out = np.empty_like(image)
+    lanes_to_images(grid, warped, out[None])
     return out

@@ -23,7 +23,7 @@ def occlusion(
     flow: np.ndarray,
     settings: Settings,
     *,
-    spline1: np.ndarray | None = None,
+    taps1: np.ndarray | None = None,
 ) -> np.ndarray:
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
@@ -41,8 +41,8 @@ def occlusion(
         (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
     settings : Settings
         For the weights of the data constraints.
-    spline1 : (H, W) float32, optional
-        Of `tisfm.interpolation.spline_coefficients` for frame 1, if it is at hand.
+    taps1 : ((H + 3)·W, 4) float32, optional
+        `tisfm.interpolation.spline_taps` of frame 1, if they are at hand.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def occlusion(
     # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
     flow = np.clip(flow, -FAR, FAR)
     flow[np.isnan(flow)] = FAR
-    residual = _residual(frame0, sample(frame1, flow, spline1), settings)
+    residual = _residual(frame0, sample(frame1, flow, taps1), settings)
     claims = aligned_zeros((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)

@@ -14,7 +14,7 @@ from tisfm.data_term import DataTerm
 from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
-from tisfm.interpolation import spline_coefficients
+from tisfm.interpolation import spline_taps
 from tisfm.kernels.lanes import LaneGrid
 from tisfm.occlusion import occlusion
 from tisfm.runtime import lane_grid
@@ -105,8 +105,8 @@ class Pyramid:
     ----------
     frames0, frames1 : list of (h, w) float32
         Smoothed beforehand, the finest first.
-    splines1 : list of (h, w) float32
-        Coefficients of the splines through `frames1` (`tisfm.interpolation`).
+    taps1 : list of ((h + 3)·w, 4) float32
+        Coefficients of the splines through `frames1` (`tisfm.interpolation.spline_taps`).
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
     """
@@ -121,19 +121,19 @@ class Pyramid:
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, settings.presmoothing), factor, levels)
 
-        def frames_and_splines(grey: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        def frames_and_taps(grey: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
             found = frames(grey)
-            return found, [spline_coefficients(frame) for frame in found]
+            return found, [spline_taps(frame) for frame in found]
 
         if runtime.threads() > 1 and grey0.size >= BESIDE:
             # OpenCV's filters take one thread each.
             with ThreadPoolExecutor(max_workers=1) as beside:
-                others = beside.submit(frames_and_splines, grey1)
+                others = beside.submit(frames_and_taps, grey1)
                 self.frames0 = frames(grey0)
-                self.frames1, self.splines1 = others.result()
+                self.frames1, self.taps1 = others.result()
         else:
             self.frames0 = frames(grey0)
-            self.frames1, self.splines1 = frames_and_splines(grey1)
+            self.frames1, self.taps1 = frames_and_taps(grey1)
         self.contrast = mean_step(self.frames0[0])
 
     @property
@@ -191,7 +191,7 @@ class Pyramid:
             grid,
             self.frames0[level],
             self.frames1[level],
-            self.splines1[level],
+            self.taps1[level],
             scheme=settings.derivatives,
             brightness=brightness,
             gradient=gradient,
@@ -202,7 +202,7 @@ class Pyramid:
     def occlusion(self, flow: np.ndarray) -> np.ndarray:
         """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool."""
         frames = self.frames0[0], self.frames1[0]
-        return occlusion(*frames, flow, self._settings, spline1=self.splines1[0])
+        return occlusion(*frames, flow, self._settings, taps1=self.taps1[0])
 
     def minimiser(
         self,
