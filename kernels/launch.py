@@ -4,6 +4,7 @@ Taichi looks at each argument anew on every launch, for longer than a small grid
 What its look can find, the wrappers of kernels have checked already.
 """
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,53 @@ import numpy as np
 import taichi as ti
 
 FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
+
+
+class _Recording(threading.local):
+    """What `Replay` records in this thread, if it does."""
+
+    launches: list[Callable[[], None]] | None = None
+
+
+_recording = _Recording()
+
+
+class Replay:
+    """Calls a function once, and then only launches the kernels again that it launched.
+
+    They find the arrays and numbers of the first call: arrays are read and written where they
+    lie, as `Kernel.bound` says, and what else the function does is not repeated. On a CPU; calls
+    on a device are left as they are.
+
+    Parameters
+    ----------
+    function : callable
+        Without arguments.
+    on_device : bool
+        Whether its arrays lie on a device.
+    """
+
+    def __init__(self, function: Callable[[], Any], *, on_device: bool = False) -> None:
+        self._function, self._on_device = function, on_device
+        self._launches: list[Callable[[], None]] | None = None
+        self._result: Any = None
+
+    def __call__(self) -> Any:
+        """Return what the first call returned."""
+        if self._on_device:
+            return self._function()
+        if self._launches is None:
+            launches: list[Callable[[], None]] = []
+            _recording.launches = launches
+            try:
+                self._result = self._function()
+            finally:
+                _recording.launches = None
+            self._launches = launches
+        else:
+            for launch in self._launches:
+                launch()
+        return self._result
 
 
 class Kernel:
@@ -53,6 +101,11 @@ class Kernel:
 
     def __call__(self, *arguments) -> None:
         """Run the kernel; the first call for the same constants compiles it."""
+        if _recording.launches is not None:
+            launch = self.bound(*arguments)
+            _recording.launches.append(launch)
+            launch()
+            return
         program = ti.lang.impl.get_runtime().prog
         if program is not self._program:
             self._program, self._compiled = program, {}

@@ -45,15 +45,15 @@ def spline_taps(image: np.ndarray) -> np.ndarray:
     ((H + 3)·W, 4) float32
         Row r·W + x holds the coefficients of columns x − 1 to x + 2 in row r − 1: those of a
         sample between rows y and y + 1 and columns x and x + 1 are in r = y to y + 3. Beyond the
-        border they are mirrored at the centres of its pixels. Allocated by `aligned_zeros`.
+        border they are mirrored at the centres of its pixels. Aligned.
     """
-    from tisfm.kernels.lanes import aligned_zeros
+    from tisfm.kernels.lanes import aligned_empty
 
     height, width = image.shape
     coefficients = cv2.copyMakeBorder(
         spline_coefficients(image), 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101
     )
-    taps = aligned_zeros(((height + 3) * width, 4))
+    taps = aligned_empty(((height + 3) * width, 4))
     shifted = [coefficients[:, k : k + width] for k in range(4)]
     cv2.mixChannels(shifted, [taps.reshape(height + 3, width, 4)], [0, 0, 1, 1, 2, 2, 3, 3])
     return taps

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
 from tisfm.interpolation import spline_taps
 from tisfm.kernels.lanes import LaneGrid
+from tisfm.kernels.launch import Replay
 from tisfm.occlusion import occlusion
 from tisfm.runtime import lane_grid
 from tisfm.settings import Settings
@@ -248,29 +249,48 @@ def coarse_to_fine(
         The level to end with.
     """
     history: list[tuple[int, int, Iteration]] = []
-    coarse: Field | None = None
+    field: Field | None = None
     for level in reversed(range(finest, pyramid.levels)):
-        field = pyramid.field(level, components, coarse)
-        data_term = pyramid.data_term(
-            level,
-            field.grid,
-            brightness=settings.brightness,
-            gradient=settings.gradient,
-            normalization=settings.normalization,
-        )
-        minimiser = pyramid.minimiser(
-            field,
-            data_term,
+        field = pyramid.field(level, components, field)
+        solution = _on_level(
+            pyramid,
             settings,
-            alpha=settings.alpha,
+            field,
+            level,
             contrast=contrast,
-            stiffness=settings.stiffness[:components],
+            warps=settings.warps_on(level - finest),
         )
-        flow = field.grid.allocate(2, zeros=False)
-        for warp in range(settings.warps_on(level - finest)):
-            terms = data_term.linearise(field.flow(flow), minimiser.tensor)
-            iterations, converged = minimiser.minimise(terms, renewed=warp > 0)
-            history += [(level, warp, iteration) for iteration in iterations]
-        minimiser.unbind()
-        coarse = field
+        history += solution.history
+    return replace(solution, history=history)
+
+
+def _on_level(
+    pyramid: Pyramid, settings: Settings, field: Field, level: int, *, contrast: float, warps: int
+) -> Solution:
+    """Estimate ρ̂ on one level, from what it is."""
+    data_term = pyramid.data_term(
+        level,
+        field.grid,
+        brightness=settings.brightness,
+        gradient=settings.gradient,
+        normalization=settings.normalization,
+    )
+    minimiser = pyramid.minimiser(
+        field,
+        data_term,
+        settings,
+        alpha=settings.alpha,
+        contrast=contrast,
+        stiffness=settings.stiffness[: field.components],
+    )
+    flow = field.grid.allocate(2, zeros=False)
+    linearise = Replay(
+        lambda: data_term.linearise(field.flow(flow), minimiser.tensor),
+        on_device=field.grid.on_device,
+    )
+    history: list[tuple[int, int, Iteration]] = []
+    for warp in range(warps):
+        iterations, converged = minimiser.minimise(linearise(), renewed=warp > 0)
+        history += [(level, warp, iteration) for iteration in iterations]
+    minimiser.unbind()
     return Solution(field=field, minimiser=minimiser, history=history, converged=converged)
