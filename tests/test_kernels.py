@@ -231,15 +231,31 @@ def test_advance_refuses_bad_values(change, match, make_problem):
 @each_lanes
 @pytest.mark.parametrize("strength", [0.5, 2.0])
 def test_image_edges(size, lanes, strength, make_problem):
-    from tisfm.image_edges import image_edges, image_edges_in_lanes
+    from tisfm.image_edges import image_edges_in_lanes
 
     problem = make_problem(*size, 2, lanes)
+    grid = problem.grid
     frame = np.random.default_rng(9).uniform(0, 255, size=size).astype(np.float32)
-    expected = reference.image_edges(frame, strength)
-    close(image_edges(frame, strength), expected)
-    close(problem.from_lanes(image_edges_in_lanes(problem.grid, frame, strength)), expected)
-    uniform = image_edges(np.full(size, 7, np.float32), strength)
-    np.testing.assert_array_equal(uniform, problem.from_lanes(problem.grid.open_edges()))
+    edges = image_edges_in_lanes(grid, frame, strength)
+    close(problem.from_lanes(edges), reference.image_edges(frame, strength))
+    np.testing.assert_array_equal(edges > 0, grid.open_edges() > 0)  # in the padding as well
+    uniform = image_edges_in_lanes(grid, np.full(size, 7, np.float32), strength)
+    np.testing.assert_array_equal(uniform, grid.open_edges())
+
+
+def test_image_edges_check_their_arguments():
+    from tisfm.kernels.image_edges import image_edges
+    from tisfm.kernels.lanes import LaneGrid
+
+    grid = LaneGrid(5, 6)
+    frame, out = np.zeros((5, 6), np.float32), grid.allocate(2)
+    with pytest.raises(ValueError, match=r"image is \(6, 5\): expected \(5, 6\)"):
+        image_edges(grid, frame.reshape(6, 5), out, rate=1.0)
+    with pytest.raises(ValueError, match=r"out is \(1, .*: expected \(2, "):
+        image_edges(grid, frame, grid.allocate(1), rate=1.0)
+    for rate in (-1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match=f"rate is {rate}: expected a number of at least 0"):
+            image_edges(grid, frame, out, rate=rate)
 
 
 @pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
