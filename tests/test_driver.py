@@ -474,6 +474,14 @@ def test_confidence_is_the_share_of_the_data(make_problem):
     np.testing.assert_allclose(result, expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("count", [1, 2, 9, 100])
+def test_median(count):
+    from tisfm.confidence import median
+
+    values = np.random.default_rng(count).normal(size=count).astype(np.float32)
+    assert median(values) == pytest.approx(np.median(values), rel=1e-6)
+
+
 # --- Untextured parts (the paper's remark (a)) --------------------------------------------------
 
 

@@ -473,6 +473,42 @@ def test_evidence(size, components, lanes, kind, make_problem):
 
 
 @each_size
+@pytest.mark.parametrize("freedom", [1, 2])
+def test_share_of_data(size, freedom):
+    from tisfm.kernels.evidence import share_of_data
+
+    rng = np.random.default_rng(4)
+    roots = rng.normal(size=(2, *size, 2, 2))
+    if freedom == 1:
+        roots[1, ..., 1] = 0  # neighbours leave one direction
+    j, m = roots @ np.swapaxes(roots, -1, -2)
+    residual = rng.uniform(0, 2, size)
+    entries = [matrix[..., i, k] for matrix in (j, m) for i, k in ((0, 0), (0, 1), (1, 1))]
+    evidence = np.array([*entries[:3], residual, *entries[3:]], np.float32)
+    out = np.empty(size, np.float32)
+    share_of_data(evidence, out, tolerated=0.3, freedom=freedom)
+    product = j @ m
+    share = np.trace(product @ np.linalg.inv(np.eye(2) + product), axis1=-2, axis2=-1) / freedom
+    close(out, share / (1 + residual / 0.3))
+
+
+def test_share_of_data_checks_its_arguments():
+    from tisfm.kernels.evidence import share_of_data
+
+    evidence, out = np.ones((7, 5, 6), np.float32), np.empty((5, 6), np.float32)
+    with pytest.raises(ValueError, match=r"evidence is \(7, 5, 6\): expected \(7, 6, 5\)"):
+        share_of_data(evidence, np.empty((6, 5), np.float32), tolerated=1.0, freedom=2)
+    with pytest.raises(TypeError, match="out is float64: expected a NumPy array of float32"):
+        share_of_data(evidence, out.astype(float), tolerated=1.0, freedom=2)
+    for values, match in (
+        ({"freedom": 3}, "freedom is 3: expected 1 or 2"),
+        ({"tolerated": 0.0}, "tolerated is 0.0: expected a positive value"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            share_of_data(evidence, out, **{"tolerated": 1.0, "freedom": 2} | values)
+
+
+@each_size
 @pytest.mark.parametrize("any_order", [False, True])
 def test_claims_and_who_loses_them(size, any_order):
     from tisfm.kernels.claims import defeated, splat
