@@ -246,9 +246,11 @@ def test_runaway_flow_has_diverged():
 
 def status_of(flow):
     """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
+    from tisfm.occlusion import leaves_image
     from tisfm.pair import diverged
 
-    return diverged(flow.astype(np.float32)) or "converged"
+    flow = flow.astype(np.float32)
+    return diverged(flow, leaves_image(flow)) or "converged"
 
 
 @pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
