@@ -1,5 +1,6 @@
 """Two frames in, one interpretation out."""
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -110,7 +111,7 @@ def interpret(
         status = diverged(flow, leaves) or status
     return Interpretation(
         rho=reading.rho,
-        flow=np.ascontiguousarray(np.moveaxis(flow, 0, -1)),
+        flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
         inverse_depth=reading.inverse_depth,
         inverse_depth_std=reading.inverse_depth_std,
         confidence=trust,
