@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from tisfm.kernels.evidence import share_of_data
+from tisfm import runtime
 
 WINDOW = 15  # px: about as far as the regularisation carries data
 ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an image is uniform
@@ -44,6 +44,9 @@ def confidence(
     (H, W) float32
         In [0, 1]; 0 where occluded.
     """
+    runtime.start()  # before kernels are imported
+    from tisfm.kernels.evidence import share_of_data
+
     # Without a gradient there is no residual: uniform parts say nothing of what is usual.
     gradient = evidence[0] + evidence[2]
     textured = gradient > ROUNDING * gradient.max()

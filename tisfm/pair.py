@@ -6,6 +6,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
+from tisfm.confidence import confidence
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import Interpretation, Status
@@ -79,7 +80,6 @@ def interpret(
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.camera_reading import camera_reading
-    from tisfm.confidence import confidence
     from tisfm.objects_reading import objects_reading
     from tisfm.pyramid import Pyramid
     from tisfm.reading import field_reading, history_of
