@@ -104,7 +104,6 @@ class System:
         self.tensor = self.grid.allocate(6)
         self._terms = term.linearise(self.grid.allocate(2), self.tensor)
         self.edges = image_edges_in_lanes(self.grid, frame0, IMAGE_EDGES)
-        self.edges *= self.grid.open_edges() > 0
         self.weights = self.grid.allocate(2)
         self._previous = self.grid.allocate(6)
         self.energy()  # leaves the weights, g

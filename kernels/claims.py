@@ -7,6 +7,7 @@ from tisfm.kernels.lanes import CHUNK, check_array
 from tisfm.kernels.launch import Kernel
 
 BAND = 32  # rows, at least
+BLOCK = 64  # pixels of a row that a thread takes at a time
 
 
 def splat(flow, residual, claims, *, any_order: bool = False) -> None:
@@ -33,7 +34,8 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
         _splat_in_any_order(flow, residual, claims)
         return
     height = residual.shape[0]
-    reach = min(int(np.abs(flow[1]).max()) + 1, height)  # rows that a pixel can go up or down
+    farthest = max(flow[1].max(), -flow[1].min())
+    reach = min(int(farthest) + 1, height)  # rows that a pixel can go up or down
     bands = max(1, height // max(BAND, 2 * reach))
     _splat(flow, residual, bands, reach, claims)
 
@@ -154,23 +156,28 @@ def _defeated(
     apart: ti.f32,
     out: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
 ):
-    for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
-        u, v = flow[0, y, x], flow[1, y, x]
-        target_x, target_y = x + u, y + v
-        loses = 0
-        if _is_inside(target_x, target_y, residual):
-            column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
-            across, down = target_x - column, target_y - row
-            below = ti.min(row + 1, residual.shape[0] - 1)
-            right = ti.min(column + 1, residual.shape[1] - 1)
-            upper = (1.0 - across) * claims[row, column] + across * claims[row, right]
-            lower = (1.0 - across) * claims[below, column] + across * claims[below, right]
-            total = (1.0 - down) * upper + down * lower
-            du, dv = total[2] / total[0] - u, total[3] / total[0] - v
-            worse = residual[y, x] * total[0] > total[1]
-            if total[0] > density and du * du + dv * dv > apart * apart and worse:
-                loses = 1
-        out[y, x] = loses
+    width = residual.shape[1]
+    for y, block in ti.ndrange(residual.shape[0], (width + BLOCK - 1) // BLOCK):
+        for x in range(block * BLOCK, ti.min((block + 1) * BLOCK, width)):
+            u, v = flow[0, y, x], flow[1, y, x]
+            target_x, target_y = x + u, y + v
+            loses = 0
+            if _is_inside(target_x, target_y, residual):
+                column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
+                across, down = target_x - column, target_y - row
+                below = ti.min(row + 1, residual.shape[0] - 1)
+                right = ti.min(column + 1, residual.shape[1] - 1)
+                upper = (1.0 - across) * claims[row, column][0] + across * claims[row, right][0]
+                lower = (1.0 - across) * claims[below, column][0] + across * claims[below, right][0]
+                if (1.0 - down) * upper + down * lower > density:  # as at few pixels
+                    first = (1.0 - across) * claims[row, column] + across * claims[row, right]
+                    second = (1.0 - across) * claims[below, column] + across * claims[below, right]
+                    total = (1.0 - down) * first + down * second
+                    du, dv = total[2] / total[0] - u, total[3] / total[0] - v
+                    worse = residual[y, x] * total[0] > total[1]
+                    if du * du + dv * dv > apart * apart and worse:
+                        loses = 1
+            out[y, x] = loses
 
 
 @ti.func

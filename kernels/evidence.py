@@ -3,7 +3,8 @@
 import taichi as ti
 
 from tisfm.kernels.edges import component_table, weight_sets
-from tisfm.kernels.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.lanes import LaneArray, LaneGrid, check_array, lane_kernel
+from tisfm.kernels.launch import Kernel
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.small_spd import DIAGONAL_FLOOR
 
@@ -71,3 +72,45 @@ def _evidence(
         out[4, y, s] = m11
         out[5, y, s] = m12
         out[6, y, s] = m22
+
+
+def share_of_data(evidence, out, *, tolerated: float, freedom: int) -> None:
+    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated.
+
+    Parameters
+    ----------
+    evidence : (7, H, W) float32
+        J11, J12, J22, squared residual, M11, M12, M22.
+    out : (H, W) float32
+        The share of the data in what is known of a pixel's flow.
+    tolerated : float
+        The squared residual that halves it; above 0.
+    freedom : {2, 1}
+        Degrees of freedom of a pixel's flow; if 1, M is of rank 1.
+    """
+    check_array(out, out.shape[:2], "out", aligned=False)
+    check_array(evidence, (7, *out.shape), "evidence", aligned=False)
+    if freedom not in (1, 2):
+        raise ValueError(f"freedom is {freedom}: expected 1 or 2")
+    if not tolerated > 0:
+        raise ValueError(f"tolerated is {tolerated}: expected a positive value")
+    flat = evidence.reshape(7, -1), out.reshape(-1)  # so that no place has to be computed
+    _share_of_data(flat[0], 1.0 / tolerated, 1.0 - 1.0 / freedom, flat[1])
+
+
+@Kernel
+def _share_of_data(
+    evidence: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (7, H·W)
+    inverse_tolerated: ti.f32,
+    known: ti.f32,
+    out: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H·W,)
+):
+    for i in range(out.shape[0]):
+        j11, j12, j22 = evidence[0, i], evidence[1, i], evidence[2, i]
+        m11, m12, m22 = evidence[4, i], evidence[5, i], evidence[6, i]
+        trace = j11 * m11 + 2.0 * j12 * m12 + j22 * m22
+        # det(I + J M) = 1 + tr(J M) + det J · det M
+        determinant = ti.max(j11 * j22 - j12 * j12, 0.0) * ti.max(m11 * m22 - m12 * m12, 0.0)
+        determinant += 1.0 + trace
+        share = 1.0 - (1.0 + known * trace) / determinant
+        out[i] = share / (1.0 + inverse_tolerated * evidence[3, i])

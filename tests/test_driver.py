@@ -246,9 +246,11 @@ def test_runaway_flow_has_diverged():
 
 def status_of(flow):
     """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
+    from tisfm.occlusion import leaves_image
     from tisfm.pair import diverged
 
-    return diverged(flow.astype(np.float32)) or "converged"
+    flow = flow.astype(np.float32)
+    return diverged(flow, leaves_image(flow)) or "converged"
 
 
 @pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
@@ -472,6 +474,14 @@ def test_confidence_is_the_share_of_the_data(make_problem):
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
     result = confidence(evidence, np.zeros((40, 40), bool), normalized=True)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 100])
+def test_median(count):
+    from tisfm.confidence import median
+
+    values = np.random.default_rng(count).normal(size=count).astype(np.float32)
+    assert median(values) == pytest.approx(np.median(values), rel=1e-6)
 
 
 # --- Untextured parts (the paper's remark (a)) --------------------------------------------------

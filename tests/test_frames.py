@@ -90,6 +90,16 @@ def test_grey_as_three_channels_is_grey(frame):
     np.testing.assert_allclose(grey_pair(colour, colour)[0], frame, rtol=ROUNDING)
 
 
+@pytest.mark.parametrize("height", [4, 32, 33, 100])
+def test_colours_add_up_in_one_order_whatever_the_size(height):
+    frame = np.random.default_rng(height).integers(0, 256, (height, 9, 3)).astype(np.uint8)
+    red, green, blue = np.moveaxis(frame.astype(np.float32), -1, 0)
+    luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
+    for frames in ((frame, frame), (frame[::-1], frame), (frame.astype(float), frame * 1.0)):
+        expected = luma[::-1] if frames[0].strides[0] < 0 else luma
+        np.testing.assert_array_equal(grey_pair(*frames)[0], expected)
+
+
 def test_a_single_channel_is_dropped():
     frame0, frame1 = textured_pair()
     np.testing.assert_array_equal(grey_pair(frame0[..., None], frame1[..., None])[0], frame0)

@@ -312,15 +312,31 @@ def test_advance_refuses_bad_values(change, match, make_problem):
 @each_lanes
 @pytest.mark.parametrize("strength", [0.5, 2.0])
 def test_image_edges(size, lanes, strength, make_problem):
-    from tisfm.image_edges import image_edges, image_edges_in_lanes
+    from tisfm.image_edges import image_edges_in_lanes
 
     problem = make_problem(*size, 2, lanes)
+    grid = problem.grid
     frame = np.random.default_rng(9).uniform(0, 255, size=size).astype(np.float32)
-    expected = reference.image_edges(frame, strength)
-    close(image_edges(frame, strength), expected)
-    close(problem.from_lanes(image_edges_in_lanes(problem.grid, frame, strength)), expected)
-    uniform = image_edges(np.full(size, 7, np.float32), strength)
-    np.testing.assert_array_equal(uniform, problem.from_lanes(problem.grid.open_edges()))
+    edges = image_edges_in_lanes(grid, frame, strength)
+    close(problem.from_lanes(edges), reference.image_edges(frame, strength))
+    np.testing.assert_array_equal(edges > 0, grid.open_edges() > 0)  # in the padding as well
+    uniform = image_edges_in_lanes(grid, np.full(size, 7, np.float32), strength)
+    np.testing.assert_array_equal(uniform, grid.open_edges())
+
+
+def test_image_edges_check_their_arguments():
+    from tisfm.kernels.image_edges import image_edges
+    from tisfm.kernels.lanes import LaneGrid
+
+    grid = LaneGrid(5, 6)
+    frame, out = np.zeros((5, 6), np.float32), grid.allocate(2)
+    with pytest.raises(ValueError, match=r"image is \(6, 5\): expected \(5, 6\)"):
+        image_edges(grid, frame.reshape(6, 5), out, rate=1.0)
+    with pytest.raises(ValueError, match=r"out is \(1, .*: expected \(2, "):
+        image_edges(grid, frame, grid.allocate(1), rate=1.0)
+    for rate in (-1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match=f"rate is {rate}: expected a number of at least 0"):
+            image_edges(grid, frame, out, rate=rate)
 
 
 @pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
@@ -541,6 +557,42 @@ def test_evidence(size, components, lanes, kind, make_problem):
     covariance = g @ np.linalg.inv(prior) @ np.swapaxes(g, -1, -2)
     for k, (i, j) in enumerate([(0, 0), (0, 1), (1, 1)]):
         close(actual[4 + k], covariance[..., i, j], scale=covariance.max())
+
+
+@each_size
+@pytest.mark.parametrize("freedom", [1, 2])
+def test_share_of_data(size, freedom):
+    from tisfm.kernels.evidence import share_of_data
+
+    rng = np.random.default_rng(4)
+    roots = rng.normal(size=(2, *size, 2, 2))
+    if freedom == 1:
+        roots[1, ..., 1] = 0  # neighbours leave one direction
+    j, m = roots @ np.swapaxes(roots, -1, -2)
+    residual = rng.uniform(0, 2, size)
+    entries = [matrix[..., i, k] for matrix in (j, m) for i, k in ((0, 0), (0, 1), (1, 1))]
+    evidence = np.array([*entries[:3], residual, *entries[3:]], np.float32)
+    out = np.empty(size, np.float32)
+    share_of_data(evidence, out, tolerated=0.3, freedom=freedom)
+    product = j @ m
+    share = np.trace(product @ np.linalg.inv(np.eye(2) + product), axis1=-2, axis2=-1) / freedom
+    close(out, share / (1 + residual / 0.3))
+
+
+def test_share_of_data_checks_its_arguments():
+    from tisfm.kernels.evidence import share_of_data
+
+    evidence, out = np.ones((7, 5, 6), np.float32), np.empty((5, 6), np.float32)
+    with pytest.raises(ValueError, match=r"evidence is \(7, 5, 6\): expected \(7, 6, 5\)"):
+        share_of_data(evidence, np.empty((6, 5), np.float32), tolerated=1.0, freedom=2)
+    with pytest.raises(TypeError, match="out is float64: expected a NumPy array of float32"):
+        share_of_data(evidence, out.astype(float), tolerated=1.0, freedom=2)
+    for values, match in (
+        ({"freedom": 3}, "freedom is 3: expected 1 or 2"),
+        ({"tolerated": 0.0}, "tolerated is 0.0: expected a positive value"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            share_of_data(evidence, out, **{"tolerated": 1.0, "freedom": 2} | values)
 
 
 @each_size

@@ -133,6 +133,19 @@ def test_a_flow_without_any_number_is_occluded_everywhere():
     assert occlusion(grey, grey, flow, tisfm.Settings()).all()
 
 
+def test_what_leaves_the_image_need_not_be_found_twice():
+    pair = passing_block(4)
+    grey = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]
+    flow = np.ascontiguousarray(np.moveaxis(pair.flow, -1, 0), dtype=np.float32)
+    flow[0, :, -3:] = 5
+    leaves = leaves_image(flow)
+    assert leaves.any()
+    settings = tisfm.Settings()
+    found = occlusion(*grey, flow, settings, leaves=leaves)
+    np.testing.assert_array_equal(found, occlusion(*grey, flow, settings))
+    assert occlusion(*grey, flow, settings, leaves=~leaves)[~leaves].all()
+
+
 @pytest.mark.parametrize("size", [(16, 40000), (40000, 16)])
 def test_sides_beyond_the_limits_of_16_bits(size):
     """Noise that moves by whole pixels: what stays inside is seen."""

@@ -1,5 +1,6 @@
 """The unknown ρ̂ on one level of the pyramid, in lanes."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,6 @@ class Field:
         ρ̂, px/frame of this level.
     x_hat : column table
     y_hat : (H + 2,) float32
-    edges : lane array, 2 components
-        g of the eastern and the southern edge of every pixel: 1, and 0 across the border, unless
-        the image says otherwise.
     """
 
     def __init__(self, grid: LaneGrid, camera: Camera, components: int) -> None:
@@ -47,8 +45,15 @@ class Field:
         rows = aligned_zeros((grid.height + 2,))
         rows[1:-1] = (np.arange(grid.height) - cy) / camera.focal
         self.y_hat = grid.place(rows)
-        self.edges = grid.open_edges()
         self.rho = grid.allocate(components)
+
+    @cached_property
+    def edges(self) -> LaneData:
+        """Lane array of 2 components: g of the eastern and the southern edge of every pixel.
+
+        1, and 0 across the border, unless it is set to what the image says.
+        """
+        return self.grid.open_edges()
 
     def start_from(self, coarse: "Field", ratio: float) -> None:
         """Set ρ̂, which must be zero, from that of a coarser level.

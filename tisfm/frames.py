@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
+ROWS = 32  # at a time, which stay in the cache
 
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -108,17 +109,24 @@ def _factor(first: np.ndarray, second: np.ndarray) -> float:
 
 def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
     with np.errstate(over="ignore"):
-        if frame.ndim == 3:
-            # One by one: a matrix product may round differently from one machine to the next.
-            channels = [frame[..., k].astype(np.float32, order="C") for k in range(3)]
-            for channel, share in zip(channels, _LUMA, strict=True):
-                channel *= share
-            grey, green, blue = channels
-            grey += green
-            grey += blue
-        else:
-            grey = frame.astype(np.float32, order="C")
-        grey *= np.float32(factor)
+        grey = _luma(frame) if frame.ndim == 3 else frame.astype(np.float32, order="C")
+        if factor != 1:
+            grey *= np.float32(factor)
     if _is_float(frame) and not np.isfinite(grey).all():
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
+    return grey
+
+
+def _luma(frame: np.ndarray) -> np.ndarray:
+    """Return the luma of an RGB frame, (H, W) float32."""
+    grey = np.empty(frame.shape[:2], np.float32)
+    for top in range(0, len(frame), ROWS):
+        rows, total = frame[top : top + ROWS], grey[top : top + ROWS]
+        # One by one: a matrix product may round differently from one machine to the next.
+        red, green, blue = (rows[..., k].astype(np.float32) for k in range(3))
+        np.multiply(red, _LUMA[0], out=total)
+        green *= _LUMA[1]
+        total += green
+        blue *= _LUMA[2]
+        total += blue
     return grey

@@ -4,8 +4,10 @@ import cv2
 import numpy as np
 
 from tisfm.field import LaneData
-from tisfm.kernels.images import image_to_lanes
+from tisfm.kernels.image_edges import image_edges
 from tisfm.kernels.lanes import LaneGrid
+
+FAINTEST = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
 
 
 def mean_step(frame: np.ndarray) -> float:
@@ -17,7 +19,7 @@ def mean_step(frame: np.ndarray) -> float:
     return total / max(count, 1)
 
 
-def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
+def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> LaneData:
     """Return g = c/(1 + κ|ΔI|/m) of every edge, m the mean of |ΔI|, c such that the mean of g is 1.
 
     It depends on the contrast of an edge relative to those of the whole frame alone, and leaves
@@ -25,6 +27,7 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
 
     Parameters
     ----------
+    grid : LaneGrid
     frame : (H, W) float32
         Grey levels.
     strength : float
@@ -32,29 +35,9 @@ def image_edges(frame: np.ndarray, strength: float) -> np.ndarray:
 
     Returns
     -------
-    (2, H, W) float32
+    lane array, 2 components
         Eastern and southern edges; 0 across the border.
     """
-    height, width = frame.shape
-    edges = np.empty((2, height, width), np.float32)
-    np.subtract(frame[:, 1:], frame[:, :-1], out=edges[0, :, :-1])
-    np.subtract(frame[1:], frame[:-1], out=edges[1, :-1])
-    edges[0, :, -1] = edges[1, -1] = 0
-    np.abs(edges, out=edges)
-    # A uniform frame has no edges; what float32 tells apart is about 1e-5 grey levels.
-    edges *= np.float32(strength / max(mean_step(frame), 1e-5))
-    edges += 1
-    np.reciprocal(edges, out=edges)
-    edges[0, :, -1] = edges[1, -1] = 0
-    count = height * (width - 1) + (height - 1) * width
-    mean = sum(cv2.sumElems(side)[0] for side in edges) / max(count, 1)
-    edges /= np.float32(max(mean, 1e-12))
-    return edges
-
-
-def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> LaneData:
-    """Return `image_edges` as a lane array of 2 components."""
     out = grid.allocate(2)
-    for component, edges in enumerate(image_edges(frame, strength)):
-        image_to_lanes(grid, edges, out, component=component)
+    image_edges(grid, frame, out, rate=strength / max(mean_step(frame), FAINTEST))
     return out

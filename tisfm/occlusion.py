@@ -24,6 +24,7 @@ def occlusion(
     settings: Settings,
     *,
     taps1: np.ndarray | None = None,
+    leaves: np.ndarray | None = None,
 ) -> np.ndarray:
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
@@ -43,6 +44,8 @@ def occlusion(
         For the weights of the data constraints.
     taps1 : ((H + 3)·W, 4) float32, optional
         `tisfm.interpolation.spline_taps` of frame 1, if they are at hand.
+    leaves : (H, W) bool, optional
+        `leaves_image` of the flow, if it is at hand.
 
     Returns
     -------
@@ -57,15 +60,18 @@ def occlusion(
     from tisfm.kernels.claims import defeated, splat
     from tisfm.kernels.lanes import aligned_zeros
 
+    if leaves is None:
+        leaves = leaves_image(flow)
     # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
-    flow = np.clip(flow, -FAR, FAR)
-    flow[np.isnan(flow)] = FAR
+    if not (flow.min() >= -FAR and flow.max() <= FAR):
+        flow = np.clip(flow, -FAR, FAR)
+        flow[np.isnan(flow)] = FAR
     residual = _residual(frame0, sample(frame1, flow, taps1), settings)
     claims = aligned_zeros((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)
     defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
-    return hidden.astype(bool) | leaves_image(flow)
+    return hidden.astype(bool) | leaves
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:
@@ -84,12 +90,13 @@ def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.
     change = cv2.subtract(warped, frame0)
     residual = cv2.multiply(change, change, scale=settings.brightness)
     if settings.gradient > 0:
+        slope = np.empty_like(change)
         for taps in (_FIVE_TAP, _FIVE_TAP.T):
-            slope = cv2.filter2D(change, -1, taps, borderType=cv2.BORDER_REFLECT_101)
-            square = cv2.multiply(slope, slope)
-            cv2.scaleAdd(square, settings.gradient, residual, dst=residual)
+            cv2.filter2D(change, -1, taps, dst=slope, borderType=cv2.BORDER_REFLECT_101)
+            cv2.multiply(slope, slope, dst=slope)
+            cv2.scaleAdd(slope, settings.gradient, residual, dst=residual)
     np.sqrt(residual, out=residual)
-    return cv2.blur(residual, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT_101)
+    return cv2.blur(residual, (WINDOW, WINDOW), dst=change, borderType=cv2.BORDER_REFLECT_101)
 
 
 def _targets(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -200,10 +200,13 @@ class Pyramid:
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
 
-    def occlusion(self, flow: np.ndarray) -> np.ndarray:
-        """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool."""
+    def occlusion(self, flow: np.ndarray, leaves: np.ndarray | None = None) -> np.ndarray:
+        """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
+
+        `leaves` are those that it takes out of the image, if they are at hand.
+        """
         frames = self.frames0[0], self.frames1[0]
-        return occlusion(*frames, flow, self._settings, taps1=self.taps1[0])
+        return occlusion(*frames, flow, self._settings, taps1=self.taps1[0], leaves=leaves)
 
     def minimiser(
         self,

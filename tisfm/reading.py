@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tisfm.field import LaneData
 from tisfm.interpretation import History, Status
 from tisfm.kernels.lanes import on_host
 from tisfm.pyramid import Iteration, Pyramid, Solution, coarse_to_fine
@@ -77,19 +78,24 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
     """Return the status of frames that show no motion at all, None if they show some."""
-    if not textured or not on_host(solution.minimiser.tensor)[:3].any():
+    if not textured or not _any(solution.minimiser.tensor, 3):
         return Status(
             "no_texture",
             "the frames are uniform, so no motion can be seen: check that they are images of a "
             "textured scene",
         )
-    if not on_host(solution.field.rho).any():
+    if not _any(solution.field.rho, solution.field.components):
         return Status(
             "no_motion",
             "the frames do not differ, so there is no motion to interpret: take frames further "
             "apart in time",
         )
     return None
+
+
+def _any(array: LaneData, components: int) -> bool:
+    """Return whether the first components of a lane array are not all zero."""
+    return any(component.any() for component in on_host(array)[:components])
 
 
 def ended(history: list[tuple[int, int, Iteration]], converged: bool, settings: Settings) -> Status:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
-from tisfm.confidence import ROUNDING
+from tisfm.confidence import ROUNDING, median
 from tisfm.egomotion import spin_prior
 from tisfm.field import Field, LaneData
 from tisfm.half_quadratic import HalfQuadratic, Iteration
@@ -78,7 +78,7 @@ class RigidSolution:
         residual = cv2.blur(evidence[3], window)
         # Where nothing is seen, nothing is violated either.
         seen = evidence[0] > ROUNDING * evidence[0].max()
-        usual = np.median(evidence[3][seen]) if seen.any() else 0.0
+        usual = median(evidence[3][seen]) if seen.any() else 0.0
         np.maximum(residual, usual, out=residual)
         spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
         variance = spread * np.log1p(1 / (spread * precision))
