@@ -68,5 +68,5 @@ def horn_schunck(
     pyramid = Pyramid(grey0, grey1, Camera(), settings)
     last = pyramid.last(settings)
     solution = coarse_to_fine(pyramid, settings, components=2, contrast=float("inf"), finest=last)
-    flow = pyramid.full(solution.field, last, edges=False).images()
+    flow = pyramid.images(solution.field, last)
     return np.ascontiguousarray(np.moveaxis(flow, 0, -1))

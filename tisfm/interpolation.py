@@ -55,7 +55,7 @@ def spline_taps(image: np.ndarray) -> np.ndarray:
     )
     taps = aligned_empty(((height + 3) * width, 4))
     shifted = [coefficients[:, k : k + width] for k in range(4)]
-    cv2.mixChannels(shifted, [taps.reshape(height + 3, width, 4)], [0, 0, 1, 1, 2, 2, 3, 3])
+    cv2.merge(shifted, taps.reshape(height + 3, width, 4))
     return taps
 
 

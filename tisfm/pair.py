@@ -91,7 +91,7 @@ def interpret(
         camera = camera.pinhole()
     pyramid = Pyramid(grey0, grey1, camera, settings)
     if settings.motion == "field":
-        reading = field_reading(pyramid, settings, camera.focal)
+        reading = field_reading(pyramid, settings)
     elif settings.motion == "camera":
         reading = camera_reading(pyramid, camera, settings, known)
     else:

@@ -91,6 +91,27 @@ def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.n
     return pyramid
 
 
+def enlarged(rho: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+    """Return ρ̂ of a coarser level, (n, h, w), at the pixels of a finer one, (n, height, width).
+
+    Bilinearly, as `Field.start_from` does it, for a whole number of pixels to one: pixel x lies at
+    (x + ½)/factor − ½ on the coarser level, and values, in pixels of their level, are multiplied
+    by `factor`.
+    """
+    n, rows, columns = rho.shape
+    size = (factor * columns, factor * rows)
+    out = np.empty((n, height, width), np.float32)
+    for coarse, fine in zip(factor * rho, out, strict=True):
+        if fine.shape == size[::-1]:
+            cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
+        else:  # sizes of levels are rounded
+            larger = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+            below, right = max(0, height - size[1]), max(0, width - size[0])
+            larger = cv2.copyMakeBorder(larger, 0, below, 0, right, cv2.BORDER_REPLICATE)
+            fine[...] = larger[:height, :width]
+    return out
+
+
 class Pyramid:
     """Both frames at every level, 0 the finest.
 
@@ -104,6 +125,8 @@ class Pyramid:
 
     Attributes
     ----------
+    camera : Camera
+        Of the finest level.
     frames0, frames1 : list of (h, w) float32
         Smoothed beforehand, the finest first.
     taps1 : list of ((h + 3)·w, 4) float32
@@ -115,7 +138,7 @@ class Pyramid:
     def __init__(
         self, grey0: np.ndarray, grey1: np.ndarray, camera: Camera, settings: Settings
     ) -> None:
-        self._camera, self._settings = camera, settings
+        self.camera, self._settings = camera, settings
         height, width = grey0.shape
         levels, factor = level_count(height, width, settings), settings.pyramid_factor
 
@@ -150,7 +173,7 @@ class Pyramid:
         """Return the unknown of a level, from that of the next coarser one or from zero."""
         frame0 = self.frames0[level]
         grid = lane_grid(*frame0.shape)
-        camera = self._camera.scaled(self.scale(level), *self.frames0[0].shape)
+        camera = self.camera.scaled(self.scale(level), *self.frames0[0].shape)
         field = Field(grid, camera, components)
         if coarse is not None:
             field.start_from(coarse, self._settings.pyramid_factor)
@@ -162,20 +185,25 @@ class Pyramid:
         """Return the level to end on."""
         return min(settings.finest_level, self.levels - 1)
 
-    def full(self, field: Field, level: int, *, edges: bool = True) -> Field:
-        """Return the unknown of a level on the finest grid; itself, if it is there.
-
-        Without `edges` it is good for no more than reading it.
-        """
+    def full(self, field: Field, level: int) -> Field:
+        """Return the unknown of a level on the finest grid; itself, if it is there."""
         if level == 0:
             return field
-        fine = Field(lane_grid(*self.frames0[0].shape), self._camera, field.components)
+        fine = Field(lane_grid(*self.frames0[0].shape), self.camera, field.components)
         fine.start_from(field, self.scale(level))
-        if edges and self._settings.image_edges > 0:
+        if self._settings.image_edges > 0:
             fine.edges = image_edges_in_lanes(
                 fine.grid, self.frames0[0], self._settings.image_edges
             )
         return fine
+
+    def images(self, field: Field, level: int) -> np.ndarray:
+        """Return the unknown of a level at the pixels of the finest, (components, H, W) float32."""
+        if level == 0:
+            return field.images()
+        if self._settings.pyramid_factor != 0.5:
+            return self.full(field, level).images()
+        return enlarged(field.images(), 2**level, *self.frames0[0].shape)
 
     def data_term(
         self,

@@ -4,9 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tisfm import runtime
+from tisfm.camera import Camera
 from tisfm.field import LaneData
 from tisfm.interpretation import History, Status
 from tisfm.kernels.lanes import on_host
+from tisfm.kernels.readout import motion_fields
 from tisfm.pyramid import Iteration, Pyramid, Solution, coarse_to_fine
 from tisfm.settings import Settings
 
@@ -49,24 +52,22 @@ class Reading:
     inverse_depth_std: np.ndarray | None = None
 
 
-def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading:
+def field_reading(pyramid: Pyramid, settings: Settings) -> Reading:
     """Leave ρ̂ free at every pixel, as the paper does."""
     solution = coarse_to_fine(
         pyramid,
         settings,
         components=settings.components,
-        contrast=settings.contrast_for(focal),
+        contrast=settings.contrast_for(pyramid.camera.focal),
         finest=pyramid.last(settings),
     )
-    field = pyramid.full(solution.field, pyramid.last(settings), edges=False)
-    rho = field.images()
-    if field.components < 6:
-        rho = np.concatenate([rho, np.zeros((6 - field.components, *rho.shape[1:]), np.float32)])
-    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
-        inverse_depth = np.sqrt(np.einsum("khw,khw->hw", rho[:3], rho[:3])) / np.float32(focal)
+    rho = pyramid.images(solution.field, pyramid.last(settings))
+    flow, inverse_depth = _motion_fields(rho, pyramid.camera)
+    if len(rho) < 6:
+        rho = np.concatenate([rho, np.zeros((6 - len(rho), *rho.shape[1:]), np.float32)])
     return Reading(
         rho=rho,
-        flow=field.to_images(field.flow(field.grid.allocate(2, zeros=False))),
+        flow=flow,
         inverse_depth=inverse_depth,
         evidence=solution.minimiser.evidence(),
         normalized=settings.normalization is not None,
@@ -74,6 +75,19 @@ def field_reading(pyramid: Pyramid, settings: Settings, focal: float) -> Reading
         history=solution.history,
         status=unmoved(solution) or ended(solution.history, solution.converged, settings),
     )
+
+
+def _motion_fields(rho: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return flow, (2, H, W), and inverse depth, (H, W), of ρ̂ at the finest level."""
+    height, width = rho.shape[1:]
+    cx, cy = camera.center_for(height, width)
+    x_hat = ((np.arange(width) - cx) / camera.focal).astype(np.float32)
+    y_hat = ((np.arange(height) - cy) / camera.focal).astype(np.float32)
+    flow, inverse_depth = (np.empty((*n, height, width), np.float32) for n in ((2,), ()))
+    motion_fields(
+        rho, x_hat, y_hat, flow, inverse_depth, focal=camera.focal, by_pixel=runtime.on_gpu()
+    )
+    return flow, inverse_depth
 
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
