@@ -9,7 +9,7 @@ import weakref
 
 import numpy as np
 
-ALIGNMENT = 64  # bytes: a cache line, and no less than the widest vector (an 8-lane load is 32)
+ALIGNMENT = 64  # bytes: a cache line, and the widest vector
 LEAST = 1 << 16  # bytes: less is not worth keeping
 GREATEST = 1 << 22  # bytes: NumPy asks the system for pages of 2 MiB for more, which cost little
 SPARE = 1.25  # times what is asked for: at most so much is given

@@ -76,7 +76,7 @@ def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template(
     values = zero
     last = image.shape[1] - 1
     if ti.static(lanes > 1):
-        for lane in ti.static(range(lanes)):
+        for lane in range(lanes):
             values[lane] = image[y, ti.min(lane * strip + position, last)]
     else:
         values = image[y, ti.min(position, last)]
@@ -88,7 +88,7 @@ def _before(end, position, strip, zero, lanes: ti.template()):
     """Return 1 where the column at a strip position of a lane is less than `end`, else 0."""
     values = zero
     if ti.static(lanes > 1):
-        for lane in ti.static(range(lanes)):
+        for lane in range(lanes):
             values[lane] = ti.select(lane * strip + position < end, 1.0, 0.0)
     else:
         values = ti.select(position < end, 1.0, 0.0)

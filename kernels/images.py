@@ -44,7 +44,7 @@ def _image_to_lanes(
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y = ti.max(0, ti.min(row - halo, image.shape[0] - 1))
-        for lane in ti.static(range(lane_count(out))):
+        for lane in range(ti.static(lane_count(out))):
             x = ti.max(0, ti.min(lane * strip + position - halo, image.shape[1] - 1))
             store_lane(out, component, row, position, lane, image[y, x])
 
@@ -82,7 +82,7 @@ def _lanes_to_images(
     for k, y in ti.ndrange(out.shape[0], out.shape[1]):
         for s in range(whole):
             values = array[component + k, y + 1, s + 1]
-            for lane in ti.static(range(lanes)):
+            for lane in range(lanes):
                 out[k, y, lane * strip + s] = lane_of(values, lane, lanes)
         for lane in ti.static(range(lanes)):
             for s in range(whole, ti.min(strip, out.shape[2] - lane * strip)):

@@ -26,6 +26,7 @@ import taichi as ti
 from tisfm.kernels.buffers import buffers
 from tisfm.kernels.launch import Kernel
 
+LANES = (1, 8, 16)
 CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
 
@@ -50,8 +51,8 @@ class SumArray:
 def lane_kernel(function):
     """Make a Taichi kernel for each lane count out of one function.
 
-    Arguments annotated with `LaneArray` become arrays of 8-lane vectors or of plain floats, those
-    with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
+    Arguments annotated with `LaneArray` become arrays of vectors of 8 or 16 lanes or of plain
+    floats, those with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
     """
 
     def typed(element, sums):
@@ -69,7 +70,8 @@ def lane_kernel(function):
         }
         return Kernel(copy)
 
-    return {1: typed(ti.f32, ti.f32), 8: typed(ti.types.vector(8, ti.f32), ti.f64)}
+    wide = {lanes: typed(ti.types.vector(lanes, ti.f32), ti.f64) for lanes in LANES if lanes > 1}
+    return {1: typed(ti.f32, ti.f32), **wide}
 
 
 def bind_kernel(grid: "LaneGrid", kernels, arguments: tuple) -> Callable[[], None]:
@@ -120,7 +122,7 @@ def refresh_halo(array: ti.template(), k, y):
         strip = array.shape[2] - 2
         first, last = array[k, y, 1], array[k, y, strip]
         west, east = 0.0 * first, 0.0 * last
-        for lane in ti.static(range(lane_count(array) - 1)):
+        for lane in range(ti.static(lane_count(array) - 1)):
             west[lane + 1] = last[lane]
             east[lane] = first[lane + 1]
         array[k, y, 0] = west
@@ -135,8 +137,8 @@ class LaneGrid:
     ----------
     height, width : int
         Size of the image, px.
-    lanes : {8, 1}
-        Strips side by side: 8 for SIMD on a CPU, 1 for plain floats.
+    lanes : {8, 16, 1}
+        Strips side by side: 8 or 16 for SIMD on a CPU, 1 for plain floats.
     on_device : bool
         Whether its arrays stay on the device, for a single lane.
     """
@@ -149,8 +151,8 @@ class LaneGrid:
     def __post_init__(self):
         if self.height < 1 or self.width < 1:
             raise ValueError(f"a grid of {self.height} × {self.width} pixels has no pixel")
-        if self.lanes not in (1, 8):
-            raise ValueError(f"lanes is {self.lanes}: expected 1 or 8")
+        if self.lanes not in LANES:
+            raise ValueError(f"lanes is {self.lanes}: expected 1, 8 or 16")
         if self.on_device and self.lanes != 1:
             raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
 

@@ -39,6 +39,6 @@ def store_sum(partial: ti.template(), row, block, term: ti.template(), value, la
         partial[row, block, term] = value
     else:
         total = ti.cast(0.0, ti.f64)
-        for lane in ti.static(range(lanes)):
+        for lane in range(lanes):
             total += ti.cast(lane_of(value, lane, lanes), ti.f64)
         partial[row, block, term] = total

@@ -10,7 +10,6 @@ from tisfm.kernels.lanes import (
     lane_kernel,
     store_lane,
 )
-from tisfm.kernels.small_spd import bind
 
 
 def prolong(grid: LaneGrid, coarse, out, *, ratio: float) -> None:
@@ -50,13 +49,13 @@ def _prolong(
         top = ti.min(ti.cast(y, ti.i32), ti.max(last_row - 1, 0))
         bottom = ti.min(top + 1, last_row)
         down = y - top
-        columns = ti.static(
-            [_column(lane * strip + position - 1, ratio, last_column) for lane in range(lanes)]
-        )
-        for k in range(out.shape[0]):
-            for lane in ti.static(range(lanes)):
-                left, right, across = ti.static(columns[lane])
-                column = lane * strip + position - 1
+        for lane in range(lanes):
+            column = lane * strip + position - 1
+            x = ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last_column))
+            left = ti.min(ti.cast(x, ti.i32), ti.max(last_column - 1, 0))
+            right = ti.min(left + 1, last_column)
+            across = x - left
+            for k in range(out.shape[0]):
                 value = 0.0
                 if column >= 0 and column < width:
                     upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
@@ -65,10 +64,3 @@ def _prolong(
                     )
                     value = (upper * (1.0 - down) + lower * down) / ratio
                 store_lane(out, k, row + 1, position, lane, value)
-
-
-def _column(column, ratio, last):
-    """Return the two coarse columns around a fine one, and how far it is past the first."""
-    x = bind(ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last)))
-    left = bind(ti.min(ti.cast(x, ti.i32), ti.max(last - 1, 0)))
-    return left, bind(ti.min(left + 1, last)), bind(x - left)

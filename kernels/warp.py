@@ -128,7 +128,7 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
     # Four columns of coefficients, each the sum of its four rows.
     columns = ti.static([bind(none) for _ in range(4)])
-    for lane in ti.static(range(lanes)):
+    for lane in range(lanes):
         at = _index(top, lane, lanes) * width + _index(left, lane, lanes)
         total = lane_of(weights_y[0], lane, lanes) * taps[at]
         for k in ti.static(range(1, 4)):
@@ -138,7 +138,7 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     value = weights_x[0] * columns[0]
     for k in ti.static(range(1, 4)):
         value += weights_x[k] * columns[k]
-    for lane in ti.static(range(lanes)):
+    for lane in range(lanes):
         if lane_of(across, lane, lanes) + lane_of(down, lane, lanes) == 0.0:
             pixel = image[_index(top, lane, lanes), _index(left, lane, lanes)]
             set_lane(value, lane, lanes, pixel)
@@ -179,7 +179,7 @@ def _repeat_columns(array: ti.template(), row, halo, first, width):
         west, east = halo - 1 - k, strip + halo + k
         next_west, next_east = array[0, row, west + strip], array[0, row, east - strip]
         from_west, from_east = array[0, row, west + 1], array[0, row, east - 1]
-        for lane in ti.static(range(lanes - 1)):
+        for lane in range(lanes - 1):
             from_west[lane + 1] = next_west[lane]
             from_east[lane] = next_east[lane + 1]
         array[0, row, west] = from_west

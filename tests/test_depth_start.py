@@ -34,7 +34,7 @@ def in_vectors(cost, lanes, filler):
 
 
 @each_size
-@pytest.mark.parametrize("lanes", [8, 1])
+@pytest.mark.parametrize("lanes", [16, 8, 1])
 @pytest.mark.parametrize("count", [2, 8, 13])
 def test_aggregate(size, lanes, count):
     from tisfm.kernels.semi_global import FORBIDDEN, aggregate

@@ -12,7 +12,7 @@ SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
 TWIST = (0.4, -0.3, 0.8, 0.02, -0.05, 0.03)
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-each_lanes = pytest.mark.parametrize("lanes", [8, 1])
+each_lanes = pytest.mark.parametrize("lanes", [16, 8, 1])
 
 
 @pytest.mark.parametrize("kind", STATIC_KINDS)

@@ -8,7 +8,7 @@ from tisfm import reference
 # One pixel per lane, one lane wide, odd, non-square, exactly full strips, wider than high.
 SIZES = [(5, 1), (4, 8), (7, 9), (13, 37), (6, 64), (21, 5)]
 MODELS = [6, 3, 2, 1]
-LANES = [8, 1]
+LANES = [16, 8, 1]
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 each_model = pytest.mark.parametrize("components", MODELS)

@@ -12,7 +12,7 @@ ALPHA = 40.0
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 each_model = pytest.mark.parametrize("components", [6, 3, 2, 1])
-each_lanes = pytest.mark.parametrize("lanes", [8, 1])
+each_lanes = pytest.mark.parametrize("lanes", [16, 8, 1])
 
 
 def close(actual, expected):
@@ -54,7 +54,7 @@ def from_halved(problem, array):
     """Read a halved array as (k, h, w) by plain indexing."""
     strip = problem.grid.strip // 2
     width = -(-problem.grid.width // 2)
-    inner = array if problem.grid.lanes == 8 else array[..., None]
+    inner = array if problem.grid.lanes > 1 else array[..., None]
     return np.stack([inner[:, 1:-1, x % strip + 1, x // strip] for x in range(width)], axis=-1)
 
 

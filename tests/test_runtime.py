@@ -117,7 +117,7 @@ def test_an_application_that_started_taichi_gets_the_same_answer(
     field = ti.field(ti.f32, 3)
     field.fill(7.0)
     from tisfm import runtime
-    assert runtime.lanes() == 8
+    assert runtime.lanes() > 1
     """
     after = """
     assert field[1] == 7.0  # its fields still live
@@ -150,9 +150,9 @@ def test_asking_for_the_same_again_changes_nothing():
     field = ti.field(ti.i32, 3)
     runtime.start(threads=1)
     field[0] = 3  # a runtime that was reset would crash here
-    print(field[0], runtime.lanes())
+    print(field[0], runtime.lanes() > 1)
     """
-    assert answer(code) == "3 8"
+    assert answer(code) == "3 True"
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
+_AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
     "vulkan": "it needs a GPU with a Vulkan driver, and the loader (libvulkan)",
@@ -134,8 +135,13 @@ def running_arch() -> str:
 
 
 def lanes() -> int:
-    """Return the lane count that suits the running arch, starting the runtime if need be."""
-    return 1 if on_gpu() else 8
+    """Return the lane count that suits the running arch, starting the runtime if need be.
+
+    16 where a CPU's vectors are as wide (AVX-512), else 8; 1 on a GPU.
+    """
+    if on_gpu():
+        return 1
+    return 16 if cv2.checkHardwareSupport(_AVX_512F) else 8
 
 
 def lane_grid(height: int, width: int) -> "LaneGrid":
