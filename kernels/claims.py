@@ -6,7 +6,7 @@ import taichi as ti
 from tisfm.kernels.lanes import CHUNK, check_array
 from tisfm.kernels.launch import Kernel
 
-BAND = 32  # rows, at least
+BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
 BLOCK = 64  # pixels of a row that a thread takes at a time
 
 
@@ -20,7 +20,7 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     residual : (H, W) float32
     claims : (H, W, 4) float32
         Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
-        A pixel whose flow leaves the image adds nothing. Allocated by `aligned_zeros`.
+        A pixel whose flow leaves the image adds nothing. Allocated by `aligned_empty`.
     any_order : bool
         Whether to add up in parallel, as a GPU must: in an order, and with roundings, that differ
         from run to run.

@@ -58,7 +58,7 @@ def occlusion(
     """
     any_order = runtime.on_gpu()  # before kernels are imported: it starts Taichi
     from tisfm.kernels.claims import defeated, splat
-    from tisfm.kernels.lanes import aligned_zeros
+    from tisfm.kernels.lanes import aligned_empty
 
     if leaves is None:
         leaves = leaves_image(flow)
@@ -67,7 +67,7 @@ def occlusion(
         flow = np.clip(flow, -FAR, FAR)
         flow[np.isnan(flow)] = FAR
     residual = _residual(frame0, sample(frame1, flow, taps1), settings)
-    claims = aligned_zeros((*residual.shape, 4))
+    claims = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)
     defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
@@ -77,9 +77,13 @@ def occlusion(
 def leaves_image(flow: np.ndarray) -> np.ndarray:
     """Return where a flow, (2, H, W), ends outside the image; (H, W) bool, True for NaN."""
     height, width = flow.shape[1:]
-    x, y = _targets(flow)
-    across = (x >= -MARGIN) & (x <= width - 1 + MARGIN)
-    return ~(across & (y >= -MARGIN) & (y <= height - 1 + MARGIN))
+    x = np.arange(width, dtype=np.float32)
+    y = np.arange(height, dtype=np.float32)[:, None]
+    stays = flow[0] >= -MARGIN - x
+    stays &= flow[0] <= width - 1 + MARGIN - x
+    stays &= flow[1] >= -MARGIN - y
+    stays &= flow[1] <= height - 1 + MARGIN - y
+    return np.logical_not(stays, out=stays)
 
 
 def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:
@@ -97,11 +101,3 @@ def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.
             cv2.scaleAdd(slope, settings.gradient, residual, dst=residual)
     np.sqrt(residual, out=residual)
     return cv2.blur(residual, (WINDOW, WINDOW), dst=change, borderType=cv2.BORDER_REFLECT_101)
-
-
-def _targets(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (x, y) of frame 1 that pixels go to."""
-    height, width = flow.shape[1:]
-    x = flow[0] + np.arange(width, dtype=np.float32)
-    y = flow[1] + np.arange(height, dtype=np.float32)[:, None]
-    return x, y

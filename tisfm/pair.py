@@ -138,8 +138,10 @@ def diverged(flow: np.ndarray, leaves: np.ndarray) -> Status | None:
     leaves : (H, W) bool
         Where it leaves the image.
     """
-    # What moves by half the image is hardly seen twice; NaN fails the comparison as well.
-    if not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= RUNAWAY * max(flow.shape[1:]):
+    # What moves by half the image is hardly seen twice; NaN fails the comparisons as well.
+    limit = RUNAWAY * max(flow.shape[1:])
+    within = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
+    if not within and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:
         return Status(
             "diverged",
             f"image motion grew beyond {100 * RUNAWAY:g}% of the image's longer side: bring the "

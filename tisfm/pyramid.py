@@ -23,6 +23,7 @@ from tisfm.settings import Settings
 
 COARSEST_SIDE = 12  # px
 BESIDE = 1 << 16  # pixels from which on a second thread pays
+_beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,10 +152,9 @@ class Pyramid:
 
         if runtime.threads() > 1 and grey0.size >= BESIDE:
             # OpenCV's filters take one thread each.
-            with ThreadPoolExecutor(max_workers=1) as beside:
-                others = beside.submit(frames_and_taps, grey1)
-                self.frames0 = frames(grey0)
-                self.frames1, self.taps1 = others.result()
+            others = _beside.submit(frames_and_taps, grey1)
+            self.frames0 = frames(grey0)
+            self.frames1, self.taps1 = others.result()
         else:
             self.frames0 = frames(grey0)
             self.frames1, self.taps1 = frames_and_taps(grey1)
@@ -281,17 +281,14 @@ def coarse_to_fine(
     """
     history: list[tuple[int, int, Iteration]] = []
     field: Field | None = None
+    solution: Solution | None = None
     for level in reversed(range(finest, pyramid.levels)):
+        solution = None  # of the level before, only its field is needed
         field = pyramid.field(level, components, field)
-        solution = _on_level(
-            pyramid,
-            settings,
-            field,
-            level,
-            contrast=contrast,
-            warps=settings.warps_on(level - finest),
-        )
+        warps = settings.warps_on(level - finest)
+        solution = _on_level(pyramid, settings, field, level, contrast=contrast, warps=warps)
         history += solution.history
+    assert solution is not None
     return replace(solution, history=history)
 
 

@@ -61,7 +61,11 @@ def field_reading(pyramid: Pyramid, settings: Settings) -> Reading:
         contrast=settings.contrast_for(pyramid.camera.focal),
         finest=pyramid.last(settings),
     )
-    rho = pyramid.images(solution.field, pyramid.last(settings))
+    evidence, history = solution.minimiser.evidence(), solution.history
+    status = unmoved(solution) or ended(history, solution.converged, settings)
+    field = solution.field
+    del solution  # the larger part of the memory
+    rho = pyramid.images(field, pyramid.last(settings))
     flow, inverse_depth = _motion_fields(rho, pyramid.camera)
     if len(rho) < 6:
         rho = np.concatenate([rho, np.zeros((6 - len(rho), *rho.shape[1:]), np.float32)])
@@ -69,11 +73,11 @@ def field_reading(pyramid: Pyramid, settings: Settings) -> Reading:
         rho=rho,
         flow=flow,
         inverse_depth=inverse_depth,
-        evidence=solution.minimiser.evidence(),
+        evidence=evidence,
         normalized=settings.normalization is not None,
         freedom=2,
-        history=solution.history,
-        status=unmoved(solution) or ended(solution.history, solution.converged, settings),
+        history=history,
+        status=status,
     )
 
 
