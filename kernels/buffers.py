@@ -13,8 +13,7 @@ from collections import OrderedDict
 import numpy as np
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector
-LEAST = 1 << 16  # bytes: less is not worth keeping
-GREATEST = 1 << 22  # bytes: NumPy asks the system for pages of 2 MiB for more, which cost little
+LEAST, GREATEST = 1 << 16, 1 << 24  # bytes: blocks of other sizes are not kept
 MOST = 1 << 25  # bytes that are kept while no array uses them
 
 

@@ -9,7 +9,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.coarsening import correct, interpolation_columns
 from tisfm.kernels.flow import flow
 from tisfm.kernels.images import image_to_lanes, lanes_to_images
-from tisfm.kernels.lanes import LaneGrid, aligned_zeros
+from tisfm.kernels.lanes import LaneGrid, aligned_empty, aligned_zeros
 from tisfm.kernels.transfer import prolong
 
 LaneData = Any  # a lane array: of NumPy, or ti.ndarray where arrays stay on a device
@@ -91,12 +91,12 @@ class Field:
 
     def to_images(self, array: LaneData) -> np.ndarray:
         """Return a lane array of this grid as (k, H, W) float32."""
-        out = np.empty((array.shape[0], self.grid.height, self.grid.width), np.float32)
+        out = aligned_empty((array.shape[0], self.grid.height, self.grid.width))
         lanes_to_images(self.grid, array, out)
         return out
 
     def to_image(self, array: LaneData, component: int) -> np.ndarray:
         """Return one component of a lane array of this grid as (H, W) float32."""
-        out = np.empty((1, self.grid.height, self.grid.width), np.float32)
+        out = aligned_empty((1, self.grid.height, self.grid.width))
         lanes_to_images(self.grid, array, out, component=component)
         return out[0]

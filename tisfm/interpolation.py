@@ -76,12 +76,13 @@ def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) 
     """
     grid = runtime.lane_grid(*image.shape)  # before kernels are imported: it starts Taichi
     from tisfm.kernels.images import image_to_lanes, lanes_to_images
+    from tisfm.kernels.lanes import aligned_empty
     from tisfm.kernels.warp import warp
 
-    motion, inside, warped = grid.allocate(2), grid.allocate(1), grid.allocate(1)
+    motion, inside, warped = (grid.allocate(n, zeros=False) for n in (2, 1, 1))
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)
     warp(grid, image, spline_taps(image) if taps is None else taps, motion, warped, inside)
-    out = np.empty_like(image)
+    out = aligned_empty(image.shape)
     lanes_to_images(grid, warped, out[None])
     return out

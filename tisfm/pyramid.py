@@ -1,9 +1,10 @@
 """Coarse to fine: large motions become small ones on a smaller image."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
 from tisfm.interpolation import spline_taps
-from tisfm.kernels.lanes import LaneGrid
+from tisfm.kernels.lanes import LaneGrid, aligned_empty
 from tisfm.kernels.launch import Replay
 from tisfm.occlusion import occlusion
 from tisfm.runtime import lane_grid
@@ -101,7 +102,7 @@ def enlarged(rho: np.ndarray, factor: int, height: int, width: int) -> np.ndarra
     """
     n, rows, columns = rho.shape
     size = (factor * columns, factor * rows)
-    out = np.empty((n, height, width), np.float32)
+    out = aligned_empty((n, height, width))
     for coarse, fine in zip(factor * rho, out, strict=True):
         if fine.shape == size[::-1]:
             cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
@@ -130,8 +131,6 @@ class Pyramid:
         Of the finest level.
     frames0, frames1 : list of (h, w) float32
         Smoothed beforehand, the finest first.
-    taps1 : list of ((h + 3)·w, 4) float32
-        Coefficients of the splines through `frames1` (`tisfm.interpolation.spline_taps`).
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
     """
@@ -146,19 +145,21 @@ class Pyramid:
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, settings.presmoothing), factor, levels)
 
-        def frames_and_taps(grey: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            found = frames(grey)
-            return found, [spline_taps(frame) for frame in found]
-
+        self._taps1: list[Callable[[], np.ndarray]]
         if runtime.threads() > 1 and grey0.size >= BESIDE:
-            # OpenCV's filters take one thread each.
-            others = _beside.submit(frames_and_taps, grey1)
-            self.frames0 = frames(grey0)
-            self.frames1, self.taps1 = others.result()
+            # OpenCV's filters take one thread each, and so do kernels on coarse levels.
+            others = _beside.submit(frames, grey1)
+            self.frames0, self.frames1 = frames(grey0), others.result()
+            taps = [_beside.submit(spline_taps, frame) for frame in reversed(self.frames1)]
+            self._taps1 = [future.result for future in reversed(taps)]
         else:
-            self.frames0 = frames(grey0)
-            self.frames1, self.taps1 = frames_and_taps(grey1)
+            self.frames0, self.frames1 = frames(grey0), frames(grey1)
+            self._taps1 = [cache(partial(spline_taps, frame)) for frame in self.frames1]
         self.contrast = mean_step(self.frames0[0])
+
+    def taps1(self, level: int) -> np.ndarray:
+        """Return `tisfm.interpolation.spline_taps` of frame 1 at a level."""
+        return self._taps1[level]()
 
     @property
     def levels(self) -> int:
@@ -220,7 +221,7 @@ class Pyramid:
             grid,
             self.frames0[level],
             self.frames1[level],
-            self.taps1[level],
+            self.taps1(level),
             scheme=settings.derivatives,
             brightness=brightness,
             gradient=gradient,
@@ -234,7 +235,7 @@ class Pyramid:
         `leaves` are those that it takes out of the image, if they are at hand.
         """
         frames = self.frames0[0], self.frames1[0]
-        return occlusion(*frames, flow, self._settings, taps1=self.taps1[0], leaves=leaves)
+        return occlusion(*frames, flow, self._settings, taps1=self.taps1(0), leaves=leaves)
 
     def minimiser(
         self,

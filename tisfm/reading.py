@@ -8,7 +8,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.field import LaneData
 from tisfm.interpretation import History, Status
-from tisfm.kernels.lanes import on_host
+from tisfm.kernels.lanes import aligned_empty, on_host
 from tisfm.kernels.readout import motion_fields
 from tisfm.pyramid import Iteration, Pyramid, Solution, coarse_to_fine
 from tisfm.settings import Settings
@@ -87,7 +87,7 @@ def _motion_fields(rho: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndar
     cx, cy = camera.center_for(height, width)
     x_hat = ((np.arange(width) - cx) / camera.focal).astype(np.float32)
     y_hat = ((np.arange(height) - cy) / camera.focal).astype(np.float32)
-    flow, inverse_depth = (np.empty((*n, height, width), np.float32) for n in ((2,), ()))
+    flow, inverse_depth = (aligned_empty((*n, height, width)) for n in ((2,), ()))
     motion_fields(
         rho, x_hat, y_hat, flow, inverse_depth, focal=camera.focal, by_pixel=runtime.on_gpu()
     )
