@@ -187,3 +187,15 @@ def test_errors_are_larger_where_occluded_and_confidence_knows():
     error = endpoint_error_map(result.flow, pair.flow)
     assert error[result.occlusion].mean() > 3 * error[~result.occlusion].mean()
     assert not result.confidence[result.occlusion].any()
+
+
+def test_frames_of_a_coarser_level_tell_which_surface_is_seen():
+    pair = passing_block(4)
+    grey = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]
+    flow = np.ascontiguousarray(np.moveaxis(pair.flow, -1, 0), dtype=np.float32)
+    half = [cv2.resize(frame, None, fx=0.5, fy=0.5) for frame in grey]
+    found = occlusion(*half, flow, tisfm.Settings())
+    assert found.shape == flow.shape[1:]
+    precision, recall = precision_and_recall(found, ~pair.visible)
+    assert precision > 0.8
+    assert recall > 0.8

@@ -36,13 +36,14 @@ def occlusion(
 
     Parameters
     ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels on the 8-bit scale, smoothed as the settings say.
+    frame0, frame1 : (h, w) float32
+        Grey levels on the 8-bit scale, smoothed as the settings say; of the flow's size, or of a
+        coarser level of the pyramid: constraints are then judged there.
     flow : (2, H, W) float32
         (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
     settings : Settings
         For the weights of the data constraints.
-    taps1 : ((H + 3)·W, 4) float32, optional
+    taps1 : ((h + 3)·w, 4) float32, optional
         `tisfm.interpolation.spline_taps` of frame 1, if they are at hand.
     leaves : (H, W) bool, optional
         `leaves_image` of the flow, if it is at hand.
@@ -66,7 +67,7 @@ def occlusion(
     if not (flow.min() >= -FAR and flow.max() <= FAR):
         flow = np.clip(flow, -FAR, FAR)
         flow[np.isnan(flow)] = FAR
-    residual = _residual(frame0, sample(frame1, flow, taps1), settings)
+    residual = _residual_of(frame0, frame1, flow, settings, taps1)
     claims = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)
@@ -84,6 +85,25 @@ def leaves_image(flow: np.ndarray) -> np.ndarray:
     stays &= flow[1] >= -MARGIN - y
     stays &= flow[1] <= height - 1 + MARGIN - y
     return np.logical_not(stays, out=stays)
+
+
+def _residual_of(
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    flow: np.ndarray,
+    settings: Settings,
+    taps1: np.ndarray | None,
+) -> np.ndarray:
+    """Return the residual of every pixel of the flow, (H, W), judged at the frames' size."""
+    if frame0.shape == flow.shape[1:]:
+        return _residual(frame0, sample(frame1, flow, taps1), settings)
+    size, coarse = flow.shape[:0:-1], frame0.shape[::-1]
+    there = np.empty((2, *frame0.shape), np.float32)
+    for k in range(2):
+        cv2.resize(flow[k], coarse, dst=there[k], interpolation=cv2.INTER_AREA)
+        there[k] *= coarse[k] / size[k]
+    residual = _residual(frame0, sample(frame1, there, taps1), settings)
+    return cv2.resize(residual, size, interpolation=cv2.INTER_LINEAR)
 
 
 def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:

@@ -99,7 +99,8 @@ def interpret(
     flow = reading.flow
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
-        unseen = pyramid.occlusion(flow, leaves)
+        level = 0 if settings.motion == "objects" else pyramid.last(settings)
+        unseen = pyramid.occlusion(flow, leaves, level=level)
         if lens is not None:
             unseen |= lens.missing(flow)
         if reading.inverse_depth_std is not None:

@@ -145,16 +145,18 @@ class Pyramid:
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, settings.presmoothing), factor, levels)
 
-        self._taps1: list[Callable[[], np.ndarray]]
-        if runtime.threads() > 1 and grey0.size >= BESIDE:
+        beside = runtime.threads() > 1 and grey0.size >= BESIDE
+        if beside:
             # OpenCV's filters take one thread each, and so do kernels on coarse levels.
             others = _beside.submit(frames, grey1)
             self.frames0, self.frames1 = frames(grey0), others.result()
-            taps = [_beside.submit(spline_taps, frame) for frame in reversed(self.frames1)]
-            self._taps1 = [future.result for future in reversed(taps)]
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
-            self._taps1 = [cache(partial(spline_taps, frame)) for frame in self.frames1]
+        self._taps1: list[Callable[[], np.ndarray]]
+        self._taps1 = [cache(partial(spline_taps, frame)) for frame in self.frames1]
+        if beside:
+            for level in reversed(range(self.last(settings), levels)):  # the coarsest comes first
+                self._taps1[level] = _beside.submit(spline_taps, self.frames1[level]).result
         self.contrast = mean_step(self.frames0[0])
 
     def taps1(self, level: int) -> np.ndarray:
@@ -229,13 +231,16 @@ class Pyramid:
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
 
-    def occlusion(self, flow: np.ndarray, leaves: np.ndarray | None = None) -> np.ndarray:
+    def occlusion(
+        self, flow: np.ndarray, leaves: np.ndarray | None = None, *, level: int = 0
+    ) -> np.ndarray:
         """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
 
-        `leaves` are those that it takes out of the image, if they are at hand.
+        `leaves` are those that it takes out of the image, if they are at hand. The frames of
+        `level` tell how well the flow meets them.
         """
-        frames = self.frames0[0], self.frames1[0]
-        return occlusion(*frames, flow, self._settings, taps1=self.taps1(0), leaves=leaves)
+        frames = self.frames0[level], self.frames1[level]
+        return occlusion(*frames, flow, self._settings, taps1=self.taps1(level), leaves=leaves)
 
     def minimiser(
         self,
