@@ -501,6 +501,39 @@ def test_advance(size, components, lanes, kind, contrast, scales, count, make_pr
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
+@each_size
+@pytest.mark.parametrize("components", [3, 6])
+@pytest.mark.parametrize("by_pixel", [False, True])
+def test_motion_fields(size, components, by_pixel, make_problem):
+    from tisfm.kernels.readout import motion_fields
+
+    problem = make_problem(*size, components, 1)
+    camera, rho = problem.camera, problem.rho.astype(np.float32)
+    cx, cy = camera.center_for(*size)
+    x_hat = ((np.arange(size[1]) - cx) / camera.focal).astype(np.float32)
+    y_hat = ((np.arange(size[0]) - cy) / camera.focal).astype(np.float32)
+    flow, inverse_depth = np.empty((2, *size), np.float32), np.empty(size, np.float32)
+    options = {"focal": camera.focal, "by_pixel": by_pixel}
+    motion_fields(rho, x_hat, y_hat, flow, inverse_depth, **options)
+    close(flow, reference.flow(problem.motion, problem.rho))
+    expected = np.linalg.norm(problem.rho[:3], axis=0) / camera.focal
+    np.testing.assert_allclose(inverse_depth, expected, rtol=1e-6)
+    with pytest.raises(ValueError, match="rho has 2 components: expected 3 or 6"):
+        motion_fields(rho[:2], x_hat, y_hat, flow, inverse_depth, **options)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (24, 64), (25, 63), (27, 66)], ids=str)
+@pytest.mark.parametrize("factor", [2, 4])
+def test_enlarged_is_prolonged(size, factor):
+    from tisfm.pyramid import enlarged
+
+    for up in (0, 1):  # sizes of levels are rounded, either way
+        shape = tuple(max(1, side // factor + up) for side in size)
+        coarse = np.random.default_rng(6).normal(size=(3, *shape)).astype(np.float32)
+        expected = reference.prolong(coarse.astype(np.float64), size, 1 / factor)
+        close(enlarged(coarse, factor, *size), expected, scale=10)
+
+
 @pytest.mark.parametrize("size", [*SIZES, (12, 64), (10, 32)], ids=lambda s: f"{s[0]}x{s[1]}")
 @each_model
 @each_lanes
