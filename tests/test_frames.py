@@ -323,11 +323,23 @@ def test_uint8_float_and_uint16_of_one_pair_agree():
 # Frames on no usual scale
 
 
-@pytest.mark.parametrize("scale", [1e18, 1e30])
-def test_frames_far_off_the_scale_are_refused(scale):
-    frame0, frame1 = (frame * scale for frame in textured_pair())
-    refused(ValueError, frame0, frame1, "too large for float32", "scale")
-    refused(ValueError, -frame0, frame1, "too large for float32", "scale")
+@pytest.mark.parametrize("scale", [1e13, 1e18, 1e30])
+@pytest.mark.parametrize("preset", ["paper", "balanced"])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_frames_far_off_the_scale_are_said_to_diverge(scale, preset):
+    for sign in (1, -1):
+        frame0, frame1 = (frame * scale * sign for frame in textured_pair())
+        status = tisfm.interpret(frame0, frame1, settings=tisfm.Settings.preset(preset)).status
+        assert status == "diverged"
+        assert "8-bit scale" in status.message
+
+
+def test_normalised_constraints_take_any_scale_of_float32_squares():
+    frame0, frame1 = textured_pair()
+    usual = tisfm.interpret(frame0, frame1)
+    far = tisfm.interpret(frame0 * 1e12, frame1 * 1e12)
+    assert far.status == "converged"
+    np.testing.assert_allclose(far.flow, usual.flow, atol=1e-2)
 
 
 @pytest.mark.parametrize(

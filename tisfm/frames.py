@@ -8,8 +8,6 @@ import numpy.typing as npt
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
 ROWS = 32  # at a time, which stay in the cache
 
-LARGEST = 1e15  # grey levels
-
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
@@ -33,7 +31,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     TypeError
         If a frame is not an array of one of these types, or the two differ in type.
     ValueError
-        If shapes differ, a side is shorter than 4 px, or a pixel is NaN, infinite or beyond 1e15.
+        If shapes differ, a side is shorter than 4 px, or a pixel is NaN or infinite.
     """
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:
@@ -114,8 +112,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
         grey = _luma(frame) if frame.ndim == 3 else frame.astype(np.float32, order="C")
         if factor != 1:
             grey *= np.float32(factor)
-    # Squares of derivatives, and their products, have to be numbers of float32.
-    if _is_float(frame) and not (grey.min() >= -LARGEST and grey.max() <= LARGEST):
+    if _is_float(frame) and not np.isfinite(grey).all():
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
     return grey
 

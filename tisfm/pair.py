@@ -17,6 +17,7 @@ from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
+LARGEST = 1e15  # grey levels: squares of derivatives have to be numbers of float32
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
 
 
@@ -58,7 +59,7 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN, infinite or beyond 1e15; if `pose` is not one of these, turns by 90° or more, or is
+        NaN or infinite; if `pose` is not one of these, turns by 90° or more, or is
         given for a motion that is not ``"camera"``; if distortion leaves next to nothing of the
         frames.
 
@@ -110,7 +111,7 @@ def interpret(
         )
     status = reading.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = diverged(flow, leaves) or status
+        status = overflown(grey0, grey1) or diverged(flow, leaves) or status
     return Interpretation(
         rho=reading.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
@@ -126,6 +127,20 @@ def interpret(
         status=status,
         history=history_of(reading.history),
         version=__version__,
+    )
+
+
+def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
+    """Return the status of frames whose constraints cannot be computed, None for others."""
+    largest = max(
+        abs(float(value)) for grey in (grey0, grey1) for value in (grey.min(), grey.max())
+    )
+    if largest <= LARGEST:
+        return None
+    return Status(
+        "diverged",
+        f"grey levels of up to {largest:.0e} are beyond what single precision can square: bring "
+        "the frames to the 8-bit scale",
     )
 
 
