@@ -24,7 +24,7 @@ STAGES = (
     ("tisfm.pyramid", "Pyramid.data_term", "start of a level"),
     ("tisfm.pyramid", "Pyramid.minimiser", "start of a level"),
     ("tisfm.pyramid", "Pyramid.images", "read-out"),
-    ("tisfm.data_term", "DataTerm.linearise", "warp, derivatives, tensors"),
+    ("tisfm.data_term", "DataTerm.linearise", "warp, derivatives, constraints"),
     ("tisfm.half_quadratic", "HalfQuadratic.minimise", "iterations"),
     ("tisfm.half_quadratic", "HalfQuadratic.evidence", "read-out"),
     ("tisfm.reading", "_motion_fields", "read-out"),

@@ -23,7 +23,7 @@ from functools import partial
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.buffers import buffers
+from tisfm.kernels.buffers import ALIGNMENT, buffers
 from tisfm.kernels.launch import Kernel
 
 LANES = (1, 8, 16)
@@ -299,8 +299,8 @@ def check_array(
         raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
     if not (array.flags.c_contiguous and array.flags.writeable):
         raise ValueError(f"{name} must be C-contiguous and writable")
-    if aligned and array.__array_interface__["data"][0] % 32:
+    if aligned and array.__array_interface__["data"][0] % ALIGNMENT:
         raise ValueError(
-            f"{name} must be aligned to 32 bytes: allocate it with "
+            f"{name} must be aligned to {ALIGNMENT} bytes: allocate it with "
             "LaneGrid.allocate or aligned_zeros"
         )

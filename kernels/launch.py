@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+_compiling = threading.Lock()  # Taichi does so in one thread at a time
 FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
 
 
@@ -112,8 +113,9 @@ class Kernel:
         constants = tuple([arguments[index] for index in self._constants])
         known = self._compiled.get(constants)
         if known is None:
-            self._call(*arguments)
-            self._compiled[constants] = self._prepared(arguments)
+            with _compiling:
+                self._call(*arguments)
+                self._compiled[constants] = self._prepared(arguments)
             return
         kernel, compiled = known
         program.launch_kernel(compiled, self._context(kernel, arguments))
@@ -127,7 +129,8 @@ class Kernel:
         program = ti.lang.impl.get_runtime().prog
         constants = tuple([arguments[index] for index in self._constants])
         if program is not self._program or constants not in self._compiled:
-            prepared = self._prepared(arguments)
+            with _compiling:
+                prepared = self._prepared(arguments)
             if program is not self._program:
                 self._program, self._compiled = program, {}
             self._compiled[constants] = prepared

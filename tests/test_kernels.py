@@ -525,13 +525,18 @@ def test_motion_fields(size, components, by_pixel, make_problem):
 @pytest.mark.parametrize("size", [*SIZES, (24, 64), (25, 63), (27, 66)], ids=str)
 @pytest.mark.parametrize("factor", [2, 4])
 def test_enlarged_is_prolonged(size, factor):
-    from tisfm.pyramid import enlarged
+    from tisfm.resampling import enlarged, reduced
 
     for up in (0, 1):  # sizes of levels are rounded, either way
         shape = tuple(max(1, side // factor + up) for side in size)
         coarse = np.random.default_rng(6).normal(size=(3, *shape)).astype(np.float32)
         expected = reference.prolong(coarse.astype(np.float64), size, 1 / factor)
-        close(enlarged(coarse, factor, *size), expected, scale=10)
+        close(enlarged(factor * coarse, factor, *size), expected, scale=10)
+        # A ramp is where it was.
+        ramp = np.arange(size[1], dtype=np.float32)[None].repeat(size[0], axis=0)
+        within = np.arange(min(shape[1], size[1] // factor))
+        means = reduced(ramp[None], factor, *shape)[0, 0, : len(within)]
+        close(means, factor * (within + 0.5) - 0.5)
 
 
 @pytest.mark.parametrize("size", [*SIZES, (12, 64), (10, 32)], ids=lambda s: f"{s[0]}x{s[1]}")
@@ -672,7 +677,7 @@ def test_claims_check_their_arrays():
         lambda: splat(flow, residual, offset),
         lambda: defeated(flow, residual, offset, out, density=1.2, apart=0.1),
     ):
-        with pytest.raises(ValueError, match="claims must be aligned to 32 bytes"):
+        with pytest.raises(ValueError, match="claims must be aligned to 64 bytes"):
             call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
         defeated(flow, residual, claims, out > 0, density=1.2, apart=0.1)

@@ -40,6 +40,7 @@ def test_a_replay_launches_what_was_launched(grid):
 
 
 def test_nothing_is_recorded_after_an_error(grid):
+    from tisfm.kernels import launch
     from tisfm.kernels.images import multiply
     from tisfm.kernels.launch import Replay
 
@@ -55,6 +56,7 @@ def test_nothing_is_recorded_after_an_error(grid):
     for power in (1, 2):
         with pytest.raises(RuntimeError, match="after one launch"):
             replay()
+        assert launch._recording.launches is None
         assert (array == 2**power).all()
 
 

@@ -189,13 +189,32 @@ def test_errors_are_larger_where_occluded_and_confidence_knows():
     assert not result.confidence[result.occlusion].any()
 
 
-def test_frames_of_a_coarser_level_tell_which_surface_is_seen():
+@pytest.mark.parametrize("extra", [0, 1])
+def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
+    """At odd sizes, too, where levels are not half as large: an exact flow leaves no residual."""
+    from tisfm.occlusion import _residual_of
+    from tisfm.pyramid import Pyramid
+
     pair = passing_block(4)
-    grey = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]
-    flow = np.ascontiguousarray(np.moveaxis(pair.flow, -1, 0), dtype=np.float32)
-    half = [cv2.resize(frame, None, fx=0.5, fy=0.5) for frame in grey]
-    found = occlusion(*half, flow, tisfm.Settings())
-    assert found.shape == flow.shape[1:]
-    precision, recall = precision_and_recall(found, ~pair.visible)
+    grey = [
+        np.pad(frame.astype(np.float32), ((0, extra), (0, extra)), mode="reflect")
+        for frame in (pair.frame0, pair.frame1)
+    ]
+    flow = np.pad(pair.flow, ((0, extra), (0, extra), (0, 0)), mode="edge")
+    flow = np.ascontiguousarray(np.moveaxis(flow, -1, 0), dtype=np.float32)
+    hidden = np.pad(~pair.visible, ((0, extra), (0, extra)), mode="edge")
+    settings = tisfm.Settings.preset("fast")
+    pyramid = Pyramid(*grey, pair.camera, settings)
+    found = pyramid.occlusion(flow, level=1)
+    precision, recall = precision_and_recall(found, hidden)
     assert precision > 0.8
     assert recall > 0.8
+    rng = np.random.default_rng(0)
+    texture = cv2.GaussianBlur(rng.uniform(0, 255, (90, 190)).astype(np.float32), (0, 0), 3)
+    frames = [np.ascontiguousarray(texture[: 80 + extra, k : k + 120 + extra]) for k in (20, 0)]
+    pyramid = Pyramid(*frames, pair.camera, settings)
+    flow = np.zeros((2, *frames[0].shape), np.float32)
+    flow[0] = 20
+    levels = pyramid.frames0[1], pyramid.frames1[1]
+    residual = _residual_of(*levels, flow, settings, 2, None)
+    assert residual[10:-10, 10:-40].max() < 0.05 < residual[:, -15:].max()

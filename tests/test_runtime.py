@@ -349,3 +349,30 @@ def test_horn_schunck_needs_no_home_either():
         [sys.executable, "-c", script], env=bare, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "(20, 20, 2)\n", "")
+
+
+# Python's threads
+
+INTERPRET_IN_THREADS = """
+import threading
+import numpy as np
+import tisfm
+from tisfm import runtime
+frames = np.random.default_rng(0).integers(0, 255, (2, 60, 90), dtype=np.uint8)
+found = []
+def interpret():
+    found.append(tisfm.interpret(*frames).rho.tobytes())
+threads = [threading.Thread(target=interpret) for _ in range({count})]
+{before}
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print(len(found), len(set(found)))
+"""
+
+
+@pytest.mark.parametrize(("count", "before"), [(1, "runtime.start()"), (1, ""), (3, "")])
+def test_the_first_interpretation_may_be_in_any_thread(count, before):
+    code = INTERPRET_IN_THREADS.format(count=count, before=before)
+    assert answer(code) == f"{count} 1"

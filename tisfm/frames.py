@@ -8,6 +8,8 @@ import numpy.typing as npt
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
 ROWS = 32  # at a time, which stay in the cache
 
+LARGEST = 1e36  # grey levels
+
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
@@ -112,7 +114,8 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
         grey = _luma(frame) if frame.ndim == 3 else frame.astype(np.float32, order="C")
         if factor != 1:
             grey *= np.float32(factor)
-    if _is_float(frame) and not np.isfinite(grey).all():
+    # Differences of grey levels have to be finite as well.
+    if _is_float(frame) and not np.abs(grey).max() <= LARGEST:
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
     return grey
 

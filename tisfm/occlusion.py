@@ -23,6 +23,7 @@ def occlusion(
     flow: np.ndarray,
     settings: Settings,
     *,
+    factor: int = 1,
     taps1: np.ndarray | None = None,
     leaves: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -38,11 +39,13 @@ def occlusion(
     ----------
     frame0, frame1 : (h, w) float32
         Grey levels on the 8-bit scale, smoothed as the settings say; of the flow's size, or of a
-        coarser level of the pyramid: constraints are then judged there.
+        coarser level of the pyramid, by which constraints are then judged.
     flow : (2, H, W) float32
         (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
     settings : Settings
         For the weights of the data constraints.
+    factor : int
+        Pixels of the flow to one of the frames, along a side.
     taps1 : ((h + 3)·w, 4) float32, optional
         `tisfm.interpolation.spline_taps` of frame 1, if they are at hand.
     leaves : (H, W) bool, optional
@@ -67,7 +70,7 @@ def occlusion(
     if not (flow.min() >= -FAR and flow.max() <= FAR):
         flow = np.clip(flow, -FAR, FAR)
         flow[np.isnan(flow)] = FAR
-    residual = _residual_of(frame0, frame1, flow, settings, taps1)
+    residual = _residual_of(frame0, frame1, flow, settings, factor, taps1)
     claims = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, claims, any_order=any_order)
@@ -92,18 +95,17 @@ def _residual_of(
     frame1: np.ndarray,
     flow: np.ndarray,
     settings: Settings,
+    factor: int,
     taps1: np.ndarray | None,
 ) -> np.ndarray:
-    """Return the residual of every pixel of the flow, (H, W), judged at the frames' size."""
-    if frame0.shape == flow.shape[1:]:
+    """Return the residual of every pixel of the flow, (H, W), judged by the frames' pixels."""
+    if factor == 1:
         return _residual(frame0, sample(frame1, flow, taps1), settings)
-    size, coarse = flow.shape[:0:-1], frame0.shape[::-1]
-    there = np.empty((2, *frame0.shape), np.float32)
-    for k in range(2):
-        cv2.resize(flow[k], coarse, dst=there[k], interpolation=cv2.INTER_AREA)
-        there[k] *= coarse[k] / size[k]
-    residual = _residual(frame0, sample(frame1, there, taps1), settings)
-    return cv2.resize(residual, size, interpolation=cv2.INTER_LINEAR)
+    from tisfm.resampling import enlarged, reduced
+
+    coarse = reduced(flow, factor, *frame0.shape) / np.float32(factor)
+    residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
+    return enlarged(residual[None], factor, *flow.shape[1:])[0]
 
 
 def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:

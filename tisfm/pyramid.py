@@ -16,9 +16,10 @@ from tisfm.field import Field
 from tisfm.half_quadratic import HalfQuadratic, Iteration
 from tisfm.image_edges import image_edges_in_lanes, mean_step
 from tisfm.interpolation import spline_taps
-from tisfm.kernels.lanes import LaneGrid, aligned_empty
+from tisfm.kernels.lanes import LaneGrid
 from tisfm.kernels.launch import Replay
 from tisfm.occlusion import occlusion
+from tisfm.resampling import enlarged
 from tisfm.runtime import lane_grid
 from tisfm.settings import Settings
 
@@ -91,27 +92,6 @@ def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.n
             cv2.resize(smoothed, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
         )
     return pyramid
-
-
-def enlarged(rho: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
-    """Return ρ̂ of a coarser level, (n, h, w), at the pixels of a finer one, (n, height, width).
-
-    Bilinearly, as `Field.start_from` does it, for a whole number of pixels to one: pixel x lies at
-    (x + ½)/factor − ½ on the coarser level, and values, in pixels of their level, are multiplied
-    by `factor`.
-    """
-    n, rows, columns = rho.shape
-    size = (factor * columns, factor * rows)
-    out = aligned_empty((n, height, width))
-    for coarse, fine in zip(factor * rho, out, strict=True):
-        if fine.shape == size[::-1]:
-            cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
-        else:  # sizes of levels are rounded
-            larger = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-            below, right = max(0, height - size[1]), max(0, width - size[0])
-            larger = cv2.copyMakeBorder(larger, 0, below, 0, right, cv2.BORDER_REPLICATE)
-            fine[...] = larger[:height, :width]
-    return out
 
 
 class Pyramid:
@@ -206,7 +186,7 @@ class Pyramid:
             return field.images()
         if self._settings.pyramid_factor != 0.5:
             return self.full(field, level).images()
-        return enlarged(field.images(), 2**level, *self.frames0[0].shape)
+        return enlarged(2**level * field.images(), 2**level, *self.frames0[0].shape)
 
     def data_term(
         self,
@@ -237,10 +217,19 @@ class Pyramid:
         """Return which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
 
         `leaves` are those that it takes out of the image, if they are at hand. The frames of
-        `level` tell how well the flow meets them.
+        `level` tell how well the flow meets them, where its pixels are whole numbers of others.
         """
-        frames = self.frames0[level], self.frames1[level]
-        return occlusion(*frames, flow, self._settings, taps1=self.taps1(level), leaves=leaves)
+        if self._settings.pyramid_factor != 0.5:
+            level = 0
+        return occlusion(
+            self.frames0[level],
+            self.frames1[level],
+            flow,
+            self._settings,
+            factor=2**level,
+            taps1=self.taps1(level),
+            leaves=leaves,
+        )
 
     def minimiser(
         self,

@@ -5,6 +5,7 @@ import io
 import os
 import sys
 import tempfile
+import threading
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
+_starting = threading.Lock()
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
@@ -45,7 +47,8 @@ def start(
         do not depend on it.
     bind_threads : bool
         Whether each of the CPU's threads is bound to a core of its own, on Linux, where there are
-        as many as this process may use cores. Kernels on small images are faster by it.
+        as many as this process may use cores. Kernels on small images are faster by it. Without
+        effect where Taichi runs already.
 
     Raises
     ------
@@ -70,6 +73,11 @@ def start(
         raise ValueError(f"threads is {threads!r}: expected a positive integer, or None for all")
     if threads is not None:  # Taichi starts every thread it is told of, needed or not
         threads = min(int(threads), os.cpu_count() or 1)
+    with _starting:
+        _start(arch, threads, bind_threads)
+
+
+def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if _is_running():
         _check_running(arch, threads)
         return
@@ -82,7 +90,7 @@ def start(
         options["cpu_max_num_threads"] = threads
         cv2.setNumThreads(threads)
     if chosen == "cpu":
-        options["real_matrix_scalarize"] = False  # an 8-lane vector is one hardware vector
+        options["real_matrix_scalarize"] = False  # lanes are one hardware vector, or two
     else:
         options["fast_math"] = False  # roots and quotients rounded as on a CPU
     before = thread_ids()
@@ -100,6 +108,8 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
         with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
             # Nor is it to complain of each library that it looks for: the error says that.
             ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, **options)
+            # Left to the first kernel, it would have to be launched by this very thread.
+            ti.lang.impl.get_runtime().materialize()
     except RuntimeError as error:
         raise RuntimeError(
             f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
