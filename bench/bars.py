@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import get_args
 
 from bench.report import Results, Row
+from tisfm.runtime import cpu_lanes
 from tisfm.settings import Preset
 
-SIZE, LARGE, THREADS, LANES = (480, 640), (1080, 1920), 2, 8
+SIZE, LARGE, THREADS, LANES = (480, 640), (1080, 1920), 2, cpu_lanes()
 MOST_NS_PER_PIXEL = 12.0
 MOST_NS_PER_PIXEL_JOINT = 6.0
 LEAST_RATIO = 70.0

@@ -26,6 +26,7 @@ from bench.report import HEAD, collect, describe, write_markdown
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.traffic import TRAFFIC
 from bench.untextured import Method
+from tisfm.runtime import cpu_lanes
 from tisfm.scenes import bare_patches
 from tisfm.settings import Settings
 
@@ -41,7 +42,7 @@ def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None):
     kernel = {"kernel": "sweep separate", "size": [480, 640], "model": "rigid"}
     scale = 1e-9 * PIXELS
     words = TRAFFIC["sweep separate"].bytes_per_pixel(6)
-    taichi = {"implementation": "taichi", "solver": "cholesky", "lanes": 8}
+    taichi = {"implementation": "taichi", "solver": "cholesky", "lanes": cpu_lanes()}
     entries = [
         entry(0.01, implementation="stream", kernel="copy", bytes=2 * 10**8),
         entry(0.01, implementation="stream", kernel="triad", bytes=10**8),

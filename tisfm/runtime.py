@@ -145,12 +145,12 @@ def running_arch() -> str:
 
 
 def lanes() -> int:
-    """Return the lane count that suits the running arch, starting the runtime if need be.
+    """Return the lane count that suits the running arch, starting the runtime if need be."""
+    return 1 if on_gpu() else cpu_lanes()
 
-    16 where a CPU's vectors are as wide (AVX-512), else 8; 1 on a GPU.
-    """
-    if on_gpu():
-        return 1
+
+def cpu_lanes() -> int:
+    """Return the lane count that suits this CPU: 16 where vectors are as wide (AVX-512), else 8."""
     return 16 if cv2.checkHardwareSupport(_AVX_512F) else 8
 
 
