@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
-ROWS = 32  # at a time, which stay in the cache
-
 LARGEST = 1e36  # grey levels
+ROWS = 32  # at a time, which stay in the cache
 
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -33,7 +32,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
     TypeError
         If a frame is not an array of one of these types, or the two differ in type.
     ValueError
-        If shapes differ, a side is shorter than 4 px, or a pixel is NaN or infinite.
+        If shapes differ, a side is shorter than 4 px, or a pixel is NaN, infinite or beyond 1e36.
     """
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:

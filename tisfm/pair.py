@@ -59,7 +59,7 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN or infinite; if `pose` is not one of these, turns by 90° or more, or is
+        NaN, infinite or beyond 1e36; if `pose` is not one of these, turns by 90° or more, or is
         given for a motion that is not ``"camera"``; if distortion leaves next to nothing of the
         frames.
 
