@@ -97,9 +97,8 @@ class HalfQuadratic:
         shared = joint or not np.isfinite(contrast)  # then b is 1
         self.weights = field.grid.allocate(2 if shared else 2 * field.components)
         self._cycles = cycles
-        sets = self.weights.shape[0] // 2
-        self._multigrid = Multigrid(field, solver=solver, sets=sets) if cycles else None
-        self._previous = field.grid.allocate(field.components, zeros=False)
+        self._multigrid: Multigrid | None = None
+        self._previous: LaneData | None = None  # ρ̂ at the last renewal
 
     @property
     def alpha(self) -> float:
@@ -110,7 +109,7 @@ class HalfQuadratic:
     def alpha(self, value: float) -> None:
         self._alpha = value
         self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
-        self.unbind()
+        self._relax = self._advance = None
 
     def evidence(self) -> np.ndarray:
         """Return J, the squared residual and M at the current ρ̂, (7, H, W) float32.
@@ -156,18 +155,20 @@ class HalfQuadratic:
             Whether the last relative change was within the tolerance.
         """
         iterations: list[Iteration] = []
+        renewed = renewed and self._previous is not None
         renew = self._advancer(terms)
         if not renewed:
             renew()
-        if self._multigrid:
-            self._multigrid.restart()
+        if self._cycles:
+            multigrid = self._multigrid = self._multigrid or self._hierarchy()
+            multigrid.restart()
         else:
             relax = self._relax = self._relax or self._sweeper()
         for _ in range(self.outer_iterations):
-            if self._multigrid:
-                self._multigrid.set_system(self.tensor, self.weights, self._alphas)
+            if self._cycles:
+                multigrid.set_system(self.tensor, self.weights, self._alphas)
                 for _ in range(self._cycles):
-                    self._multigrid.descend()
+                    multigrid.descend()
             else:
                 relax()
             sums = renew()
@@ -189,9 +190,12 @@ class HalfQuadratic:
         """
         return self._advancer(terms)()
 
-    def unbind(self) -> None:
-        """Let go of what `minimise` keeps for its next call, the constraints among it."""
-        self._relax = self._advance = None
+    def release(self) -> None:
+        """Let go of all that `minimise` keeps for its next call, the constraints among it."""
+        self._relax = self._advance = self._previous = self._multigrid = None
+
+    def _hierarchy(self) -> Multigrid:
+        return Multigrid(self.field, solver=self.solver, sets=self.weights.shape[0] // 2)
 
     def _sweeper(self) -> Callable[[], None]:
         field = self.field
@@ -209,8 +213,10 @@ class HalfQuadratic:
         )
 
     def _advancer(self, terms: LaneData) -> Callable[[], Sums]:
+        field = self.field
+        if self._previous is None:
+            self._previous = field.grid.allocate(field.components, zeros=False)
         if self._advance is None or self._advance[0] is not terms:
-            field = self.field
             advance = advancer(
                 field.grid,
                 terms,

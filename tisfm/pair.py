@@ -91,7 +91,9 @@ def interpret(
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         camera = camera.pinhole()
     pyramid = Pyramid(grey0, grey1, camera, settings)
+    overflow = overflown(grey0, grey1)
     if settings.motion == "field":
+        del grey0, grey1  # the pyramid has its own
         reading = field_reading(pyramid, settings)
     elif settings.motion == "camera":
         reading = camera_reading(pyramid, camera, settings, known)
@@ -111,7 +113,7 @@ def interpret(
         )
     status = reading.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = overflown(grey0, grey1) or diverged(flow, leaves) or status
+        status = overflow or diverged(flow, leaves) or status
     return Interpretation(
         rho=reading.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved

@@ -132,8 +132,7 @@ class Pyramid:
             self.frames0, self.frames1 = frames(grey0), others.result()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
-        self._taps1: list[Callable[[], np.ndarray]]
-        self._taps1 = [cache(partial(spline_taps, frame)) for frame in self.frames1]
+        self._taps1 = [self._spline(level) for level in range(levels)]
         if beside:
             for level in reversed(range(self.last(settings), levels)):  # the coarsest comes first
                 self._taps1[level] = _beside.submit(spline_taps, self.frames1[level]).result
@@ -142,6 +141,13 @@ class Pyramid:
     def taps1(self, level: int) -> np.ndarray:
         """Return `tisfm.interpolation.spline_taps` of frame 1 at a level."""
         return self._taps1[level]()
+
+    def release_taps1(self, level: int) -> None:
+        """Let go of the taps of a level: whoever asks for them again has them computed again."""
+        self._taps1[level] = self._spline(level)
+
+    def _spline(self, level: int) -> Callable[[], np.ndarray]:
+        return cache(partial(spline_taps, self.frames1[level]))
 
     @property
     def levels(self) -> int:
@@ -283,6 +289,8 @@ def coarse_to_fine(
         warps = settings.warps_on(level - finest)
         solution = _on_level(pyramid, settings, field, level, contrast=contrast, warps=warps)
         history += solution.history
+        if level > finest and settings.motion == "field":  # other motions go on from there
+            pyramid.release_taps1(level)
     assert solution is not None
     return replace(solution, history=history)
 
@@ -315,5 +323,5 @@ def _on_level(
     for warp in range(warps):
         iterations, converged = minimiser.minimise(linearise(), renewed=warp > 0)
         history += [(level, warp, iteration) for iteration in iterations]
-    minimiser.unbind()
+    minimiser.release()
     return Solution(field=field, minimiser=minimiser, history=history, converged=converged)
