@@ -1,6 +1,5 @@
 """The command line with rigid motions: every output with and without depth, poses, the guess."""
 
-import json
 import re
 from pathlib import Path
 
@@ -8,8 +7,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.cli.command_line import files, load, record
 from tisfm import demo, outputs, paper_figures
-from tisfm.cli import main
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.motion_text import motion_rows
 from tisfm.rigid import pose_matrix
@@ -36,28 +35,6 @@ def place(tmp_path, monkeypatch):
     for k, frame in enumerate((SCENE.frame0, SCENE.frame1, SCENE.frame0)):
         write_png(tmp_path / "frames" / f"f{k}.png", frame)
     return tmp_path
-
-
-@pytest.fixture
-def tisfm_run(capsys):
-    """Run the command line in this process; return exit code, stdout and stderr."""
-
-    def run(*arguments):
-        return main([str(argument) for argument in arguments]), *capsys.readouterr()
-
-    return run
-
-
-def files(folder):
-    return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
-
-
-def record(folder):
-    return json.loads((Path(folder) / "run.json").read_text(encoding="utf-8"))
-
-
-def load(folder, name):
-    return tisfm.Interpretation.load(Path(folder) / f"{name}.npz")
 
 
 def to_world(*motions):

@@ -1,0 +1,64 @@
+"""Fixtures of the tests of the command line."""
+
+import numpy as np
+import pytest
+
+from tests.cli.command_line import FRAMES, H, W
+from tisfm.cli import main
+from tisfm.formats import write_flo, write_png
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """An empty working folder, and the width of a terminal."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    return tmp_path
+
+
+@pytest.fixture
+def frames(place):
+    """A folder of four frames f0.png to f3.png."""
+    folder = place / "frames"
+    folder.mkdir()
+    for k, frame in enumerate(FRAMES):
+        write_png(folder / f"f{k}.png", frame)
+    return folder
+
+
+@pytest.fixture
+def benchmark_folder(place):
+    """Two pairs in the layout of Middlebury, with the motion that `make_frames` gives them."""
+    folder = place / "flows"
+    for k, name in enumerate(("Slow", "Fast")):
+        (folder / name).mkdir(parents=True)
+        write_png(folder / name / "frame10.png", FRAMES[k])
+        write_png(folder / name / "frame11.png", FRAMES[k + 1])
+        write_flo(folder / name / "flow10.flo", np.full((H, W, 2), (k + 1.0, 0.0)))
+    return folder
+
+
+@pytest.fixture
+def sequence_folder(place):
+    """A sequence in the layout of New Tsukuba, whose camera moves to the left."""
+    folder = place / "walk"
+    folder.mkdir()
+    for k, frame in enumerate(FRAMES):
+        write_png(folder / f"rgb_{k:05d}.png", frame)
+    rows = [f"1 0 0 {-k} 0 1 0 0 0 0 1 0" for k in range(len(FRAMES))]
+    (folder / "poses_camera_to_world_3x4_cm.txt").write_text("\n".join(rows))
+    return folder
+
+
+@pytest.fixture
+def tisfm_run(capsys):
+    """Run the command line in this process; return exit code, stdout and stderr."""
+
+    def run(*arguments):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as end:  # of help and of options that do not exist
+            code = end.code
+        return code, *capsys.readouterr()
+
+    return run

@@ -1,0 +1,61 @@
+"""`tisfm demo` and `tisfm figures`."""
+
+import pytest
+
+from tests.cli.command_line import assert_one_line, files, load, promised, record
+from tisfm.formats import read_image
+from tisfm.settings import Settings
+
+DEMO_FILES = promised("demo") | {
+    "figure_lambda.png",
+    "figure_presmoothing.png",
+    "figure_contrast.png",
+}
+
+
+def test_demo(tisfm_run):
+    code, out, err = tisfm_run("demo", "--height", "60", "--width", "80", "-o", "out")
+    assert code == 0
+    assert err.startswith("Pictures and data in out: look at demo_figure.png first")
+    rows = [line for line in out.splitlines() if line.startswith("│")]
+    assert len(rows) == 6
+    for row, label in zip(rows[:3], ("paper", "balanced", "Horn–Schunck"), strict=True):
+        cells = [cell.strip() for cell in row.strip("│").split("│")]
+        assert label in cells[0]
+        assert 0 < float(cells[1]) < 0.5  # px
+    assert set(files("out")) == DEMO_FILES
+    assert load("out", "demo").settings == Settings()
+    assert list(record("out")["pairs"]) == ["demo"]
+
+
+@pytest.mark.slow
+def test_demo_has_an_output_of_its_own(tisfm_run, place):
+    assert tisfm_run("demo", "--height", "24", "--width", "32")[0] == 0
+    assert set(files("tisfm-demo")) == DEMO_FILES
+
+
+@pytest.mark.parametrize(
+    "options", [["--height", "0"], ["--width", "-3"], ["--height", "2"], ["--seed", "-1"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_bad_sizes_of_the_demo_are_one_line(tisfm_run, options):
+    code, out, err = tisfm_run("demo", "-o", "out", "--width", "16", "--height", "12", *options)
+    assert out == ""
+    assert_one_line(code, err)
+
+
+def test_figures(tisfm_run, frames):
+    code, out, err = tisfm_run("figures", "frames/f0.png", "frames/f1.png", "-o", "out")
+    assert code == 0 and out == ""
+    names = ["figure_lambda.png", "figure_presmoothing.png", "figure_contrast.png"]
+    assert err == "wrote " + ", ".join(f"out/{name}" for name in names) + "\n"
+    written = files("out")
+    assert set(written) == set(names) and len(set(written.values())) == 3
+    for name in names:
+        assert read_image(f"out/{name}").shape[1] > 300
+
+
+def test_figures_of_a_missing_file(tisfm_run, frames, place):
+    code, _, err = tisfm_run("figures", "frames/f0.png", "gone.png", "-o", "out")
+    assert_one_line(code, err, "gone.png")
+    assert not (place / "out").exists()

@@ -1,0 +1,46 @@
+"""The command line in a process of its own: streams, signals, versions."""
+
+import os
+import re
+import subprocess
+
+import pytest
+
+import tisfm
+from tests.cli.command_line import TISFM, files, promised
+from tisfm.cli import main
+
+
+def test_a_process_of_its_own(frames):
+    """Neither a banner nor a progress bar in what is redirected."""
+    done = subprocess.run(
+        [*TISFM, "run", "frames", "-o", "out"],
+        capture_output=True, text=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "")
+    assert re.fullmatch(r"3 pairs: [^\n]*\n", done.stderr)
+    assert set(files("out")) == promised("f0", "f1", "f2")
+
+
+def test_streams_without_greek_letters():
+    done = subprocess.run(
+        [*TISFM, "run", "--help"],
+        capture_output=True, env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert done.returncode == 0 and b"--smoothness" in done.stdout and done.stderr == b""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a pipe that breaks is another matter on Windows")
+def test_a_reader_that_leaves_early():
+    process = subprocess.Popen(
+        [*TISFM, "run", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait(timeout=60) == 141
+    process.stderr.close()
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == tisfm.__version__

@@ -1,0 +1,180 @@
+"""`tisfm run` again: going on after Ctrl-C, with nothing lost and nothing mixed."""
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.cli.command_line import (
+    ENDINGS,
+    FRAMES,
+    TISFM,
+    assert_one_line,
+    files,
+    forbid,
+    load,
+    record,
+)
+from tisfm import commands, pair
+from tisfm.cli import main
+from tisfm.formats import write_png
+
+
+def test_resume_skips_what_is_finished(tisfm_run, frames, monkeypatch):
+    assert tisfm_run("run", "frames", "-o", "out")[0] == 0
+    before = files("out")
+    monkeypatch.setattr(pair, "interpret", forbid)
+    monkeypatch.setattr(commands, "horn_schunck", forbid)
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--resume")
+    assert code == 0 and err.startswith("3 pairs: ") and "median" not in err
+    assert files("out") == before
+
+
+def test_resume_makes_again_what_was_deleted(tisfm_run, frames):
+    run = ("run", "frames", "-o", "out", "--no-figures")
+    assert tisfm_run(*run)[0] == 0
+    before = files("out")
+    for name in ENDINGS - {"_figure.png"}:
+        Path(f"out/f1{name}").unlink()
+    assert tisfm_run(*run, "--resume")[0] == 0
+    assert files("out") == before
+
+
+def test_resume_without_a_run_before(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures", "--resume")[0] == 0
+    assert tisfm_run("run", "frames", "-o", "fresh", "--no-figures")[0] == 0
+    assert files("out") == files("fresh")
+
+
+def test_without_resume_all_is_made_again(tisfm_run, frames, monkeypatch):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
+    monkeypatch.setattr(pair, "interpret", forbid)
+    with pytest.raises(AssertionError, match="nothing was left"):
+        main(["run", "frames", "-o", "out", "--no-figures"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--focal", "50"], ["--preset", "fast"], ["--beta", "0.5"], ["--center", "3", "4"],
+     ["--distortion", "0.1,0,0,0"], ["--focal", "guess"], ["--figures"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_resume_refuses_other_options(tisfm_run, frames, options):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
+    before = files("out")
+    arguments = ["run", "frames", "-o", "out", "--resume"]
+    code, _, err = tisfm_run(*arguments, *options, *["--no-figures"] * ("--figures" not in options))
+    *before_it, last = err.splitlines(keepends=True)
+    assert len(before_it) == ("guess" in options)
+    assert_one_line(code, last, "out holds a run with another camera, other settings", "--resume")
+    assert files("out") == before
+
+
+def test_resume_refuses_other_frames(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
+    before = files("out")
+    again = ("run", "frames", "-o", "out", "--no-figures", "--resume")
+    code, _, err = tisfm_run(*again, "--step", "2")
+    assert_one_line(code, err, "f0 was another pair of frames", "same frames and step")
+    write_png(frames / "f1.png", 255 - FRAMES[1])
+    code, _, err = tisfm_run(*again)
+    assert_one_line(code, err, "f0 was another pair of frames")
+    assert files("out") == before
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "{}", '{"camera": 1}', "null"])
+def test_resume_refuses_a_damaged_record(tisfm_run, frames, text):
+    Path("out").mkdir()
+    Path("out/run.json").write_text(text)
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--resume")
+    assert_one_line(code, err, "run.json", "is damaged", "without --resume")
+
+
+@pytest.mark.parametrize("when", ["interpret", "write_flo", "save_figure", "first", "savez"])
+def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeypatch, when):
+    """Ctrl-C comes at the second pair ("first": at the first one), here or there."""
+    options = [] if when == "save_figure" else ["--no-figures"]
+    (frames / "f3.png").unlink()
+    assert tisfm_run("run", "frames", "-o", "whole", *options)[0] == 0
+    module, name = {
+        "interpret": (pair, "interpret"),
+        "first": (pair, "interpret"),
+        "write_flo": (tisfm.outputs, "write_flo"),
+        "save_figure": (tisfm.outputs, "save_figure"),
+        "savez": (np, "savez_compressed"),
+    }[when]
+    original, calls = getattr(module, name), []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == (1 if when == "first" else 2):
+            if when == "savez":  # half-way through a file
+                arguments[0].write(b"PK")
+            raise KeyboardInterrupt
+        return original(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, interrupted)
+        code, out, err = tisfm_run("run", "frames", "-o", "out", *options)
+    assert (code, out, err) == (130, "", "tisfm: interrupted\n")
+    left, whole = files("out"), files("whole")
+    assert set(left) <= set(whole)
+    assert ("f0.npz" in left) == (when != "first") and "f1.npz" not in left
+    for name in set(left) - {"run.json"}:
+        assert left[name] == whole[name], name
+    assert tisfm_run("run", "frames", "-o", "out", "--resume", *options)[0] == 0
+    assert files("out") == whole
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_ctrl_c_in_a_process_of_its_own(place):
+    """The signal comes at any moment, in the middle of a kernel as well."""
+    noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
+    texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    os.mkdir("many")
+    for k in range(60):
+        write_png(f"many/f{k}.png", texture[:, 60 - k : 190 - k])
+    command = [*TISFM, "run", "many", "-o", "out", "--preset", "paper", "--no-figures"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 60
+        while not Path("out/f0.npz").exists() and time.monotonic() < deadline:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, out, err) == (130, "", "tisfm: interrupted\n")
+    left = set(files("out"))
+    finished = record("out")["pairs"]
+    assert 1 <= len(finished) < 59
+    assert not [name for name in left if name.endswith(".tmp") or name.startswith(".")]
+    for name in finished:
+        assert load("out", name).rho.any()
+
+
+def test_what_an_interrupted_run_overwrites_is_not_taken_for_complete(
+    tisfm_run, frames, monkeypatch
+):
+    """Other settings over a finished run, stopped inside the first pair; then the first again."""
+    options = ("run", "frames", "-o", "out", "--no-figures")
+    assert tisfm_run(*options, "--preset", "fast")[0] == 0
+    before = files("out")
+
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", interrupted)
+        assert tisfm_run(*options, "--preset", "paper")[0] == 130
+    assert files("out")["f0_flow.flo"] != before["f0_flow.flo"]
+    assert tisfm_run(*options, "--preset", "fast", "--resume")[0] == 0
+    assert files("out") == before

@@ -1,0 +1,310 @@
+"""`tisfm run`: the files it promises, and what they hold."""
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+import tisfm
+from tests.cli.command_line import FRAMES, H, W, assert_one_line, files, load, promised, record
+from tisfm import commands
+from tisfm.formats import read_depth_png, read_flo, read_image
+from tisfm.lens import undistort
+from tisfm.settings import Settings
+from tisfm.show import depth_grey
+
+
+@pytest.mark.parametrize(
+    "source",
+    [["frames/f0.png", "frames/f1.png", "frames/f2.png"], ["frames"], ["frames/f?.png"]],
+    ids=["files", "folder", "pattern"],
+)  # fmt: skip
+def test_run_writes_the_promised_files(tisfm_run, frames, source):
+    (frames / "f3.png").unlink()
+    code, out, err = tisfm_run("run", *source, "-o", "out")
+    assert code == 0 and out == ""
+    assert re.fullmatch(
+        r"2 pairs: .*, \d+\.\d\d s each \(median\)\. Results in out, settings and scales in "
+        r"out/run\.json\.\n",
+        err,
+    )
+    assert set(files("out")) == promised("f0", "f1")
+
+
+def test_run_of_two_images(tisfm_run, frames):
+    code, _, err = tisfm_run("run", "frames/f2.png", "frames/f0.png", "--output", "deep/er/out")
+    assert code == 0 and err.startswith("1 pair: ")
+    assert set(files("deep/er/out")) == promised("f2")
+    expected = tisfm.interpret(FRAMES[2], FRAMES[0])
+    np.testing.assert_array_equal(load("deep/er/out", "f2").rho, expected.rho)
+
+
+def test_run_of_a_video(tisfm_run, place):
+    writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this build of OpenCV cannot write MJPG video")
+    for frame in FRAMES[:3]:
+        writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
+    writer.release()
+    code, _, _ = tisfm_run("run", "clip.avi", "-o", "out", "--no-figures")
+    assert code == 0
+    assert set(files("out")) == promised("clip_000000", "clip_000001", figures=False)
+
+
+def test_all_files_of_a_run_agree(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--focal", "50")[0] == 0
+    about = record("out")
+    assert about["version"] == tisfm.__version__
+    assert about["camera"] == {"focal": 50.0, "center": None, "distortion": None}
+    assert Settings(**about["settings"]) == Settings()
+    assert list(about["pairs"]) == ["f0", "f1", "f2"]
+    scale = about["depth16_values_per_unit"]
+    for k, name in enumerate(about["pairs"]):
+        result = load("out", name)
+        limit = about["depth_range"] * float(result.inverse_depth.mean())
+        expected = tisfm.interpret(FRAMES[k], FRAMES[k + 1], camera=tisfm.Camera(50.0))
+        np.testing.assert_array_equal(result.rho, expected.rho)
+        np.testing.assert_array_equal(result.frame, FRAMES[k])
+        np.testing.assert_array_equal(read_flo(f"out/{name}_flow.flo"), result.flow)
+        np.testing.assert_array_equal(
+            read_image(f"out/{name}_depth.png"), depth_grey(result.inverse_depth, limit=limit)
+        )
+        stored = read_image(f"out/{name}_depth16.png")
+        assert stored.dtype == np.uint16
+        inside = (stored > 1) & (stored < 65535)
+        assert inside.mean() > 0.9
+        # Half a step of the file, and the rounding of float32.
+        error = np.abs(stored / scale - result.depth)[inside]
+        assert (error <= 0.5 / scale + 1e-6 * result.depth[inside]).all()
+        depth = read_depth_png(f"out/{name}_depth16.png")
+        np.testing.assert_allclose(depth[inside], (stored / scale)[inside], rtol=1e-6)
+        assert read_image(f"out/{name}_anaglyph.png").shape == (H, W, 3)
+        assert read_image(f"out/{name}_figure.png").ndim == 3
+        pair_record = about["pairs"][name]
+        assert pair_record["status"] == result.status
+        assert pair_record["message"] == result.status.message
+
+
+def test_one_scale_and_range_for_a_whole_sequence(tisfm_run, frames):
+    """The second pair moves less far than the first: no darker for that, but on its range."""
+    files = [frames / f"f{k}.png" for k in (3, 2, 1)]
+    assert tisfm_run("run", *files, "-o", "out", "--no-figures")[0] == 0
+    assert tisfm_run("run", *files[1:], "-o", "alone", "--no-figures")[0] == 0
+    together, alone = (read_image(f"{folder}/f2_depth.png") for folder in ("out", "alone"))
+    both, second = record("out"), record("alone")
+    assert both["depth_range"] != second["depth_range"]
+    ratio = second["depth_range"] / both["depth_range"]
+    assert np.median(together) == pytest.approx(np.median(alone) * ratio, abs=1.5)
+    slow, fast = (np.median(read_image(f"out/f{k}_depth.png")) for k in (2, 3))
+    assert slow == pytest.approx(fast, rel=0.15)
+    assert both["depth16_values_per_unit"] > second["depth16_values_per_unit"] * 1.2
+
+
+def test_a_pair_without_motion_does_not_set_the_ranges(tisfm_run, frames):
+    arguments = ("run", frames / "f0.png", *sorted(frames.iterdir()))
+    assert tisfm_run(*arguments, "-o", "out")[0] == 0
+    assert tisfm_run("run", frames, "-o", "moving", "--no-figures")[0] == 0
+    about, moving = record("out"), record("moving")
+    assert about["pairs"]["000000_f0"]["status"] == "no_motion"
+    for key in ("depth16_values_per_unit", "depth_range", "flow_limit"):
+        assert about[key] == moving[key]
+    assert not read_image("out/000000_f0_depth16.png").any()
+    assert np.isnan(read_depth_png("out/000000_f0_depth16.png")).all()
+    assert not read_image("out/000000_f0_depth.png").any()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_pair_that_diverges_is_said_and_does_not_set_the_ranges(tisfm_run, frames, place):
+    for k in range(2):
+        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
+    cv2.imwrite("g1.tif", FRAMES[1].astype(np.float32))
+    cv2.imwrite("g2.tif", FRAMES[2].astype(np.float32))
+    code, _, err = tisfm_run("run", "h0.tif", "h1.tif", "g1.tif", "g2.tif", "-o", "out")
+    assert code == 0 and "2 diverged" in err
+    assert set(files("out")) == promised("h0", "h1", "g1")
+    expected = tisfm.interpret(FRAMES[1], FRAMES[2])
+    usual = np.percentile(expected.inverse_depth, 95) / expected.inverse_depth.mean()
+    assert record("out")["depth_range"] == pytest.approx(usual, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "settings"),
+    [
+        (["--preset", "paper"], Settings.preset("paper")),
+        (["--preset=fast"], Settings.preset("fast")),
+        (["--preset", "paper", "--beta", "0.5"], Settings.preset("paper", beta=0.5)),
+        (["--beta", "0.5", "--preset", "paper"], Settings.preset("paper", beta=0.5)),
+        (["--preset", "fast", "--preset", "paper"], Settings.preset("paper")),
+        (["--model", "translation"], Settings(model="translation")),
+        (["--contrast", "None"], Settings(contrast=None)),
+        (["--no-joint-edges", "--data-contrast", "None"],
+         Settings(joint_edges=False, data_contrast=None)),
+        (["--stiffness", "1", "1", "0.1", "2", "2", "3"],
+         Settings(stiffness=(1, 1, 0.1, 2, 2, 3))),
+        (["--preset", "paper", "--contrast", "0.1"], Settings.preset("paper", contrast=0.1)),
+        (["--pyramid-levels", "1", "--solver", "closed_form"],
+         Settings(pyramid_levels=1, solver="closed_form")),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)  # fmt: skip
+def test_options_reach_the_result(tisfm_run, frames, options, settings):
+    two = [frames / "f0.png", frames / "f1.png"]
+    assert tisfm_run("run", *two, "-o", "out", "--no-figures", *options)[0] == 0
+    result = load("out", "f0")
+    assert result.settings == settings
+    expected = tisfm.interpret(*FRAMES[:2], settings=settings)
+    np.testing.assert_array_equal(result.rho, expected.rho)
+    assert not np.array_equal(result.rho, tisfm.interpret(*FRAMES[:2]).rho)
+
+
+@pytest.mark.parametrize(
+    ("options", "camera"),
+    [
+        (["--focal", "50"], tisfm.Camera(50.0)),
+        (["--center", "3", "4.5"], tisfm.Camera(600.0, (3.0, 4.5))),
+    ],
+)
+def test_the_camera_reaches_the_result(tisfm_run, frames, options, camera):
+    two = [frames / "f0.png", frames / "f1.png"]
+    assert tisfm_run("run", *two, "-o", "out", "--no-figures", *options)[0] == 0
+    result = load("out", "f0")
+    assert result.camera == camera
+    assert not np.array_equal(result.rho, tisfm.interpret(*FRAMES[:2]).rho)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [["--distortion", "-0.3,0.1,0,1e-3"], ["--distortion=-0.3, 0.1, 0, 1e-3"],
+     ["--distortion", "-0.3 0.1 0 1e-3"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_distortion_is_removed(tisfm_run, frames, option):
+    two = [frames / "f0.png", frames / "f1.png"]
+    code, _, _ = tisfm_run("run", "-o", "out", "--focal", "50", *option, *two)
+    assert code == 0 and set(files("out")) == promised("f0")
+    camera = tisfm.Camera(50.0, distortion=(-0.3, 0.1, 0, 1e-3))
+    expected = tisfm.interpret(*FRAMES[:2], camera=camera)
+    result = load("out", "f0")
+    np.testing.assert_array_equal(result.rho, expected.rho)
+    np.testing.assert_array_equal(result.frame, undistort(FRAMES[0], camera))
+    assert record("out")["camera"]["distortion"] == list(camera.distortion)
+    assert result.camera == camera.pinhole()
+
+
+@pytest.mark.parametrize("lens", [None, (-0.3, 0.1, 0.0, 0.0)])
+def test_the_baseline_is_of_the_same_frames(tisfm_run, frames, monkeypatch, lens):
+    seen = []
+
+    def baseline(*frames, **options):
+        seen.extend(frames)
+        return np.zeros((H, W, 2), np.float32)
+
+    monkeypatch.setattr(commands, "horn_schunck", baseline)
+    options = [] if lens is None else ["--distortion", ",".join(map(str, lens))]
+    (frames / "f3.png").unlink()
+    (frames / "f2.png").unlink()
+    assert tisfm_run("run", "frames", "-o", "out", "--focal", "50", *options)[0] == 0
+    camera = tisfm.Camera(50.0, distortion=lens)
+    np.testing.assert_array_equal(seen, [undistort(frame, camera) for frame in FRAMES[:2]])
+
+
+def test_point_clouds(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures", "--ply")[0] == 0
+    clouds = {f"f{k}.ply" for k in range(3)}
+    assert set(files("out")) == promised("f0", "f1", "f2", figures=False) | clouds
+    load("out", "f1").points().save("expected.ply")
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+    assert b"element vertex 0\n" not in Path("out/f1.ply").read_bytes()
+    assert record("out")["ply"] is True
+    Path("out/f1.ply").unlink()
+    Path("out/f1.npz").unlink()
+    options = ("run", "frames", "-o", "out", "--no-figures", "--resume")
+    assert_one_line(*tisfm_run(*options)[::2], "another camera, other settings or outputs")
+    assert tisfm_run(*options, "--ply")[0] == 0
+    assert Path("out/f1.ply").read_bytes() == Path("expected.ply").read_bytes()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_point_clouds_of_pairs_without_depth(tisfm_run, frames):
+    for k in range(2):
+        cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
+    source = (frames / "f0.png", frames / "f0.png")
+    assert tisfm_run("run", *source, "-o", "still", "--no-figures", "--ply")[0] == 0
+    assert b"element vertex 0\n" in Path("still/000000_f0.ply").read_bytes()
+    assert tisfm_run("run", "h0.tif", "h1.tif", "-o", "wild", "--no-figures", "--ply")[0] == 0
+    assert Path("wild/h0.ply").read_bytes().startswith(b"ply\n")
+
+
+def with_exif(path, frame, film):
+    exif = Image.Exif()
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: film}
+    Image.fromarray(frame).save(path, exif=exif.tobytes())
+
+
+@pytest.mark.parametrize("command", ["run", "figures"])
+@pytest.mark.parametrize("film", [35, None])
+def test_the_focal_length_can_be_guessed(tisfm_run, frames, command, film):
+    if film:
+        with_exif(frames / "f0.png", FRAMES[0], film)
+    two = [frames / "f0.png", frames / "f1.png"]
+    code, out, err = tisfm_run(command, "--focal", "guess", *two, "-o", "out")
+    assert code == 0 and out == ""
+    focal = 35 * np.hypot(H, W) / np.hypot(24, 36) if film else 1.2 * W
+    line, *others = err.splitlines()
+    assert len(others) == 1
+    reason = "35 mm in terms of" if film else "1.2 times the longer side"
+    assert line.startswith(f"focal length guessed: {focal:.0f} px, ")
+    assert reason in line and "give --focal" in line
+    if command == "run":
+        assert load("out", "f0").camera.focal == pytest.approx(focal)
+        assert record("out")["camera"]["focal"] == pytest.approx(focal)
+
+
+def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, place):
+    writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this build of OpenCV cannot write MJPG video")
+    for frame in FRAMES[:3]:
+        writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
+    writer.release()
+    code, _, err = tisfm_run("run", "clip.avi", "-o", "out", "--no-figures", "--focal", "guess")
+    assert code == 0 and err.startswith("focal length guessed: 77 px, ")
+    assert load("out", "clip_000000").camera.focal == pytest.approx(1.2 * 64)
+
+
+def test_without_figures(tisfm_run, frames, monkeypatch):
+    monkeypatch.setattr(commands, "horn_schunck", None)  # not needed then
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
+    assert set(files("out")) == promised("f0", "f1", "f2", figures=False)
+
+
+def test_step(tisfm_run, frames):
+    assert tisfm_run("run", "frames", "-o", "out", "--step", "2", "--no-figures")[0] == 0
+    assert set(files("out")) == promised("f0", figures=False)
+    np.testing.assert_array_equal(load("out", "f0").rho, tisfm.interpret(FRAMES[0], FRAMES[2]).rho)
+
+
+def test_markup_in_names_is_printed_as_it_is(tisfm_run, frames, place):
+    for k in range(2):
+        (frames / f"f{k}.png").rename(place / f"[red]{k}.png")
+    code, _, err = tisfm_run(
+        "run", "[red]0.png", "[red]1.png", "-o", "out [bold] x", "--no-figures"
+    )
+    assert code == 0 and "Results in out [bold] x, settings" in err
+    assert set(files("out [bold] x")) == promised("[red]0", figures=False)
+
+
+def test_a_run_tells_what_to_try(tisfm_run, frames):
+    """The advice of every status but "converged", once."""
+    code, _, err = tisfm_run(
+        "run", "frames", "-o", "out", "--no-figures", "--outer-iterations", "1", "--sweeps", "1"
+    )
+    lines = err.strip().splitlines()
+    assert code == 0
+    assert "iteration_limit" in lines[0]
+    assert len(lines) == 2
+    assert lines[1].startswith("iteration_limit: ")
+    assert "raise outer_iterations" in lines[1]
