@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -329,6 +330,19 @@ def test_a_cache_in_a_folder_of_its_own(default_answer, tmp_path):
     for _ in range(2):  # compiled, then found
         assert answer(INTERPRET + REPORT, XDG_CACHE_HOME=str(tmp_path)) == default_answer
     assert list((tmp_path / "taichi" / "ticache").iterdir())
+
+
+def test_a_checkout_has_its_kernels(monkeypatch):
+    """Started there, Python takes its package, though another may be the installed one."""
+    root = Path(__file__).parents[1]
+    monkeypatch.chdir(root)
+    code = """
+    import sys
+    sys.meta_path = [finder for finder in sys.meta_path if "editable" not in repr(finder)]
+    import tisfm.kernels
+    print(tisfm.kernels.__path__[0])
+    """
+    assert Path(answer(code)) == root / "kernels"
 
 
 def test_the_version_is_that_of_the_package():

@@ -1,6 +1,7 @@
 """Dense structure and 3D motion from image sequences, on a CPU, without training."""
 
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 
 from tisfm.camera import Camera
@@ -30,6 +31,11 @@ _SUBMODULES = (
     "scenes",
     "show",
 )
+
+# Installed, `tisfm.kernels` lies in this folder; in a checkout, `kernels` lies beside it. Python
+# started in a checkout takes this folder for the package, whatever is installed.
+if not Path(__file__).with_name("kernels").is_dir():
+    __path__.append(str(Path(__file__).parents[1]))
 
 
 def __getattr__(name: str) -> ModuleType:
