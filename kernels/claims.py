@@ -36,7 +36,8 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     height = residual.shape[0]
     farthest = max(flow[1].max(), -flow[1].min())
     reach = min(int(farthest) + 1, height)  # rows that a pixel can go up or down
-    bands = max(1, height // max(BAND, 2 * reach))
+    pairs = height // (2 * max(BAND, 2 * reach))  # of bands: two threads have as many each
+    bands = max(1, 2 * pairs)
     _splat(flow, residual, bands, reach, claims)
 
 

@@ -390,3 +390,57 @@ print(len(found), len(set(found)))
 def test_the_first_interpretation_may_be_in_any_thread(count, before):
     code = INTERPRET_IN_THREADS.format(count=count, before=before)
     assert answer(code) == f"{count} 1"
+
+
+def test_an_interpretation_may_outlive_the_main_thread():
+    code = """
+    import threading
+    import time
+
+    import numpy as np
+    import tisfm
+
+    image = np.random.default_rng(0).uniform(0, 255, (260, 260)).astype(np.float32)
+
+    def interpret():
+        return tisfm.interpret(image, np.roll(image, 1, axis=1), camera=tisfm.Camera(300.0))
+
+    def afterwards():
+        while threading.main_thread().is_alive():
+            time.sleep(0.01)
+        print(np.array_equal(interpret().rho, before.rho))
+
+    before = interpret()
+    threading.Thread(target=afterwards).start()
+    """
+    assert answer(code) == "True"
+
+
+FORK = """
+import os
+import sys
+
+{before}
+child = os.fork()
+if child == 0:
+    try:
+        import tisfm
+        tisfm.runtime.start()
+        print("started")
+    except RuntimeError as error:
+        print(error)
+    sys.stdout.flush()
+    os._exit(0)
+os.waitpid(child, 0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.parametrize(
+    ("before", "expected"),
+    [("import tisfm", "started"), ("import tisfm; tisfm.runtime.start()", "spawn")],
+    ids=["before", "after"],
+)
+def test_forking(before, expected):
+    """After Taichi was started, a child would wait for threads that it does not have."""
+    assert expected in answer(FORK.format(before=before))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from tisfm.settings import Settings
 
 COARSEST_SIDE = 12  # px
 BESIDE = 1 << 16  # pixels from which on a second thread pays
-_beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
+_second_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,14 @@ class Solution:
     minimiser: HalfQuadratic
     history: list[tuple[int, int, Iteration]]
     converged: bool
+
+
+def _beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+    """Start a call in the second thread; return what waits for its result."""
+    try:
+        return _second_thread.submit(function, *arguments).result
+    except RuntimeError:  # the main thread has ended, and with it the second
+        return cache(partial(function, *arguments))
 
 
 def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -128,14 +137,14 @@ class Pyramid:
         beside = runtime.threads() > 1 and grey0.size >= BESIDE
         if beside:
             # OpenCV's filters take one thread each, and so do kernels on coarse levels.
-            others = _beside.submit(frames, grey1)
-            self.frames0, self.frames1 = frames(grey0), others.result()
+            others = _beside(frames, grey1)
+            self.frames0, self.frames1 = frames(grey0), others()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(levels)]
         if beside:
             for level in reversed(range(self.last(settings), levels)):  # the coarsest comes first
-                self._taps1[level] = _beside.submit(spline_taps, self.frames1[level]).result
+                self._taps1[level] = _beside(spline_taps, self.frames1[level])
         self.contrast = mean_step(self.frames0[0])
 
     def taps1(self, level: int) -> np.ndarray:

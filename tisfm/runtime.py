@@ -20,6 +20,7 @@ Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _starting = threading.Lock()
+_forked = False
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
@@ -56,7 +57,8 @@ def start(
         If arch is not one of those above or threads is not a positive integer.
     RuntimeError
         If Taichi is already running in another way than the one asked for, or cannot run on
-        `arch` here. It never falls back to the CPU by itself.
+        `arch` here. It never falls back to the CPU by itself. If this process was forked from one
+        in which Taichi ran: its threads have stayed there.
 
     Notes
     -----
@@ -73,8 +75,23 @@ def start(
         raise ValueError(f"threads is {threads!r}: expected a positive integer, or None for all")
     if threads is not None:  # Taichi starts every thread it is told of, needed or not
         threads = min(int(threads), os.cpu_count() or 1)
+    if _forked:
+        raise RuntimeError(
+            "this process was forked from one in which Taichi ran, whose threads have stayed "
+            'there: start workers afresh, as multiprocessing.get_context("spawn") does, or fork '
+            "before the first interpretation"
+        )
     with _starting:
         _start(arch, threads, bind_threads)
+
+
+def _after_fork() -> None:
+    global _forked, _starting
+    _forked, _starting = _is_running(), threading.Lock()  # which a thread may have held
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
