@@ -11,18 +11,21 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.edges import component_table, spread, weight_sets
+from tisfm.kernels.edges import component_table, weight_sets
 from tisfm.kernels.lanes import (
+    SMALL,
     LaneArray,
     LaneGrid,
     check_array,
+    element,
     lane_count,
     lane_kernel,
     lane_of,
+    planes_of,
     refresh_halo,
     store_lane,
 )
-from tisfm.kernels.relaxation import residual_at
+from tisfm.kernels.relaxation import edges_at, residual_at
 from tisfm.kernels.rigid_motion import motion_columns
 from tisfm.kernels.small_spd import bind
 
@@ -146,20 +149,22 @@ def _restrict_residual(
     rows, strip = out.shape[1] - 2, out.shape[2] - 2
     for row, position in ti.ndrange(rows, strip):
         alphas = ti.static([bind(alpha[k]) for k in range(n)])
+        stride = rho.shape[2] & SMALL
+        planes = ti.static(planes_of(rho, max(6, 2 * sets)))
         total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
+                i = (y * stride + s) & SMALL
                 columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-                center = ti.static([bind(rho[k, y, s]) for k in range(n)])
-                east = ti.static([bind(weights[k, y, s]) for k in range(sets)])
-                west = ti.static([bind(weights[k, y, s - 1]) for k in range(sets)])
-                south = ti.static([bind(weights[sets + k, y, s]) for k in range(sets)])
-                north = ti.static([bind(weights[sets + k, y - 1, s]) for k in range(sets)])
-                edges = ti.static([spread(side, n) for side in (east, west, south, north)])
-                residual = residual_at(
-                    tensor, edges, columns, source, alphas, n, sourced, rho, center, y, s
-                )
+                center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+                edges = ti.static(edges_at(weights, planes, stride, sets, i))
+                residual = ti.static(
+                    residual_at(
+                        tensor, edges, columns, source if sourced else None, alphas, planes,
+                        stride, rho, center, i,
+                    )
+                )  # fmt: skip
                 for k in ti.static(range(n)):
                     total[k] += residual[k]
         for k in ti.static(range(n)):

@@ -9,20 +9,21 @@ import taichi as ti
 from tisfm.kernels.edges import component_table, weight_sets
 from tisfm.kernels.lanes import (
     CHUNK,
+    SMALL,
     LaneArray,
     LaneGrid,
     SumArray,
     bind_kernel,
+    element,
     lane_count,
     lane_kernel,
+    planes_of,
     refresh_halo,
 )
 from tisfm.kernels.reductions import (
     BLOCK,
-    TINY,
     add_blocks,
     block_sums,
-    penalty,
     store_sum,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
@@ -30,6 +31,7 @@ from tisfm.kernels.robust import check_terms, finite_scales, robust_data, terms_
 from tisfm.kernels.small_spd import bind
 
 ROWS = 4  # of a band, which one thread takes at a time
+TINY = 1e-20  # in place of a weight that is zero
 
 
 @dataclass(frozen=True)
@@ -179,10 +181,13 @@ def _advance(
     blocks = partial.shape[1]
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
             _advance_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                 squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                weights, tensor, previous, partial, index // blocks, index % blocks,
+                weights, tensor, previous, partial, stride, planes, index // blocks,
+                index % blocks,
             )  # fmt: skip
     else:
         chunk = ti.static(1 if serial else CHUNK)
@@ -190,12 +195,14 @@ def _advance(
         for task in range(chunk * bands):
             if task % chunk == 0:
                 band = task // chunk
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
                 for row in range(band * height // bands, (band + 1) * height // bands):
                     for block in range(blocks):
                         _advance_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                             squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                            weights, tensor, previous, partial, row, block,
+                            weights, tensor, previous, partial, stride, planes, row, block,
                         )  # fmt: skip
                     # The western weight of a strip's first column is the eastern one of its
                     # neighbour's last.
@@ -224,6 +231,8 @@ def _advance_block(
     tensor: ti.template(),
     previous: ti.template(),
     partial: ti.template(),
+    stride,
+    planes: ti.template(),
     row,
     block,
 ):
@@ -233,34 +242,42 @@ def _advance_block(
     data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
         s = position + 1
-        here = ti.static([bind(rho[k, y, s]) for k in range(n)])
+        i = (y * stride + s) & SMALL
+        here = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
         u, v = ti.static(flow_of(columns, here))
-        half_data += u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
-        half_data += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
-        lines = ti.static([[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)])
+        j = ti.static([bind(element(tensor, i + planes[k])) for k in range(6)])
+        half_data += u * (j[0] * u + 2.0 * (j[1] * v + j[3])) + v * (j[2] * v + 2.0 * j[4]) + j[5]
+        entries = ti.static([bind(element(terms, i + planes[k])) for k in range(3 * count)])
+        lines = ti.static([entries[3 * k : 3 * k + 3] for k in range(count)])
         scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
         for k in ti.static(range(6)):
-            tensor[k, y, s] = sums[k]
+            tensor[0, 0, i + planes[k]] = sums[k]
         for side in ti.static(range(2)):  # east, south
-            g = edges[side, y, s]
-            steps = ti.static([bind(rho[k, y + side, s + 1 - side] - here[k]) for k in range(n)])
+            g = edges[0, 0, i + planes[side]]
+            beyond = i + 1 + side * (stride - 1)
+            steps = ti.static([bind(element(rho, beyond + planes[k]) - here[k]) for k in range(n)])
             squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
             lengths = ti.static(squares if sets == n else [_sum(squares)])
             for k in ti.static(range(sets)):
-                square = lengths[k]
-                before = weights[sets * side + k, y, s] / ti.max(g, TINY)
+                place = i + planes[sets * side + k]
+                square, before = lengths[k], weights[0, 0, place]
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
-                smooth += g * (2.0 * square / (1.0 + root))  # Φ_δ
-                half_smooth += g * (before * square + penalty(before, squared_contrast))
-                weights[sets * side + k, y, s] = g / root
+                both = g / (root * (1.0 + root))  # a quotient takes as long as many products
+                smooth += 2.0 * square * (root * both)  # g Φ_δ
+                # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
+                gap = g - before
+                half_smooth += before * square
+                half_smooth += squared_contrast * gap * gap / ti.max(before, TINY)
+                weights[0, 0, place] = both * (1.0 + root)  # g b
         for k in ti.static(range(n)):
-            step = here[k] - previous[k, y, s]
+            place = i + planes[k]
+            step = here[k] - previous[0, 0, place]
             moved += step * step
             size += here[k] * here[k]
-            previous[k, y, s] = here[k]
+            previous[0, 0, place] = here[k]
     for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, moved, size))):
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 

@@ -22,13 +22,16 @@ from functools import partial
 
 import numpy as np
 import taichi as ti
+from taichi.lang import impl
 
 from tisfm.kernels.buffers import ALIGNMENT, buffers
 from tisfm.kernels.launch import Kernel
+from tisfm.kernels.small_spd import bind
 
 LANES = (1, 8, 16)
 CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
+SMALL = 2**29 - 1  # elements: no array has more
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,27 @@ def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
         array[k, y, s] = value
 
 
+def planes_of(array, count: int) -> list:
+    """Return where the components of a lane array begin, for `element`, while compiling.
+
+    To be written before loops.
+    """
+    plane = bind(array.shape[1] * array.shape[2])
+    return [bind((k * plane) & SMALL) for k in range(count)]
+
+
+def element(array, index):
+    """Return an element of a lane array by one index, while compiling.
+
+    Three indices take seven instructions to become an address, every time, since in the 32 bits
+    that they have they might overflow. Of an index that is a sum of few parts cut to `SMALL`, such
+    as ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and one of `planes_of`, the
+    compiler knows that it does not, and most of it becomes part of the load.
+    """
+    compiling = impl.get_runtime().compiling_callable
+    return impl.subscript(compiling.ast_builder(), array, 0, 0, index)
+
+
 @ti.func
 def refresh_halo(array: ti.template(), k, y):
     """Copy the border columns of the neighbouring strips into the halo columns of row y."""
@@ -174,6 +198,11 @@ class LaneGrid:
     def allocate(self, components: int, halo: int = 1, *, zeros: bool = True):
         """Return a lane array of zeros, or of any values, aligned for vector loads."""
         shape = self.shape(components, halo)
+        if math.prod(shape[:3]) > SMALL:
+            raise ValueError(
+                f"{self.height} × {self.width} pixels are too many for arrays of {components} "
+                f"components with lanes = {self.lanes}: scale the frames down"
+            )
         if self.on_device:
             return ti.ndarray(ti.f32, shape)
         return aligned_zeros(shape) if zeros else aligned_empty(shape)

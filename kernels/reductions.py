@@ -10,7 +10,6 @@ import taichi as ti
 from tisfm.kernels.lanes import LaneGrid, lane_of
 
 BLOCK = 16
-TINY = 1e-20
 
 
 def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
@@ -22,14 +21,6 @@ def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
 def add_blocks(partial: np.ndarray) -> np.ndarray:
     """Return the sums over the image, (terms,) float64."""
     return np.einsum("ybt->t", partial, dtype=np.float64)
-
-
-@ti.func
-def penalty(b, squared_contrast):
-    """Return δ²(b + 1/b − 2)."""
-    # (1 − b)²/b is b + 1/b − 2 without its cancellation.
-    gap = 1.0 - b
-    return squared_contrast * gap * gap / ti.max(b, TINY)
 
 
 @ti.func

@@ -12,10 +12,13 @@ import taichi as ti
 from tisfm.kernels.edges import component_table, spread, weight_sets
 from tisfm.kernels.lanes import (
     CHUNK,
+    SMALL,
     LaneArray,
     LaneGrid,
     bind_kernel,
+    element,
     lane_kernel,
+    planes_of,
     refresh_halo,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
@@ -144,6 +147,8 @@ def _sweep(
     for task in range(chunk * bands):
         if task % chunk == 0:
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
             band = task // chunk
             first, last = band * height // bands, (band + 1) * height // bands
             first_black = ti.select(band > 0, first + 1, first)
@@ -158,8 +163,8 @@ def _sweep(
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax(
-                            tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
-                            closed_form, sourced, rho, row + 1, s,
+                            tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                            relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
@@ -168,13 +173,15 @@ def _sweep(
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
                 border = task // CHUNK
                 row = (border // 2 + 1) * height // bands - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     _relax(
-                        tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
-                        closed_form, sourced, rho, row + 1, s,
+                        tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                        relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(n):
                     refresh_halo(rho, k, row + 1)
@@ -202,9 +209,11 @@ def _sweep_sites(
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
             _relax(
-                tensor, weights, x_hat, y_hat, source, alphas, relaxation, n, sets,
-                closed_form, sourced, rho, row + 1, s,
+                tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
             )  # fmt: skip
 
 
@@ -216,6 +225,8 @@ def _relax(
     y_hat: ti.template(),
     source: ti.template(),
     alphas: ti.template(),
+    stride,
+    planes: ti.template(),
     relaxation,
     n: ti.template(),
     sets: ti.template(),
@@ -226,78 +237,71 @@ def _relax(
     s,
 ):
     """Solve one pixel (one vector of lanes) and over-relax."""
-    center = ti.static([bind(rho[k, y, s]) for k in range(n)])
+    i = (y * stride + s) & SMALL
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-    east = ti.static([bind(weights[k, y, s]) for k in range(sets)])
-    west = ti.static([bind(weights[k, y, s - 1]) for k in range(sets)])
-    south = ti.static([bind(weights[sets + k, y, s]) for k in range(sets)])
-    north = ti.static([bind(weights[sets + k, y - 1, s]) for k in range(sets)])
-    edges = ti.static([spread(side, n) for side in (east, west, south, north)])
-    residual = residual_at(tensor, edges, columns, source, alphas, n, sourced, rho, center, y, s)
-    j = ti.static([bind(tensor[k, y, s]) for k in range(3)])
-    step = ti.static(_solve(closed_form, alphas, edges, sets, columns, j, residual))
-    for k in ti.static(range(n)):
-        rho[k, y, s] = center[k] + relaxation * step[k]
-
-
-@ti.func
-def residual_at(
-    tensor: ti.template(),
-    edges: ti.template(),
-    columns: ti.template(),
-    source: ti.template(),
-    alphas: ti.template(),
-    n: ti.template(),
-    sourced: ti.template(),
-    rho: ti.template(),
-    center: ti.template(),
-    y,
-    s,
-):
-    """Return c − Bρ̂ of one pixel (one vector of lanes), where ρ̂ is `center`, as a list of n."""
-    u, v = ti.static(flow_of(columns, center))
-    # Gradient of the data term in the flow, J(u, v)ᵀ + j.
-    g1 = tensor[0, y, s] * u + tensor[1, y, s] * v
-    g2 = tensor[1, y, s] * u + tensor[2, y, s] * v
-    if ti.static(not sourced):
-        g1 = g1 + tensor[3, y, s]
-        g2 = g2 + tensor[4, y, s]
+    center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+    edges = ti.static(edges_at(weights, planes, stride, sets, i))
+    j = ti.static([bind(element(tensor, i + planes[k])) for k in range(3)])
     residual = ti.static(
-        [
-            bind(
-                alphas[k]
-                * (
-                    edges[0][k] * (rho[k, y, s + 1] - center[k])
-                    + edges[1][k] * (rho[k, y, s - 1] - center[k])
-                    + edges[2][k] * (rho[k, y + 1, s] - center[k])
-                    + edges[3][k] * (rho[k, y - 1, s] - center[k])
-                )
-                - columns[k][0] * g1
-                - columns[k][1] * g2
-                + (source[k, y, s] if sourced else 0.0)
-            )
-            for k in range(n)
-        ]
-    )
+        residual_at(
+            tensor, edges, columns, source if sourced else None, alphas, planes, stride, rho,
+            center, i,
+        )
+    )  # fmt: skip
+    step = ti.static(_solve(closed_form, alphas, edges, columns, j, residual))
+    for k in ti.static(range(n)):
+        rho[0, 0, i + planes[k]] = center[k] + relaxation * step[k]
+
+
+def edges_at(weights, planes, stride, sets, i) -> list:
+    """Return the weights of a pixel's edges, while compiling: lists of `sets`, E, W, S, N."""
+    return [
+        [bind(element(weights, place + planes[first + k])) for k in range(sets)]
+        for first, place in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
+    ]
+
+
+def residual_at(tensor, edges, columns, source, alphas, planes, stride, rho, center, i) -> list:
+    """Return c − Bρ̂ of a pixel, where ρ̂ is `center`, while compiling; without `source`, c = −Gᵀj.
+
+    `i` is the pixel's element (`tisfm.kernels.lanes.element`), `edges` are those of `edges_at`.
+    """
+    n = len(center)
+    u, v = flow_of(columns, center)
+    j11, j12, j22, j1, j2 = (bind(element(tensor, i + planes[k])) for k in range(5))
+    # Gradient of the data term in the flow, J(u, v)ᵀ + j.
+    g1, g2 = j11 * u + j12 * v, j12 * u + j22 * v
+    if source is None:
+        g1, g2 = g1 + j1, g2 + j2
+    g1, g2 = bind(g1), bind(g2)
+    neighbours = (i + 1, i - 1, i + stride, i - stride)
+    residual = []
+    for k, (a, b) in enumerate(columns):
+        smooth = 0.0
+        for side, place in zip(edges, neighbours, strict=True):
+            difference = element(rho, place + planes[k]) - center[k]
+            smooth = smooth + spread(side, n)[k] * difference
+        total = alphas[k] * smooth - a * g1 - b * g2
+        if source is not None:
+            total = total + element(source, i + planes[k])
+        residual.append(bind(total))
     return residual
 
 
-def _solve(closed_form, alphas, edges, sets, columns, tensor, residual):
+def _solve(closed_form, alphas, edges, columns, tensor, residual):
     """Return B⁻¹ residual, written out by the chosen solver."""
-    east, west, south, north = edges
-    totals = spread(
-        [bind(east[k] + west[k] + south[k] + north[k]) for k in range(sets)], len(alphas)
-    )
+    sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
+    totals = spread(sets, len(alphas))
     j11, j12, j22 = tensor
     # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
     # to, where the residual is zero, it leaves alone.
     floor = bind(DATA_FLOOR * (j11 + j22) + DIAGONAL_FLOOR)
     if closed_form and len(alphas) > 1:  # a single equation is solved as it is
-        if sets == 1:  # a single quotient of vectors
+        if len(sets) == 1:  # a single quotient of vectors
             softest = alphas[0]
             for alpha in alphas[1:]:
                 softest = ti.min(softest, alpha)
-            shared = bind(1.0 / ti.max(totals[0], floor / softest))
+            shared = bind(1.0 / ti.max(totals[0], floor * bind(1.0 / softest)))
             inverse = [bind(shared * bind(1.0 / alpha)) for alpha in alphas]
         else:
             inverse = [

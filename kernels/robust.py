@@ -79,8 +79,9 @@ def robust_data(terms, scales, u, v):
     for lines, (inverse, scale) in zip(terms, scales, strict=False):
         q = squares(lines, u, v)
         root = bind(ti.sqrt(1.0 + inverse * q))
-        weight = bind(1.0 / root)
-        energy = energy + 2.0 * q / (1.0 + root)
+        both = bind(1.0 / (root * (1.0 + root)))  # one quotient for two
+        weight = bind((1.0 + root) * both)
+        energy = energy + 2.0 * q * (root * both)
         tensor = [
             total + weight * entry for total, entry in zip(tensor, products(lines), strict=True)
         ]
