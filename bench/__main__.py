@@ -26,7 +26,7 @@ TABLE_WIDTH = 136  # columns, where the output is no terminal
 FULL = {
     "sizes": ["240x320", "480x640", "1080x1920"],
     "threads": [1, 2],
-    "lanes": "8,1",
+    "lanes": ",".join(map(str, dict.fromkeys((LANES, 8, 1)))),
     "only": None,
     "seconds": 0.5,
     "memory": True,
@@ -35,7 +35,7 @@ FULL = {
 }
 SMOKE = FULL | {
     "sizes": ["96x128"],
-    "lanes": "8",
+    "lanes": str(LANES),
     "seconds": 0.05,
     "memory": False,
     "contests": True,

@@ -41,7 +41,10 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Row:
-    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure."""
+    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure.
+
+    `lanes` is 0 where a kernel works on plain images.
+    """
 
     kernel: str
     size: tuple[int, int]
@@ -67,7 +70,7 @@ class Row:
             f"{height}x{width}",
             self.model,
             self.solver,
-            str(self.lanes),
+            str(self.lanes or "–"),
             str(self.threads),
             f"{self.time:.2f}",
             _text(self.iqr, ".2f"),

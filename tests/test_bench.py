@@ -4,6 +4,7 @@ import ast
 import itertools
 import json
 import os
+import pkgutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,14 +19,15 @@ from bench.agreement import check, check_quantile, disagreement
 from bench.bars import bars
 from bench.columns import cores, present, ratio, standard_time
 from bench.contest import Call, MethodFailure, hold, score
-from bench.operations import Operations
 from bench.peer_plot import picture
 from bench.peer_process import WORKER, Peer, survey
 from bench.problems import Problem
 from bench.report import HEAD, collect, describe, write_markdown
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.traffic import TRAFFIC
+from bench.unfused import sweep_unfused
 from bench.untextured import Method
+from tisfm import kernels
 from tisfm.runtime import cpu_lanes
 from tisfm.scenes import bare_patches
 from tisfm.settings import Settings
@@ -41,7 +43,7 @@ def entry(median, **info):
 def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None):
     kernel = {"kernel": "sweep separate", "size": [480, 640], "model": "rigid"}
     scale = 1e-9 * PIXELS
-    words = TRAFFIC["sweep separate"].bytes_per_pixel(6)
+    words = TRAFFIC["sweep separate"].bytes_per_pixel(6, cpu_lanes())
     taichi = {"implementation": "taichi", "solver": "cholesky", "lanes": cpu_lanes()}
     entries = [
         entry(0.01, implementation="stream", kernel="copy", bytes=2 * 10**8),
@@ -123,9 +125,7 @@ def test_one_wrong_pixel_fails_the_check(wrong):
 
 
 def test_every_kernel_has_its_traffic():
-    from bench.bench_kernels import CASES
-    from bench.operations import Operations
-    from bench.references import References
+    from bench.bench_kernels import CASES, Operations, References
 
     assert {case.name for case in CASES} == set(TRAFFIC)
     for case, side in itertools.product(CASES, (Operations, References)):
@@ -390,7 +390,11 @@ def test_a_run_on_a_gpu_has_one_lane_and_files_of_its_own(capsys):
     assert (options.arch, options.lanes, options.output) == ("cuda", "1", "smoke-cuda")
     assert len(options.threads) == 1 and not options.memory and not options.contests
     options = parse([])
-    assert (options.arch, options.lanes, options.output) == ("cpu", "8,1", "full")
+    assert (options.arch, options.lanes, options.output) == (
+        "cpu",
+        "16,8,1" if cpu_lanes() == 16 else "8,1",
+        "full",
+    )
     with pytest.raises(SystemExit):
         parse(["--bars", "--arch", "cuda"])
     assert "the bars are those of the CPU" in capsys.readouterr().err
@@ -403,18 +407,56 @@ def test_the_gpu_is_named():
     assert not any("Kernels on" in line for line in describe(collect([report()], {})))
 
 
-def test_what_is_timed_on_a_device_agrees_with_the_reference():
+@pytest.mark.parametrize(("lanes", "on_device"), [(1, True), (cpu_lanes(), False)])
+def test_what_is_timed_agrees_with_the_reference(lanes, on_device):
     problem = Problem(23, 34)
     for case in bench_kernels.CASES:
-        operations = Operations(
+        operations = bench_kernels.Operations(
             problem,
-            1,
+            lanes,
             case.components or 6,
             scheme=case.scheme,
             solver=case.solver,
-            on_device=True,
+            on_device=on_device,
         )
         run, read = getattr(operations, case.kernel)()
         bench_kernels.reference_run(problem, case.without_solver())
         expected = problem.expected[case.without_solver()]
         check(read(run()), expected, case.tolerance(problem))
+
+
+def test_two_passes_need_more_lanes_than_one():
+    problem = Problem(5, 6)
+    side = bench_kernels.Operations(problem, 1, 6, scheme="joint")
+    field = side.field
+    with pytest.raises(ValueError, match="1 lane: expected 8 or 16"):
+        sweep_unfused(
+            side.grid, *side.system(), field.x_hat, field.y_hat, field.rho,
+            alpha=1.0, relaxation=1.0, solver="cholesky",
+        )  # fmt: skip
+
+
+def test_a_pass_for_one_color_spares_lines_of_the_other():
+    two_passes = TRAFFIC["sweep_unfused joint"]
+    once = TRAFFIC["sweep joint"]
+    n = 6
+    assert two_passes.bytes_per_pixel(n, 8) == 2 * once.bytes_per_pixel(n, 8) == 2 * 4 * 19
+    # Of 16 lanes, each color has lines of its own: of the tensor, and of ρ̂ where it is written.
+    assert two_passes.bytes_per_pixel(n, 16) == 4 * (2 * 19 - 5 - n)
+
+
+def test_every_public_kernel_is_timed():
+    """But what is a part of another: `sweeper` of `sweep`, `advancer` of `advance`."""
+    timed = {case.kernel for case in bench_kernels.CASES}
+    for info in pkgutil.iter_modules(kernels.__path__):
+        source = Path(kernels.__path__[0], f"{info.name}.py").read_text(encoding="utf-8")
+        tree = ast.parse(source)
+        decorated = {
+            node.name.removeprefix("_")
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+            and any(getattr(d, "id", "") in ("lane_kernel", "Kernel") for d in node.decorator_list)
+        }
+        variants = {name for name in decorated if name.endswith(("_sites", "_by_pixel", "_order"))}
+        schemes = {"cube", "five_tap"} if info.name == "derivatives" else {"scale"}
+        assert decorated - variants - schemes <= timed, info.name
