@@ -11,7 +11,6 @@ import contextlib
 import sys
 import tempfile
 from pathlib import Path
-from typing import get_args
 
 import cv2
 from rich.console import Console
@@ -22,6 +21,7 @@ from bench.contest import machine
 from bench.contest_command import (
     RESULTS,
     SMOKE_SIZE,
+    add_method_options,
     add_options,
     check_counts,
     choose,
@@ -49,10 +49,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.depth", description=__doc__)
     add_options(parser)
-    parser.add_argument(
-        "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
-    )
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_method_options(parser)
     parser.add_argument("--remark", metavar="TEXT", help="what else to say beside the tables")
     options = parser.parse_args(arguments)
     check_counts(parser, options)

@@ -18,7 +18,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -28,6 +28,7 @@ from bench.contest import MethodFailure, machine
 from bench.contest_command import (
     RESULTS,
     SMOKE_SIZE,
+    add_method_options,
     add_options,
     check_counts,
     choose,
@@ -76,10 +77,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.objects", description=__doc__)
     add_options(parser)
-    parser.add_argument(
-        "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
-    )
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_method_options(parser)
     parser.set_defaults(rounds=1)
     options = parser.parse_args(arguments)
     check_counts(parser, options)

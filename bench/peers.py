@@ -18,6 +18,7 @@ from bench.contest_command import (
     RESULTS,
     Pairs,
     add_options,
+    add_peer_option,
     check_counts,
     choose,
     hold_with_progress,
@@ -43,7 +44,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench.peers", description=__doc__)
     add_options(parser)
     parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_peer_option(parser)
     parser.add_argument("--prepare", type=Path, metavar="DIR", help="make their environment, only")
     options = parser.parse_args(arguments)
     check_counts(parser, options)

@@ -40,7 +40,7 @@ def entry(median, **info):
     return {"stats": stats, "extra_info": {"threads": 2, **info}}
 
 
-def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None):
+def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None, pair_ratio=60.0):
     kernel = {"kernel": "sweep separate", "size": [480, 640], "model": "rigid"}
     scale = 1e-9 * PIXELS
     words = TRAFFIC["sweep separate"].bytes_per_pixel(6, cpu_lanes())
@@ -52,9 +52,15 @@ def report(sweep_ns=10.0, numpy_ns=1000.0, large_ns=None):
         entry(sweep_ns * scale, bytes_per_pixel=words, **taichi, **kernel),
     ]
     if large_ns is not None:
-        large = {"kernel": "sweep joint", "size": [1080, 1920], "model": "rigid"}
+        large = {"size": [1080, 1920], "model": "rigid"}
         taichi |= {"solver": "closed_form"}
-        entries.append(entry(large_ns * 1e-9 * 1080 * 1920, bytes_per_pixel=1, **taichi, **large))
+        for kernel in ("sweep joint", "sweep_unfused joint"):
+            words = TRAFFIC[kernel].bytes_per_pixel(6, cpu_lanes())
+            seconds = large_ns * 1e-9 * 1080 * 1920
+            entries.append(entry(seconds, bytes_per_pixel=words, kernel=kernel, **taichi, **large))
+        pair = {"kernel": "pair balanced", "size": [240, 320], "model": "rigid"}
+        entries.append(entry(1.0, **taichi, **pair))
+        entries.append(entry(pair_ratio, implementation="numpy", **pair))
     machine = {"machine": "x", "system": "y", "python_version": "3", "numpy": "2", "taichi": "1"}
     return {"machine_info": machine, "benchmarks": entries}
 
@@ -84,21 +90,31 @@ def test_the_reference_of_another_process_is_not_taken():
     assert ratios[2] == pytest.approx(100)
 
 
+FLOOR = TRAFFIC["sweep_unfused joint"].bytes_per_pixel(6, cpu_lanes()) / 20  # ns, at 20 GB/s
+
+
 @pytest.mark.parametrize(
-    ("sweep_ns", "numpy_ns", "large_ns", "floats", "met"),
+    ("change", "missed"),
     [
-        (10, 1000, 5, 50, (True, True, True, True)),
-        (13, 1000, 5, 50, (False, True, True, True)),
-        (10, 600, 5, 50, (True, False, True, True)),
-        (10, 1000, 7, 50, (True, True, False, True)),
-        (10, 1000, 5, 61, (True, True, True, False)),
+        ({}, set()),
+        ({"sweep_ns": 13}, {"12"}),
+        ({"numpy_ns": 600}, {"70"}),
+        ({"large_ns": 1.2 * FLOOR}, {"6"}),
+        ({"large_ns": 1.4 * FLOOR}, {"6", "1.3"}),
+        ({"pair_ratio": 40}, {"50"}),
+        ({"floats": 61}, {"60"}),
     ],
 )
-def test_bars(sweep_ns, numpy_ns, large_ns, floats, met):
-    memory = dict.fromkeys(("paper", "fast", "balanced", "accurate"), floats)
-    found = list(bars(collect([report(sweep_ns, numpy_ns, large_ns)], memory)))
-    assert [bar.met for bar in found[:3]] == list(met[:3])
-    assert {bar.met for bar in found[3:]} == {met[3]}
+def test_bars(change, missed):
+    given = {"sweep_ns": 10, "numpy_ns": 1000, "large_ns": 5, "floats": 50} | change
+    memory = dict.fromkeys(("paper", "fast", "balanced", "accurate"), given.pop("floats"))
+    found = list(bars(collect([report(**given)], memory)))
+    assert {f"{bar.bound:g}" for bar in found if not bar.met} == missed
+    assert {f"{bar.bound:g}" for bar in found if bar.bound} == {"12", "70", "6", "1.3", "50", "60"}
+    (beside,) = (bar for bar in found if bar.bound is None)
+    fused = TRAFFIC["sweep joint"].bytes_per_pixel(6, cpu_lanes()) / 20
+    assert beside.value == pytest.approx(given["large_ns"] / fused)
+    assert "pass" not in str(beside) and f"memory floor: {beside.value:.2f}" in str(beside)
 
 
 def test_a_bar_that_was_not_measured_is_missed():
