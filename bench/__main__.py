@@ -55,7 +55,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line; what it leaves open is that of a full, smoke or bars run."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--smoke", action="store_true", help="a small size, in less than a minute")
+    kind.add_argument("--smoke", action="store_true", help="a small size, in about a minute")
     kind.add_argument("--bars", action="store_true", help="only what the bars need; must meet them")
     parser.add_argument("--arch", choices=ARCHS, default="cpu", help="where kernels run")
     parser.add_argument("--sizes", nargs="+", metavar="HxW")
