@@ -31,7 +31,7 @@ from bench.depth_contest import DepthContest, hold
 from bench.depth_methods import FlowThenDepth, Joint, Method
 from bench.depth_pairs import Entry, data_entries, scene_entries
 from bench.depth_report import show, write
-from bench.peer_process import Peer, Survey, survey
+from bench.peer_process import Peer, find_peers
 from bench.sequences import data_folder
 from tisfm import runtime
 from tisfm.settings import Motion, Preset
@@ -75,11 +75,7 @@ def compare(options: argparse.Namespace) -> DepthContest:
     entries, missing = find_entries(options)
     height, width = _scene_size(options)
     runtime.start(threads=options.threads)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     missing |= {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
     presets: list[Preset] = options.preset
     with contextlib.ExitStack() as stack:

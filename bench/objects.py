@@ -38,7 +38,7 @@ from bench.depth_methods import FlowThenDepth
 from bench.depth_pairs import rendered
 from bench.depth_scores import depth_of
 from bench.object_scores import Score, compared, details, table
-from bench.peer_process import Peer, Survey, survey
+from bench.peer_process import Peer, find_peers
 from bench.sequences import data_folder
 from bench.statue import FOCALS, FOLDER, Seen, seen, statue_pairs
 from bench.statue import table as statue_table
@@ -143,11 +143,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     runtime.start(threads=options.threads)
     chosen = list(scenes(options))
     folder = None if options.smoke else data_folder(options.data)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     missing = {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
     scores: list[Score] = []
     statue: list[Seen] = []

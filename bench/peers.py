@@ -27,7 +27,7 @@ from bench.contest_command import (
 )
 from bench.contest_report import show, write
 from bench.peer_plot import draw
-from bench.peer_process import Peer, Survey, prepare, survey
+from bench.peer_process import Peer, find_peers, prepare, survey
 from tisfm import runtime
 from tisfm.settings import Preset
 
@@ -54,11 +54,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def compare(options: argparse.Namespace, found: Pairs) -> Contest:
     """Run tisfm's methods and the peers."""
     runtime.start(threads=options.threads)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     presets: list[Preset] = ["fast", "balanced", "accurate"]
     if options.paper:
         presets.append("paper")

@@ -20,7 +20,7 @@ from bench.bars import bars
 from bench.columns import cores, present, ratio, standard_time
 from bench.contest import Call, MethodFailure, hold, score
 from bench.peer_plot import picture
-from bench.peer_process import WORKER, Peer, survey
+from bench.peer_process import WORKER, Peer, find_peers, survey
 from bench.problems import Problem
 from bench.report import HEAD, collect, describe, write_markdown
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
@@ -318,6 +318,9 @@ def test_every_peer_is_available_or_missing_for_a_reason():
     assert all(found.missing.values())
     with pytest.raises(RuntimeError, match="does not run the peers' worker"):
         survey(Path("no-such-python"))
+    _, found = find_peers(Path("no-such-python"))
+    assert not found.available and "no-such-python" in found.missing["all peers"]
+    assert find_peers(None)[0] == Path(sys.executable)
 
 
 def test_smoke_of_the_peers(tmp_path, monkeypatch, capsys):
