@@ -26,7 +26,6 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image t
 # thresholds, and some pixels of thousands lie so near one that rounding decides.
 TOLERANCE = 1e-6
 TOLERANCES = {
-    "constancy_constraints": 1e-5,  # squares of differences of larger numbers
     "restrict_residual": 1e-5,
     "sweep": 1e-4,
     "sweep_unfused": 1e-4,
@@ -70,6 +69,9 @@ class Case:
         if self.kernel in AT_PLACES:
             # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
             return AT_PLACES[self.kernel] * problem.width * 2.0**-22
+        if self.kernel == "constancy_constraints":
+            # The robust weights are of (p, q)·(u, v) + c, a difference of numbers as large as ∇I·u.
+            return TOLERANCE * max(1.0, 1.5 * np.abs(problem.flow).max())
         return TOLERANCES.get(self.kernel, TOLERANCE)
 
     def label(self, problem: Problem) -> dict:
