@@ -7,13 +7,16 @@ import pytest
 import taichi as ti
 
 from bench.agreement import check
-from bench.operations import Operations
+from bench.depth_steps import DepthOperations, DepthReferences
+from bench.multigrid_steps import MultigridOperations, MultigridReferences
+from bench.operations import FieldOperations
 from bench.problems import ALPHA, RELAXATION, Problem
-from bench.references import References
+from bench.references import FieldReferences
 from bench.traffic import TRAFFIC
 from tisfm import reference, runtime
 
 MODELS = {6: "rigid", 3: "translation"}
+DEPTH = 1  # unknown per pixel, along an epipolar line
 SOLVERS = ("cholesky", "closed_form")
 EDGES = ("separate", "joint")  # for each component, or for all
 LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image takes its time
@@ -23,9 +26,11 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image t
 # thresholds, and some pixels of thousands lie so near one that rounding decides.
 TOLERANCE = 1e-6
 TOLERANCES = {
-    "constancy_constraints": 1e-5,  # squares of differences of larger numbers
+    "restrict_residual": 1e-5,
     "sweep": 1e-4,
+    "sweep_unfused": 1e-4,
     "evidence": 1e-4,
+    "share_of_data": 1e-5,  # of determinants, which are such differences
     "advance": 1e-4,
     "defeated": 1e-2,
 }
@@ -46,7 +51,12 @@ class Case:
 
     @property
     def model(self) -> str:
-        return MODELS.get(self.components, "")
+        return {**MODELS, DEPTH: "depth"}.get(self.components, "")
+
+    @property
+    def in_lanes(self) -> bool:
+        """Whether the kernel works on lane arrays, and is another for each lane count."""
+        return self.kernel not in WITHOUT_LANES
 
     def __str__(self) -> str:
         return "-".join(filter(None, (self.kernel, self.scheme, self.model, self.solver)))
@@ -56,9 +66,12 @@ class Case:
         return Case(self.kernel, self.components, self.scheme)
 
     def tolerance(self, problem: Problem) -> float:
-        if self.kernel in ("warp", "prolong", "splat"):
+        if self.kernel in AT_PLACES:
             # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
-            return problem.width * 2.0**-22
+            return AT_PLACES[self.kernel] * problem.width * 2.0**-22
+        if self.kernel == "constancy_constraints":
+            # The robust weights are of (p, q)·(u, v) + c, a difference of numbers as large as ∇I·u.
+            return TOLERANCE * max(1.0, 1.5 * np.abs(problem.flow).max())
         return TOLERANCES.get(self.kernel, TOLERANCE)
 
     def label(self, problem: Problem) -> dict:
@@ -66,13 +79,28 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-PLAIN = ("image_to_lanes", "warp", "constancy_constraints", "splat", "defeated")
-PER_MODEL = (
-    "lanes_to_images",
-    "flow",
-    "prolong",
-    "evidence",
+# Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
+AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4}
+# On plain images, or vectors of their own.
+WITHOUT_LANES = ("splat", "defeated", "share_of_data", "motion_fields", "matching_cost")
+PLAIN = (
+    "image_to_lanes",
+    "warp",
+    "constancy_constraints",
+    "image_edges",
+    "multiply",
+    "share_of_data",
+    "splat",
+    "defeated",
+    "displacement",
+    "along",
+    "motion_system",
+    "matching_cost",
+    "aggregate",
 )
+PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "evidence")
+MULTIGRID = ("relayout", "correct", "descend")
+MULTIGRID_PER_EDGES = ("coarsen_system", "restrict_residual", "plane")
 CASES = [
     *(Case(kernel) for kernel in PLAIN),
     *(Case("derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),
@@ -83,9 +111,22 @@ CASES = [
         for scheme in EDGES
         for solver in SOLVERS
     ),
+    Case("sweep", DEPTH, scheme="line", solver="closed_form"),
+    Case("sweep_unfused", 6, scheme="joint", solver="closed_form"),
     *(Case("advance", components, scheme=scheme) for components in MODELS for scheme in EDGES),
+    Case("advance", DEPTH, scheme="line"),
+    *(Case(kernel, 6) for kernel in MULTIGRID),
+    *(Case(kernel, 6, scheme=scheme) for kernel in MULTIGRID_PER_EDGES for scheme in EDGES),
 ]
 REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
+
+
+class Operations(FieldOperations, MultigridOperations, DepthOperations):
+    """All kernels."""
+
+
+class References(FieldReferences, MultigridReferences, DepthReferences):
+    """What they stand beside."""
 
 
 def reference_run(problem, case):
@@ -103,7 +144,9 @@ def bench_numpy(problem, case, measure):
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def bench_taichi(problem, case, lanes, measure):
+def bench_taichi(problem, case, lanes, measure, pytestconfig):
+    if not case.in_lanes and str(lanes) != pytestconfig.getoption("lanes").split(",")[0]:
+        pytest.skip("it is the same kernel for every lane count")
     components = case.components or 6
     operations = Operations(
         problem,
@@ -127,9 +170,9 @@ def bench_taichi(problem, case, lanes, measure):
     measure(
         call,
         implementation="taichi",
-        lanes=lanes,
+        lanes=lanes if case.in_lanes else 0,
         solver=case.solver,
-        bytes_per_pixel=TRAFFIC[case.name].bytes_per_pixel(components),
+        bytes_per_pixel=TRAFFIC[case.name].bytes_per_pixel(components, lanes),
         disagreement=error,
         **case.label(problem),
     )

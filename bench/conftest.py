@@ -18,7 +18,8 @@ def pytest_addoption(parser):
     group.addoption("--arch", default="cpu", help="where kernels run")
     group.addoption("--threads", type=int, default=2, help="threads of Taichi in this process")
     group.addoption("--sizes", default="240x320", help="sizes, HxW, separated by commas")
-    group.addoption("--lanes", default="8", help="lane counts, separated by commas")
+    lanes = str(runtime.cpu_lanes())
+    group.addoption("--lanes", default=lanes, help="lane counts, separated by commas")
     group.addoption("--seconds", type=float, default=0.5, help="time to spend on a measurement")
     group.addoption("--full-reference", action="store_true", help="NumPy pairs at every size")
 

@@ -4,13 +4,14 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench.contest import Contest, Method, hold
 from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
+from tisfm.settings import Preset
 
 RESULTS = Path(__file__).parent / "results"
 SMOKE_SIZE, SCENE_SIZE = (96, 128), (480, 640)
@@ -30,6 +31,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="timed calls of each")
     parser.add_argument("--smoke", action="store_true", help="small scenes, one round, no data")
     parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
+
+
+def add_method_options(parser: argparse.ArgumentParser) -> None:
+    """Add which presets of tisfm take part, and where the flows of others come from."""
+    parser.add_argument(
+        "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
+    )
+    add_peer_option(parser)
+
+
+def add_peer_option(parser: argparse.ArgumentParser) -> None:
+    """Add where other libraries are."""
+    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import contextlib
 import sys
 import tempfile
 from pathlib import Path
-from typing import get_args
 
 import cv2
 from rich.console import Console
@@ -22,6 +21,7 @@ from bench.contest import machine
 from bench.contest_command import (
     RESULTS,
     SMOKE_SIZE,
+    add_method_options,
     add_options,
     check_counts,
     choose,
@@ -31,7 +31,7 @@ from bench.depth_contest import DepthContest, hold
 from bench.depth_methods import FlowThenDepth, Joint, Method
 from bench.depth_pairs import Entry, data_entries, scene_entries
 from bench.depth_report import show, write
-from bench.peer_process import Peer, Survey, survey
+from bench.peer_process import Peer, find_peers
 from bench.sequences import data_folder
 from tisfm import runtime
 from tisfm.settings import Motion, Preset
@@ -49,10 +49,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.depth", description=__doc__)
     add_options(parser)
-    parser.add_argument(
-        "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
-    )
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_method_options(parser)
     parser.add_argument("--remark", metavar="TEXT", help="what else to say beside the tables")
     options = parser.parse_args(arguments)
     check_counts(parser, options)
@@ -78,11 +75,7 @@ def compare(options: argparse.Namespace) -> DepthContest:
     entries, missing = find_entries(options)
     height, width = _scene_size(options)
     runtime.start(threads=options.threads)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     missing |= {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
     presets: list[Preset] = options.preset
     with contextlib.ExitStack() as stack:

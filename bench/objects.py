@@ -18,7 +18,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -28,6 +28,7 @@ from bench.contest import MethodFailure, machine
 from bench.contest_command import (
     RESULTS,
     SMOKE_SIZE,
+    add_method_options,
     add_options,
     check_counts,
     choose,
@@ -37,7 +38,7 @@ from bench.depth_methods import FlowThenDepth
 from bench.depth_pairs import rendered
 from bench.depth_scores import depth_of
 from bench.object_scores import Score, compared, details, table
-from bench.peer_process import Peer, Survey, survey
+from bench.peer_process import Peer, find_peers
 from bench.sequences import data_folder
 from bench.statue import FOCALS, FOLDER, Seen, seen, statue_pairs
 from bench.statue import table as statue_table
@@ -76,10 +77,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.objects", description=__doc__)
     add_options(parser)
-    parser.add_argument(
-        "--preset", nargs="+", choices=get_args(Preset), default=["balanced"], metavar="PRESET"
-    )
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_method_options(parser)
     parser.set_defaults(rounds=1)
     options = parser.parse_args(arguments)
     check_counts(parser, options)
@@ -145,11 +143,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     runtime.start(threads=options.threads)
     chosen = list(scenes(options))
     folder = None if options.smoke else data_folder(options.data)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     missing = {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
     scores: list[Score] = []
     statue: list[Seen] = []

@@ -1,7 +1,6 @@
-"""The Taichi side: every kernel, by its wrapper, on the arrays it would meet in the driver."""
+"""The Taichi side: kernels, by their wrappers, on the arrays they would meet in the driver."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -9,14 +8,16 @@ from bench.problems import (
     ALPHA,
     CONSTRAINTS,
     CONTRAST,
+    RATE,
     RATIO,
     RELAXATION,
     SCALES,
+    TOLERATED,
     UNIQUENESS,
-    Problem,
 )
 from bench.references import mask_moments
-from tisfm.field import Field, LaneData
+from bench.sides import TaichiSide, Timed
+from bench.unfused import sweep_unfused
 from tisfm.interpolation import spline_taps
 from tisfm.kernels import (
     claims,
@@ -24,39 +25,19 @@ from tisfm.kernels import (
     derivatives,
     evidence,
     flow,
+    image_edges,
     images,
     iteration,
+    readout,
     relaxation,
     transfer,
     warp,
 )
-from tisfm.kernels.lanes import LaneGrid, aligned_zeros, on_host
-
-Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
+from tisfm.kernels.lanes import aligned_zeros
 
 
-class Operations:
-    """One method per kernel, which returns the call to be timed and a reader of its answer.
-
-    The reader takes what the call returned and gives images, (k, H, W), or sums, (k, 1). Calls
-    that work in place go on from where the last one ended, as they do in the solver. On a device,
-    lane arrays are there before the call, and stay.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        lanes: int,
-        components: int,
-        *,
-        scheme: str = "",
-        solver: str = "",
-        on_device: bool = False,
-    ) -> None:
-        self.problem, self.n, self.scheme, self.solver = problem, components, scheme, solver
-        self.grid = LaneGrid(problem.height, problem.width, lanes, on_device=on_device)
-        self.field = Field(self.grid, problem.camera, components)
-        self.field.rho = self.lay(problem.rho[:components])
+class FieldOperations(TaichiSide):
+    """The kernels on the way from two frames to a field of motion."""
 
     def image_to_lanes(self) -> Timed:
         image = self.problem.frames[0].astype(np.float32)
@@ -119,15 +100,33 @@ class Operations:
             lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 
+    def image_edges(self) -> Timed:
+        image, out = self.problem.frames[0].astype(np.float32), self.grid.allocate(2)
+        return (
+            lambda: image_edges.image_edges(self.grid, image, out, rate=RATE),
+            lambda _: self.read(out),
+        )
+
+    def multiply(self) -> Timed:
+        factor, out = self.lay(self.problem.signs), self.lay(self.problem.constraints)
+        return lambda: images.multiply(self.grid, factor, out), lambda _: self.read(out)
+
     def sweep(self) -> Timed:
+        return self._swept(relaxation.sweep)
+
+    def sweep_unfused(self) -> Timed:
+        # With one lane there is no other.
+        return self._swept(relaxation.sweep if self.grid.lanes == 1 else sweep_unfused)
+
+    def _swept(self, sweep: Callable[..., None]) -> Timed:
         field = self.field
-        arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho)
+        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho)
         options = {"alpha": ALPHA, "relaxation": RELAXATION, "solver": self.solver}
-        return lambda: relaxation.sweep(*arguments, **options), lambda _: self.read(field.rho)
+        return lambda: sweep(*arguments, **options), lambda _: self.read(field.rho)
 
     def advance(self) -> Timed:
         field, p = self.field, self.problem
-        tensor, weights = self._system()
+        tensor, weights = self.system()
         previous = self.lay(p.previous[: self.n])
         tables = (field.edges, field.x_hat, field.y_hat)
         arguments = (
@@ -155,8 +154,24 @@ class Operations:
 
     def evidence(self) -> Timed:
         field, out = self.field, self.grid.allocate(7)
-        arguments = (self.grid, *self._system(), field.x_hat, field.y_hat, field.rho, out)
+        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho, out)
         return lambda: evidence.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
+
+    def share_of_data(self) -> Timed:
+        p = self.problem
+        given, out = p.evidence.astype(np.float32), np.empty((p.height, p.width), np.float32)
+        options = {"tolerated": TOLERATED, "freedom": 2}
+        return lambda: evidence.share_of_data(given, out, **options), lambda _: out[None]
+
+    def motion_fields(self) -> Timed:
+        p = self.problem
+        cx, cy = p.camera.center_for(p.height, p.width)
+        x_hat = ((np.arange(p.width) - cx) / p.camera.focal).astype(np.float32)
+        y_hat = ((np.arange(p.height) - cy) / p.camera.focal).astype(np.float32)
+        out = np.empty((3, p.height, p.width), np.float32)
+        arguments = (p.rho[: self.n].astype(np.float32), x_hat, y_hat, out[:2], out[2])
+        options = {"focal": p.camera.focal, "by_pixel": self.grid.on_device}
+        return lambda: readout.motion_fields(*arguments, **options), lambda _: out
 
     def splat(self) -> Timed:
         arguments = self._arrivals()
@@ -179,41 +194,3 @@ class Operations:
         p = self.problem
         flow_images, residual = (array.astype(np.float32) for array in (p.flow, p.residual))
         return flow_images, residual, aligned_zeros((p.height, p.width, 4))
-
-    def _system(self) -> tuple[LaneData, LaneData]:
-        weights = self.problem.weights(self.n, joint=self.scheme == "joint")
-        sets = weights.reshape(2, self.n, *weights.shape[1:])
-        if self.scheme == "joint":
-            sets = sets[:, :1]
-        return self.lay(self.problem.tensor), self.lay(np.concatenate(sets))
-
-    def lay(self, stack: np.ndarray) -> LaneData:
-        """Lay (k, H, W) into a new lane array, halo columns included, without a kernel."""
-        grid = self.grid
-        out = aligned_zeros(grid.shape(len(stack)))
-        array = out if grid.lanes > 1 else out[..., None]
-        padded = np.pad(stack, ((0, 0), (0, 0), (0, grid.lanes * grid.strip - grid.width)))
-        strips = padded.reshape(len(stack), grid.height, grid.lanes, grid.strip)
-        array[:, 1:-1, 1:-1] = np.swapaxes(strips, 2, 3)
-        array[:, 1:-1, 0, 1:] = array[:, 1:-1, -2, :-1]
-        array[:, 1:-1, -1, :-1] = array[:, 1:-1, 1, 1:]
-        return grid.place(out)
-
-    def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
-        """Lay (H + 2·halo, W + 2·halo) into one component of a lane array, border included."""
-        grid = self.grid
-        columns = np.arange(grid.strip + 2 * halo)[:, None] + grid.strip * np.arange(grid.lanes)
-        table = image[:, np.minimum(columns, image.shape[1] - 1)]
-        return table if grid.lanes > 1 else table[..., 0]
-
-    def read(self, array: LaneData, halo: int = 0) -> np.ndarray:
-        """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border."""
-        grid = self.grid
-        around = halo or 1
-        x = np.arange(-halo, grid.width + halo)
-        lane = np.clip(x // grid.strip, 0, grid.lanes - 1)
-        array = on_host(array)
-        rows = array if halo else array[:, 1:-1]
-        return (rows if grid.lanes > 1 else rows[..., None])[
-            :, :, x - lane * grid.strip + around, lane
-        ]

@@ -67,6 +67,15 @@ def survey(python: Path) -> Survey:
         raise RuntimeError(f"{python} does not run the peers' worker: {words}") from None
 
 
+def find_peers(python: Path | None) -> tuple[Path, Survey]:
+    """Return an interpreter, this one by default, and what it runs; nothing where it cannot say."""
+    python = python or Path(sys.executable)
+    try:
+        return python, survey(python)
+    except RuntimeError as error:
+        return python, Survey({}, {"all peers": str(error)})
+
+
 class Peer:
     """A method of another library. Its worker starts when needed, and again after it died.
 

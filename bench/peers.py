@@ -18,6 +18,7 @@ from bench.contest_command import (
     RESULTS,
     Pairs,
     add_options,
+    add_peer_option,
     check_counts,
     choose,
     hold_with_progress,
@@ -26,7 +27,7 @@ from bench.contest_command import (
 )
 from bench.contest_report import show, write
 from bench.peer_plot import draw
-from bench.peer_process import Peer, Survey, prepare, survey
+from bench.peer_process import Peer, find_peers, prepare, survey
 from tisfm import runtime
 from tisfm.settings import Preset
 
@@ -43,7 +44,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench.peers", description=__doc__)
     add_options(parser)
     parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
-    parser.add_argument("--peer-python", type=Path, metavar="PATH", help="the peers' interpreter")
+    add_peer_option(parser)
     parser.add_argument("--prepare", type=Path, metavar="DIR", help="make their environment, only")
     options = parser.parse_args(arguments)
     check_counts(parser, options)
@@ -53,11 +54,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def compare(options: argparse.Namespace, found: Pairs) -> Contest:
     """Run tisfm's methods and the peers."""
     runtime.start(threads=options.threads)
-    python = options.peer_python or Path(sys.executable)
-    try:
-        peers = survey(python)
-    except RuntimeError as error:
-        peers = Survey({}, {"all peers": str(error)})
+    python, peers = find_peers(options.peer_python)
     presets: list[Preset] = ["fast", "balanced", "accurate"]
     if options.paper:
         presets.append("paper")

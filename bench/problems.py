@@ -2,9 +2,11 @@
 
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 
 from tisfm import reference, scenes
+from tisfm.rigid import rigid_motion
 
 ALPHA = 278.0  # the paper's λ = 1e8 at f = 600
 CONTRAST = 0.03  # px/frame
@@ -17,6 +19,13 @@ SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
 UNIQUENESS = {"density": 1.23, "apart": 0.07}  # pixels per pixel; px/frame
 RATIO = 0.7  # coarse over fine sampling density
 NOISE = 0.1  # px/frame, on ρ̂: no weight of an edge is all but 0 or 1
+STEPS = (0.5, -1.0)  # along two directions, for ever without growing or dying out
+RATE = 0.2  # of edges, per grey level
+TOLERATED = 0.15**2  # px²
+HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth: whole vectors of lanes
+NEAR = 4.0  # px/frame
+AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}
+BORDER = 0.01  # px: nearer to the border, rounding decides whether a place is in the image
 
 
 class Problem:
@@ -37,8 +46,16 @@ class Problem:
         self.previous = single(self.rho + NOISE * rng.normal(size=truth.shape))
         shape = (6, round(RATIO * height), round(RATIO * width))
         self.coarse = single(rng.normal(size=shape))
+        self.parents = single(rng.normal(size=(6, -(-height // 2), -(-width // 2))))
+        self.step = single(self.rho - self.previous + NOISE * rng.normal(size=truth.shape))
         self.motion = reference.motion_matrix(self.camera, height, width, 6)
         self.flow = single(reference.flow(self.motion, self.rho))
+        # Lengths in units of the background's step: D is then in px/frame.
+        unit = np.linalg.norm(pair.motions[0, :3])
+        poses = [np.column_stack(rigid_motion(twist)) for twist in pair.motions]
+        self.motions = single(np.array(poses) / [1, 1, 1, unit])
+        self.inverse_depth = single(unit * pair.camera.focal / pair.depth)[None]
+        self.labels = single(pair.labels)
         self._weights: dict[tuple[int, bool], np.ndarray] = {}
 
     def weights(self, components: int, *, joint: bool = False) -> np.ndarray:
@@ -82,6 +99,58 @@ class Problem:
         """Motion tensors, (6, H, W), of brightness and of its gradient."""
         constraints = self.constraints.reshape(3, 3, self.height, self.width)
         return reference.tensors_of([constraints[:1], constraints[1:]])
+
+    @cached_property
+    def evidence(self) -> np.ndarray:
+        """J of windows, squared residual and M, random, of `tisfm.kernels.evidence`, (7, H, W)."""
+        a, b = np.random.default_rng(2).normal(size=(2, 2, self.height, self.width))
+        covariance = np.stack([a[0] ** 2, a[0] * a[1], a[1] ** 2])
+        covariance += np.stack([b[0] ** 2, b[0] * b[1], b[1] ** 2])
+        curvature = [cv2.boxFilter(entry, -1, (15, 15)) for entry in self.tensor[:3]]
+        return single(np.stack([*curvature, self.residual, *covariance]))
+
+    @cached_property
+    def signs(self) -> np.ndarray:
+        """1 or -1, (1, H, W)."""
+        return np.sign(self.residual - 2.5)[None]
+
+    @cached_property
+    def features(self) -> np.ndarray:
+        """Brightness and its derivatives of both frames, as multiples of a unit, (2, 3, H, W)."""
+        unit = 2.4 * np.abs(np.diff(self.frames[0])).mean()
+        frames = np.array(self.frames) / unit
+        slopes = np.gradient(frames, axis=(2, 1))
+        return single(np.stack([frames, *(4 * slope for slope in slopes)], axis=1))
+
+    @cached_property
+    def guess(self) -> np.ndarray:
+        """An inverse depth that is likely, px/frame, (H, W)."""
+        return single(self.inverse_depth[0] + self.residual)
+
+    @cached_property
+    def trust(self) -> np.ndarray:
+        """How likely it is, (H, W)."""
+        return single(self.residual / 10)
+
+    @cached_property
+    def cost(self) -> np.ndarray:
+        """Costs of all hypotheses; random, (H, W, N)."""
+        shape = (self.height, self.width, len(HYPOTHESES))
+        return single(np.random.default_rng(3).uniform(0, 2, shape))
+
+    @cached_property
+    def decided(self) -> np.ndarray:
+        """Whether a hypothesis takes a pixel well into or out of the image, (H, W, N)."""
+        rows, columns = np.mgrid[: self.height, : self.width]
+        rotation, translation = self.motions[0, :, :3], self.motions[0, :, 3]
+        decided = []
+        for hypothesis in HYPOTHESES:
+            depth = np.full(rows.shape, hypothesis)
+            u, v = reference.displacement(depth, self.camera, rotation, translation)
+            x, y = columns + u, rows + v
+            away = [x, x - self.width + 1, y, y - self.height + 1]
+            decided.append((np.abs(away) > BORDER).all(axis=0))
+        return np.stack(decided, axis=-1)
 
 
 def single(values: np.ndarray) -> np.ndarray:

@@ -1,34 +1,24 @@
-"""The NumPy side: every kernel's step by `tisfm.reference`, or in plain NumPy where it has none."""
-
-from collections.abc import Callable
+"""The NumPy side: steps of kernels by `tisfm.reference`, or in plain NumPy where it has none."""
 
 import numpy as np
 
 from bench.problems import (
     ALPHA,
     CONSTRAINTS,
+    RATE,
     RATIO,
     RELAXATION,
     SCALES,
     SMOOTHNESS,
+    TOLERATED,
     UNIQUENESS,
-    Problem,
 )
+from bench.sides import NumpySide, Run
 from tisfm import reference
 
-Run = Callable[[], np.ndarray]
 
-
-class References:
-    """One method per kernel, which returns the call to be timed; the call returns the answer.
-
-    Calls that work in place go on from where the last one ended, like those they stand beside.
-    """
-
-    def __init__(self, problem: Problem, components: int, scheme: str) -> None:
-        self.problem, self.n, self.scheme = problem, components, scheme
-        self.rho = problem.rho[:components]
-        self.motion = problem.motion[:, :components]
+class FieldReferences(NumpySide):
+    """The steps on the way from two frames to a field of motion."""
 
     def image_to_lanes(self) -> Run:
         image = self.problem.frames[0]
@@ -62,9 +52,24 @@ class References:
 
         return run
 
+    def image_edges(self) -> Run:
+        image = self.problem.frames[:1]
+        inside = np.ones((2, *image[0].shape))
+        inside[0, :, -1] = inside[1, -1] = 0
+
+        def run() -> np.ndarray:
+            steps = np.abs(np.concatenate(reference.differences(np.array(image))))
+            edges = inside / (1 + RATE * steps)
+            return edges * (inside.sum() / edges.sum())
+
+        return run
+
+    def multiply(self) -> Run:
+        factor, out = self.problem.signs, self.problem.constraints.copy()
+        return lambda: np.multiply(factor, out, out=out)
+
     def sweep(self) -> Run:
-        weights = self.problem.weights(self.n, joint=self.scheme == "joint")
-        arguments = (self.problem.tensor, self.motion, weights)
+        arguments = (self.problem.tensor, self.motion, self.weights())
         rho = self.rho.copy()
 
         def run() -> np.ndarray:
@@ -73,10 +78,12 @@ class References:
 
         return run
 
+    sweep_unfused = sweep
+
     def advance(self) -> Run:
         joint = self.scheme == "joint"
         smoothness, terms = SMOOTHNESS[joint], self.problem.terms
-        before = self.problem.weights(self.n, joint=joint), self.problem.tensor
+        before = self.weights(), self.problem.tensor
         previous = self.problem.previous[: self.n].copy()
 
         def run() -> np.ndarray:
@@ -115,6 +122,27 @@ class References:
             covariance = np.einsum("ckyx,kyx,dkyx->cdyx", motion, 1 / (ALPHA * total), motion)
             m11, m12, m22 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
             return np.array([j11, j12, j22, residual, m11, m12, m22])
+
+        return run
+
+    def share_of_data(self) -> Run:
+        evidence = self.problem.evidence
+
+        def run() -> np.ndarray:
+            j11, j12, j22, residual, m11, m12, m22 = evidence
+            trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
+            product = np.maximum(j11 * j22 - j12**2, 0) * np.maximum(m11 * m22 - m12**2, 0)
+            share = 1 - (1 + 0.5 * trace) / (1 + trace + product)  # ½ tr[J M (I + J M)⁻¹]
+            return (share / (1 + residual / TOLERATED))[None]
+
+        return run
+
+    def motion_fields(self) -> Run:
+        focal = self.problem.camera.focal
+
+        def run() -> np.ndarray:
+            inverse_depth = np.linalg.norm(self.rho[:3], axis=0) / focal
+            return np.stack([*reference.flow(self.motion, self.rho), inverse_depth])
 
         return run
 

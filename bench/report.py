@@ -32,7 +32,9 @@ NOTES = (
     "where a size stays in them.",
     "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer agreed "
     "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
-    "lanes_to_images beside a copy.",
+    "lanes_to_images and relayout beside a copy.",
+    "sweep_unfused: one pass over memory for each color, where that of the library makes one for "
+    "both; GB/s counts what each pass moves. matching_cost and aggregate: of 16 hypotheses.",
     "pair: coarse to fine to the end of its iterations (paper: 5 outer iterations of sweeps, "
     "balanced: 3 for each linearisation), beside the reference on the same pyramids. Where the "
     "reference was not run, agreement was checked on the same scene at 240x320.",
@@ -41,7 +43,10 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Row:
-    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure."""
+    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure.
+
+    `lanes` is 0 where a kernel works on plain images.
+    """
 
     kernel: str
     size: tuple[int, int]
@@ -59,6 +64,11 @@ class Row:
     def ratio(self) -> float | None:
         return None if self.numpy is None else self.numpy / self.time
 
+    @property
+    def over_floor(self) -> float | None:
+        """Time over that in which the stream moves as many bytes."""
+        return None if self.share is None else 1 / self.share
+
     def cells(self) -> list[str]:
         """Return the row as text, in the order of `HEAD`."""
         height, width = self.size
@@ -67,7 +77,7 @@ class Row:
             f"{height}x{width}",
             self.model,
             self.solver,
-            str(self.lanes),
+            str(self.lanes or "–"),
             str(self.threads),
             f"{self.time:.2f}",
             _text(self.iqr, ".2f"),

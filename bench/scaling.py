@@ -1,7 +1,8 @@
 """``python -m bench.scaling``: time and memory of a whole pair over its size, and where it goes.
 
 Pairs are renderings of one scene, whose motion grows with the image. Every preset runs on every
-number of threads in a process of its own; sizes take turns within it.
+number of threads in a process of its own; sizes take turns within it, and with them OpenCV's DIS
+on the pair of one size.
 """
 
 import argparse
@@ -14,11 +15,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any, get_args
 
+import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from bench.contest import machine
+from bench.scaling_bars import PEER_SIZE, bars, gib, over_peer, per_pixel, size_of
 from tisfm.scenes import two_blocks
 from tisfm.settings import Preset
 
@@ -27,8 +30,6 @@ RESULTS = ROOT / "bench" / "results"
 SIZES = ("120x160", "240x320", "480x640", "1080x1920", "2160x3840")
 SMOKE_SIZES = ("48x64", "96x128")
 COLOURS = {"fast": "#4d8b57", "balanced": "#35618f", "accurate": "#b3361e", "paper": "#8c8c8c"}
-FLOAT = 4  # bytes
-GIB = 2**30
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -49,12 +50,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def size_of(text: str) -> tuple[int, int]:
-    """Return (height, width) of a size as the command line has it."""
-    height, _, width = text.partition("x")
-    return int(height), int(width)
-
-
 def render(sizes: list[str], folder: Path) -> dict[str, str]:
     """Write the pair of every size to a file; return size → path."""
     paths = {}
@@ -67,7 +62,14 @@ def render(sizes: list[str], folder: Path) -> dict[str, str]:
 
 def run(preset: str, threads: int, pairs: dict[str, str], rounds: int) -> dict[str, Any]:
     """Return times and shares of a preset on so many threads."""
-    request = {"preset": preset, "threads": threads, "pairs": pairs, "rounds": rounds}
+    peer = PEER_SIZE if PEER_SIZE in pairs else list(pairs)[-1]
+    request = {
+        "preset": preset,
+        "threads": threads,
+        "pairs": pairs,
+        "rounds": rounds,
+        "peer": peer,
+    }
     answer = subprocess.run(
         [sys.executable, "-m", "bench.scaling_worker"],
         input=json.dumps(request) + "\n",
@@ -102,7 +104,7 @@ def report(found: dict[str, Any]) -> str:
         before = None
         for size in sizes:
             times = entry["times"][size]
-            each = median(times) / math.prod(size_of(size)) * 1e9
+            each = per_pixel(entry, size)
             growth = "–" if before is None else f"{each / before:.2f}"
             spread = f"{median(times):.3g} [{min(times):.3g}–{max(times):.3g}]"
             lines.append(
@@ -110,6 +112,15 @@ def report(found: dict[str, Any]) -> str:
                 f"| {growth} |"
             )
             before = each
+    peer = found["runs"][0]["peer"]
+    lines += ["", f"## Time over that of {peer['name']} at {peer['size']}, in the same rounds", ""]
+    lines += ["| preset | threads | its time, s | " + " | ".join(sizes) + " |"]
+    lines += ["| --- |" + " ---: |" * (2 + len(sizes))]
+    for entry in found["runs"]:
+        cells = [f"{over_peer(entry, size):.2f}" for size in sizes]
+        unit = f"{median(entry['peer']['times']):.3g}"
+        head = f"| {entry['preset']} | {entry['threads']} | {unit} | "
+        lines.append(head + " | ".join(cells) + " |")
     threads = sorted({entry["threads"] for entry in found["runs"]})
     if len(threads) > 1:
         least, most = threads[0], threads[-1]
@@ -123,8 +134,7 @@ def report(found: dict[str, Any]) -> str:
     lines += ["| --- | --- | ---: | ---: |"]
     for preset, by_size in found["memory"].items():
         for size, floats in by_size.items():
-            gib = floats * FLOAT * math.prod(size_of(size)) / GIB
-            lines.append(f"| {preset} | {size} | {floats:.1f} | {gib:.2f} |")
+            lines.append(f"| {preset} | {size} | {floats:.1f} | {gib(floats, size):.2f} |")
     lines += ["", f"## Where the time goes, % of a pair ({threads[-1]} threads)"]
     for preset in found["presets"]:
         shares = _of(found, preset, threads[-1])["shares"]
@@ -134,6 +144,8 @@ def report(found: dict[str, Any]) -> str:
         for label in labels:
             cells = [f"{100 * shares[size].get(label, 0):.1f}" for size in sizes]
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    if checked := list(bars(found)):
+        lines += ["", "## Bars", "", *(f"- {bar}" for bar in checked)]
     return "\n".join(lines) + "\n"
 
 
@@ -150,13 +162,9 @@ def draw(found: dict[str, Any], path: Path) -> None:
     pixels = [math.prod(size_of(size)) for size in found["sizes"]]
     most = max(entry["threads"] for entry in found["runs"])
     for entry in found["runs"]:
-        each = [
-            median(entry["times"][size]) / count * 1e9
-            for size, count in zip(found["sizes"], pixels, strict=True)
-        ]
         axes.plot(
             pixels,
-            each,
+            [per_pixel(entry, size) for size in found["sizes"]],
             color=COLOURS[entry["preset"]],
             linestyle="-" if entry["threads"] == most else ":",
             marker="o",
@@ -177,7 +185,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0; whatever fails raises."""
+    """Return 0, or 1 where a bar was missed; whatever else fails raises."""
     options = parse(arguments)
     with tempfile.TemporaryDirectory(prefix="tisfm-scaling-") as name:
         pairs = render(options.sizes, Path(name))
@@ -187,7 +195,12 @@ def main(arguments: list[str] | None = None) -> int:
             for threads in options.threads
         ]
     found = {
-        "conditions": {**machine(), "rounds": options.rounds},
+        "conditions": {
+            **machine(),
+            "OpenCV": cv2.__version__,
+            "lanes": runs[0]["lanes"],
+            "rounds": options.rounds,
+        },
         "sizes": options.sizes,
         "presets": options.preset,
         "runs": runs,
@@ -202,7 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
     path.with_suffix(".md").write_text(report(found), encoding="utf-8")
     draw(found, path.with_suffix(".png"))
     print(report(found))
-    return 0
+    return 0 if all(bar.met for bar in bars(found)) else 1
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Times of whole pairs on so many threads, in a process of its own, which `bench.scaling` starts.
 
-One line of JSON comes in on standard input, one goes out on standard output.
+One line of JSON comes in on standard input, one goes out on standard output. OpenCV's DIS is timed
+in the same process, on the same threads, in the same rounds.
 """
 
 import contextlib
@@ -9,12 +10,17 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import tisfm
+from bench.contest import QUICK
+from bench.peer_worker import dis
 from tisfm import runtime
+
+PEER = "OpenCV DIS medium"
 
 # Where the time of a pair goes: what each of these takes, less what those that it calls take.
 STAGES = (
@@ -75,7 +81,7 @@ class Stopwatch:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """Return the times of every pair in every round, and where the time goes."""
+    """Return the times of every pair and of the peer in every round, and where the time goes."""
     runtime.start(threads=request["threads"])
     settings = tisfm.Settings.preset(request["preset"])
     pairs = {}
@@ -90,13 +96,14 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         frame0, frame1, camera = pairs[name]
         pair.interpret(frame0, frame1, camera=camera, settings=settings)
 
-    times: dict[str, list[float]] = {name: [] for name in pairs}
-    for turn in range(request["rounds"] + 1):
-        for name in pairs:
-            started = time.perf_counter()
-            interpret(name)
-            if turn:  # the first compiles
-                times[name].append(time.perf_counter() - started)
+    frames, peer = pairs[request["peer"]][:2], dis("MEDIUM")
+    calls: dict[str, Callable[[], Any]] = {}
+    for name in pairs:
+        calls[name] = partial(interpret, name)
+        if name == request["peer"]:
+            calls[PEER] = partial(peer, *frames)
+    times = in_turns(calls, request["rounds"])
+    beside = {"name": PEER, "size": request["peer"], "times": times.pop(PEER)}
     shares = {}
     for name in pairs:
         watch = Stopwatch()
@@ -105,7 +112,30 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
                 interpret(name)
         total = sum(watch.seconds.values())
         shares[name] = {label: seconds / total for label, seconds in watch.seconds.items()}
-    return {"times": times, "shares": shares}
+    return {"times": times, "shares": shares, "peer": beside, "lanes": runtime.lanes()}
+
+
+def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Return the times of every call in every round, each once per round.
+
+    As in `bench.contest`, a call that is quick runs once more before it is timed.
+    """
+
+    def seconds(call: Callable[[], Any]) -> float:
+        started = time.perf_counter()
+        call()
+        return time.perf_counter() - started
+
+    for call in calls.values():  # which compiles
+        call()
+    pace = {name: seconds(call) for name, call in calls.items()}
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            if pace[name] < QUICK:
+                call()
+            times[name].append(seconds(call))
+    return times
 
 
 if __name__ == "__main__":

@@ -162,7 +162,7 @@ def _sweep(
                 if red or black:
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
-                        _relax(
+                        relax_at(
                             tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
                             relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
                         )  # fmt: skip
@@ -179,7 +179,7 @@ def _sweep(
                 row = (border // 2 + 1) * height // bands - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
-                    _relax(
+                    relax_at(
                         tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
                         relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
                     )  # fmt: skip
@@ -211,14 +211,14 @@ def _sweep_sites(
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
             stride = rho.shape[2] & SMALL
             planes = ti.static(planes_of(rho, max(6, 2 * sets)))
-            _relax(
+            relax_at(
                 tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
                 relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
             )  # fmt: skip
 
 
 @ti.func
-def _relax(
+def relax_at(
     tensor: ti.template(),
     weights: ti.template(),
     x_hat: ti.template(),

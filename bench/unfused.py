@@ -1,0 +1,84 @@
+"""A sweep that passes over memory once for each color, of what the library's does in one pass.
+
+It shows whether relaxing a pixel keeps up with memory where nothing is left in the caches; what
+`tisfm.kernels.relaxation` gains by letting black follow red is the difference.
+"""
+
+import taichi as ti
+
+from tisfm.kernels.edges import component_table, weight_sets
+from tisfm.kernels.lanes import (
+    CHUNK,
+    SMALL,
+    LaneArray,
+    LaneGrid,
+    lane_kernel,
+    planes_of,
+    refresh_halo,
+)
+from tisfm.kernels.relaxation import BAND, relax_at
+from tisfm.kernels.small_spd import bind
+
+
+def sweep_unfused(
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, *, alpha, relaxation: float, solver: str
+) -> None:
+    """Sweep red everywhere and then black; arguments are those of `relaxation.sweeper`.
+
+    For vectors of lanes: with one lane the library itself sweeps so.
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    sets = weight_sets(grid, weights, components)
+    grid.check(rho, components, "rho")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    if grid.lanes == 1:
+        raise ValueError("the grid has 1 lane: expected 8 or 16")
+    _sweep_unfused[grid.lanes](
+        tensor,
+        weights,
+        x_hat,
+        y_hat,
+        component_table(alpha, components),
+        relaxation,
+        components,
+        sets,
+        solver == "closed_form",
+        max(1, grid.height // BAND),
+        rho,
+    )
+
+
+@lane_kernel
+def _sweep_unfused(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    relaxation: ti.f32,
+    n: ti.template(),
+    sets: ti.template(),
+    closed_form: ti.template(),
+    bands: ti.i32,
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    height = rho.shape[1] - 2
+    pairs = (rho.shape[2] - 2) // 2
+    for color in ti.static(range(2)):
+        for task in range(CHUNK * bands):
+            if task % CHUNK == 0:
+                alphas = ti.static([bind(alpha[k]) for k in range(n)])
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+                band = task // CHUNK
+                for row in range(band * height // bands, (band + 1) * height // bands):
+                    for pair in range(pairs):
+                        s = 2 * pair + (row + color) % 2 + 1
+                        relax_at(
+                            tensor, weights, x_hat, y_hat, rho, alphas, stride, planes,
+                            relaxation, n, sets, closed_form, False, rho, row + 1, s,
+                        )  # fmt: skip
+                    for k in range(n):
+                        refresh_halo(rho, k, row + 1)
