@@ -171,3 +171,33 @@ def test_motions_are_checked(motions, make_problem):
             grid, field.rho, grid.allocate(1), field.x_hat, field.y_hat,
             grid.allocate(2), grid.allocate(2), motions=motions, focal=1.0,
         )  # fmt: skip
+
+
+@each_size
+def test_rigid_fields(size, make_problem):
+    from tisfm.kernels.readout import rigid_fields
+
+    problem = make_problem(*size, 1, 1)
+    camera = problem.camera
+    cx, cy = camera.center_for(*size)
+    x_hat = ((np.arange(size[1]) - cx) / camera.focal).astype(np.float32)
+    y_hat = ((np.arange(size[0]) - cy) / camera.focal).astype(np.float32)
+    depth = np.abs(problem.rho[0]).astype(np.float32) + 1
+    poses, motions = two_motions()
+    labels = chequered(*size).astype(np.int32)
+    twists = np.array([TWIST, OTHER_TWIST])
+    flow, rho = np.empty((2, *size), np.float32), np.empty((6, *size), np.float32)
+    place = depth, labels, x_hat, y_hat, flow, rho
+    rigid_fields(*place, motions=motions, twists=twists, focal=camera.focal)
+    each = [reference.displacement(depth, camera, *pose) for pose in poses]
+    np.testing.assert_allclose(flow, np.where(labels == 0, *each), atol=1e-5, rtol=1e-5)
+    expected = np.moveaxis(twists[labels], -1, 0)
+    expected[:3] *= depth
+    np.testing.assert_allclose(rho[2:], expected[2:], rtol=1e-6)
+    matrix = reference.motion_matrix(camera, *size, 6)
+    np.testing.assert_allclose(reference.flow(matrix, rho), flow, atol=1e-5)
+    still = np.tile(np.eye(3, 4), (2, 1, 1))
+    rigid_fields(*place, motions=still, twists=0 * twists, focal=camera.focal)
+    assert not flow.any() and not rho.any()
+    with pytest.raises(ValueError, match="labels go from 0 to 1: 1 motions"):
+        rigid_fields(*place, motions=still[:1], twists=twists[:1], focal=camera.focal)

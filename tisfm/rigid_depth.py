@@ -11,7 +11,7 @@ from tisfm.camera import Camera
 from tisfm.confidence import ROUNDING, median
 from tisfm.egomotion import spin_prior
 from tisfm.field import Field, LaneData
-from tisfm.half_quadratic import HalfQuadratic, Iteration
+from tisfm.half_quadratic import Iteration
 from tisfm.kernels.epipolar import along, displacement
 from tisfm.kernels.images import image_to_lanes, multiply
 from tisfm.kernels.lanes import on_host
@@ -38,7 +38,7 @@ Refinement = Literal["none", "translation", "motion"]
 
 @dataclass(frozen=True, kw_only=True)
 class RigidSolution:
-    """What coarse to fine leaves at the finest level.
+    """What coarse to fine leaves.
 
     Attributes
     ----------
@@ -46,43 +46,50 @@ class RigidSolution:
         R and t of each motion; t of a length such that D is in px/frame, as an average.
     inverse_depth : (H, W) float32
         D = f·d, signed.
-    flow : (2, H, W) float32
-        The exact displacement, px/frame.
-    minimiser : HalfQuadratic
+    evidence : (7, h, w) float32
+        Of `tisfm.kernels.evidence`, on the level that it ended on.
+    density : float
+        Sampling density of that level over the finest's.
     history : list of (level, warp, Iteration)
     converged : bool
     """
 
     motions: np.ndarray
     inverse_depth: np.ndarray
-    flow: np.ndarray
-    minimiser: HalfQuadratic
+    evidence: np.ndarray
+    density: float
     history: list[tuple[int, int, Iteration]]
     converged: bool
 
-    def deviation(self, evidence: np.ndarray) -> np.ndarray:
+    def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
 
         That of a linear problem with constant coefficients, where data of precision A at every
         pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
         pixel's edges weigh, and the unit is the residual there.
-
-        Parameters
-        ----------
-        evidence : (7, H, W) float32
-            Of `minimiser`, at the solution. Not modified.
         """
-        window = (WINDOW, WINDOW)
-        precision = cv2.blur(evidence[0], window) + TINY
+        window, evidence = (WINDOW, WINDOW), self.evidence
+        precision = cv2.blur(evidence[0], window)
+        precision += TINY
         residual = cv2.blur(evidence[3], window)
         # Where nothing is seen, nothing is violated either.
         seen = evidence[0] > ROUNDING * evidence[0].max()
         usual = median(evidence[3][seen]) if seen.any() else 0.0
         np.maximum(residual, usual, out=residual)
         spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
-        variance = spread * np.log1p(1 / (spread * precision))
-        return np.maximum(np.sqrt(variance * residual) * np.float32(CALIBRATION), SUREST)
+        precision *= spread
+        np.reciprocal(precision, out=precision)
+        np.log1p(precision, out=precision)
+        precision *= spread
+        precision *= residual
+        np.sqrt(precision, out=precision)
+        precision *= np.float32(CALIBRATION)
+        deviation = np.maximum(precision, SUREST, out=precision)
+        height, width = self.inverse_depth.shape
+        if deviation.shape == (height, width):
+            return deviation
+        return cv2.resize(deviation, (width, height)) / np.float32(self.density)
 
 
 def rigid_depth(
@@ -148,19 +155,12 @@ def rigid_depth(
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
         coarse = field
-    if last > 0:
-        field = pyramid.full(field, last)
-        alpha = state.minimiser.alpha
-        state = _Level(pyramid, 0, field, labels, camera.focal, settings, support)
-        state.minimiser.alpha = alpha
-        restricted = state.linearise(motions)
-    state.minimiser.renew(restricted)  # depth was despeckled, or interpolated
-    state.displace(motions)
+    state.minimiser.renew(restricted)  # depth was despeckled
     return RigidSolution(
         motions=motions,
-        inverse_depth=field.images()[0],
-        flow=field.to_images(state.flow),
-        minimiser=state.minimiser,
+        inverse_depth=pyramid.images(field, last)[0],
+        evidence=state.minimiser.evidence(),
+        density=pyramid.scale(last),
         history=history,
         converged=converged,
     )
