@@ -1,6 +1,8 @@
 """Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import cv2
@@ -15,6 +17,7 @@ from tisfm.half_quadratic import Iteration
 from tisfm.kernels.epipolar import along, displacement
 from tisfm.kernels.images import image_to_lanes, multiply
 from tisfm.kernels.lanes import on_host
+from tisfm.kernels.launch import Replay
 from tisfm.kernels.motion_system import motion_system
 from tisfm.pyramid import Pyramid
 from tisfm.settings import Settings
@@ -143,7 +146,7 @@ def rigid_depth(
         if level == coarsest and depth is not None:
             field.set_images(depth[None])
         focal = camera.focal * pyramid.scale(level)
-        state = _Level(pyramid, level, field, labels, focal, settings, support)
+        state = _Level(pyramid, level, field, labels, focal, settings, support, count=len(motions))
         for warp in range(warps[level - last]):
             restricted = state.linearise(motions)
             state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
@@ -195,7 +198,7 @@ def residual_under(
     field = pyramid.field(0, 1, None)
     field.set_images(inverse_depth[None])
     labels = np.zeros(inverse_depth.shape, np.int32)
-    state = _Level(pyramid, 0, field, labels, camera.focal, settings)
+    state = _Level(pyramid, 0, field, labels, camera.focal, settings, count=1)
     restricted = state.linearise(motion[None])
     state.minimiser.renew(restricted)
     return state.minimiser.residual(), field.to_images(state.flow)
@@ -213,6 +216,8 @@ class _Level:
         focal: float,
         settings: Settings,
         support: np.ndarray | None = None,
+        *,
+        count: int,
     ) -> None:
         self._field, self._focal = field, focal
         grid = field.grid
@@ -223,7 +228,8 @@ class _Level:
         self._label_image = resized
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
         inside = grid.inside()[0, self._rows, 1:-1]
-        self._sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        self._samples = [np.flatnonzero(sample == label) for label in range(count)]
         if labels.any():
             multiply(grid, _within(field, resized), field.edges)
         counted: np.ndarray | None = None
@@ -254,36 +260,47 @@ class _Level:
         self.flow, self._direction = grid.allocate(2), grid.allocate(2)
         self._restricted = grid.allocate(3 * self._data_term.constraints)
         self._terms: LaneData | None = None
+        self._motions = np.zeros((count, 3, 4), np.float32)
+        displace, linearise = self._steps()
+        self._displace = Replay(displace, on_device=grid.on_device)
+        self._linearise = Replay(linearise, on_device=grid.on_device)
+
+    def _steps(self) -> tuple[Callable[[], None], Callable[[], LaneData]]:
+        """Return what is launched again and again, without a reference to this object."""
+        field, data_term, support = self._field, self._data_term, self._support
+        flow, direction, restricted = self.flow, self._direction, self._restricted
+        place = field.grid, field.rho, self._labels, field.x_hat, field.y_hat, flow, direction
+        displace = partial(displacement, *place, motions=self._motions, focal=self._focal)
+
+        def linearise() -> LaneData:
+            displace()
+            terms = data_term.linearise(flow)
+            along(field.grid, terms, flow, direction, field.rho, restricted)
+            if support is not None:
+                multiply(field.grid, support, restricted)
+            return terms
+
+        return displace, linearise
 
     def displace(self, motions: np.ndarray) -> None:
         """Compute the flow of the current depth under these motions, and its direction."""
-        field = self._field
-        displacement(
-            field.grid,
-            field.rho,
-            self._labels,
-            field.x_hat,
-            field.y_hat,
-            self.flow,
-            self._direction,
-            motions=motions.astype(np.float32),
-            focal=self._focal,
-        )
+        self._motions[...] = motions
+        self._displace()
 
     def linearise(self, motions: np.ndarray) -> LaneData:
         """Return the data about the current depth, restricted to epipolar lines."""
-        field = self._field
-        self.displace(motions)
-        self._terms = self._data_term.linearise(self.flow)
-        along(field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted)
-        if self._support is not None:
-            multiply(field.grid, self._support, self._restricted)
+        self._motions[...] = motions
+        self._terms = self._linearise()
         return self._restricted
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        depth = median_within(self._field.images()[0], self._label_image)
-        image_to_lanes(self._field.grid, depth, self._field.rho)
+        depth = self._field.images()[0]
+        alone = len(self._motions) == 1
+        medians = (
+            cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
+        )
+        image_to_lanes(self._field.grid, medians, self._field.rho)
 
     def noise(self, motions: np.ndarray) -> np.ndarray:
         """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
@@ -292,12 +309,12 @@ class _Level:
         """
         depth = on_host(self._field.rho)[0, self._rows, 1:-1]
         tensor = on_host(self.minimiser.tensor)[:, self._rows, 1:-1]
-        residual = np.maximum((tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5], 0)
+        residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
         noise = np.zeros(len(motions))
         for label, motion in enumerate(motions):
-            mine = residual[self._sample == label]
+            mine = residual.ravel()[self._samples[label]]
             if mine.size and motion[:, 3].any():
-                noise[label] = np.sqrt(np.median(mine))
+                noise[label] = np.sqrt(max(median(mine), 0))
         return noise
 
     def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
