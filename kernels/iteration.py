@@ -29,6 +29,7 @@ from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.robust import check_terms, finite_scales, robust_data, terms_of
 from tisfm.kernels.small_spd import bind
 
+LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
 ROWS = 4  # of a band, which one thread takes at a time
 
 
@@ -94,7 +95,7 @@ def advancer(
         g·b (`tisfm.kernels.edges`); those from before enter the half-quadratic energy.
         Overwritten.
     tensor : lane array, 6 components
-        Σ w_i J_i; likewise.
+        Σ w_i J_i; likewise. Along a line (n = 1), only J11, j1 and J_tt: the others are left alone.
     previous : lane array, n components
         An earlier ρ̂; overwritten with `rho`.
     alpha : float
@@ -242,7 +243,7 @@ def _advance_block(
         scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
-        for k in ti.static(range(6)):
+        for k in ti.static(LINE if n == 1 else range(6)):
             tensor[k, y, s] = sums[k]
         for side in ti.static(range(2)):  # east, south
             g = edges[side, y, s]

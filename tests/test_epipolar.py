@@ -78,7 +78,6 @@ def split(constraints):
 @pytest.mark.parametrize("label", [0, 1])
 @pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
 def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
-    from tisfm.kernels.epipolar import displacement
     from tisfm.kernels.motion_system import motion_system
 
     problem = make_problem(*size, 1, lanes)
@@ -90,17 +89,12 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     field.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
     labels = problem.to_lanes(chequered(*size)[None])
-    flow, direction = grid.allocate(2), grid.allocate(2)
-    displacement(
-        grid, field.rho, labels, field.x_hat, field.y_hat, flow, direction,
-        motions=motions, focal=problem.camera.focal,
-    )  # fmt: skip
     rng = np.random.default_rng(7)
     weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
     matrix, vector = motion_system(
         grid, problem.to_lanes(constraints.reshape(-1, *size)), field.rho, labels,
         problem.to_lanes(weights),
-        field.x_hat, field.y_hat, flow, direction, motions=motions, label=label,
+        field.x_hat, field.y_hat, motions=motions, label=label,
         focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
     )  # fmt: skip
     identity = reference.motion_matrix(problem.camera, *size, 2)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import cv2
@@ -261,31 +260,27 @@ class _Level:
         self._restricted = grid.allocate(3 * self._data_term.constraints)
         self._terms: LaneData | None = None
         self._motions = np.zeros((count, 3, 4), np.float32)
-        displace, linearise = self._steps()
-        self._displace = Replay(displace, on_device=grid.on_device)
-        self._linearise = Replay(linearise, on_device=grid.on_device)
+        self._linearise = Replay(self._linearisation(), on_device=grid.on_device)
 
-    def _steps(self) -> tuple[Callable[[], None], Callable[[], LaneData]]:
+    def _linearisation(self) -> Callable[[], LaneData]:
         """Return what is launched again and again, without a reference to this object."""
         field, data_term, support = self._field, self._data_term, self._support
         flow, direction, restricted = self.flow, self._direction, self._restricted
-        place = field.grid, field.rho, self._labels, field.x_hat, field.y_hat, flow, direction
-        displace = partial(displacement, *place, motions=self._motions, focal=self._focal)
+        labels, motions, focal = self._labels, self._motions, self._focal
+        x_hat, y_hat, depth = field.x_hat, field.y_hat, field.rho
 
         def linearise() -> LaneData:
-            displace()
+            displacement(
+                field.grid, depth, labels, x_hat, y_hat, flow, direction,
+                motions=motions, focal=focal,
+            )  # fmt: skip
             terms = data_term.linearise(flow)
-            along(field.grid, terms, flow, direction, field.rho, restricted)
+            along(field.grid, terms, flow, direction, depth, restricted)
             if support is not None:
                 multiply(field.grid, support, restricted)
             return terms
 
-        return displace, linearise
-
-    def displace(self, motions: np.ndarray) -> None:
-        """Compute the flow of the current depth under these motions, and its direction."""
-        self._motions[...] = motions
-        self._displace()
+        return linearise
 
     def linearise(self, motions: np.ndarray) -> LaneData:
         """Return the data about the current depth, restricted to epipolar lines."""
@@ -321,7 +316,7 @@ class _Level:
         """Return the motions after a step of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
-        self.displace(motions)
+        current = motions.astype(np.float32)
         for label, motion in enumerate(motions):
             matrix, vector = motion_system(
                 field.grid,
@@ -331,9 +326,7 @@ class _Level:
                 self.minimiser.weights,
                 field.x_hat,
                 field.y_hat,
-                self.flow,
-                self._direction,
-                motions=motions.astype(np.float32),
+                motions=current,
                 label=label,
                 focal=self._focal,
                 scales=self._data_term.scales,
