@@ -120,6 +120,7 @@ def rigid_fields(
     motions: np.ndarray,
     twists: np.ndarray,
     focal: float,
+    by_pixel: bool = False,
 ) -> None:
     """Compute the exact flow of rigid motions, and the ρ̂ of their twists with Gρ̂ = that flow.
 
@@ -144,6 +145,8 @@ def rigid_fields(
         T and f·ω: what is multiplied by D, and what is not.
     focal : float
         px.
+    by_pixel : bool
+        Whether every pixel is a thread's own.
     """
     height, width = inverse_depth.shape
     count = len(motions)
@@ -161,18 +164,12 @@ def rigid_fields(
     if labels.min() < 0 or labels.max() >= count:
         raise ValueError(f"labels go from {labels.min()} to {labels.max()}: {count} motions")
     # Of (R − 1) x̂, so that no motion gives exactly none.
-    change = np.array(motions, np.float64) - np.eye(3, 4)
-    _rigid_fields(
-        inverse_depth,
-        labels,
-        x_hat,
-        y_hat,
-        change.astype(np.float32),
-        twists.astype(np.float32),
-        focal,
-        flow,
-        rho,
-    )
+    change = (np.array(motions, np.float64) - np.eye(3, 4)).astype(np.float32)
+    where = inverse_depth, labels, x_hat, y_hat, change, twists.astype(np.float32), focal
+    if by_pixel:
+        _rigid_fields_by_pixel(*where, flow, rho)
+        return
+    _rigid_fields(*where, max(1, height // BAND), flow, rho)
 
 
 @Kernel
@@ -184,27 +181,68 @@ def _rigid_fields(
     change: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (K, 3, 4): R − 1 and t
     twists: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (K, 6)
     focal: ti.f32,
+    bands: ti.i32,
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (6, H, W)
 ):
-    for row, column in ti.ndrange(flow.shape[1], flow.shape[2]):
-        k = labels[row, column]
-        x, y, depth = x_hat[column], y_hat[row], inverse_depth[row, column]
-        d = depth / focal
-        right, down = _moved(change, k, 0, x, y, d), _moved(change, k, 1, x, y, d)
-        away = ti.max(_moved(change, k, 2, x, y, d), NEAREST - 1.0)
-        nearness = focal / (1.0 + away)
-        u, v = nearness * (right - x * away), nearness * (down - y * away)
-        flow[0, row, column], flow[1, row, column] = u, v
-        forward = depth * twists[k, 2]
-        turn = ti.static([bind(twists[k, i]) for i in range(3, 6)])
-        first, second = ti.static(
-            flow_of(motion_columns(6, x, y)[2:], [forward, turn[0], turn[1], turn[2]])
-        )
-        rho[0, row, column], rho[1, row, column] = u - first, v - second
-        rho[2, row, column] = forward
-        for i in ti.static(range(3)):
-            rho[3 + i, row, column] = turn[i]
+    height, width = inverse_depth.shape[0], inverse_depth.shape[1]
+    for task in range(CHUNK * bands):
+        if task % CHUNK == 0:
+            band = task // CHUNK
+            for y in range(band * height // bands, (band + 1) * height // bands):
+                for x in range(width):
+                    _rigid_at(
+                        inverse_depth, labels, x_hat, y_hat, change, twists, focal, flow, rho, y, x
+                    )  # fmt: skip
+
+
+@Kernel
+def _rigid_fields_by_pixel(
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    labels: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
+    x_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (W,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H,)
+    change: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (K, 3, 4): R − 1 and t
+    twists: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (K, 6)
+    focal: ti.f32,
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (6, H, W)
+):
+    for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
+        _rigid_at(inverse_depth, labels, x_hat, y_hat, change, twists, focal, flow, rho, y, x)
+
+
+@ti.func
+def _rigid_at(
+    inverse_depth: ti.template(),
+    labels: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    change: ti.template(),
+    twists: ti.template(),
+    focal,
+    flow: ti.template(),
+    rho: ti.template(),
+    y,
+    x,
+):
+    k = labels[y, x]
+    x_here, y_here, depth = x_hat[x], y_hat[y], inverse_depth[y, x]
+    d = depth / focal
+    right, down = _moved(change, k, 0, x_here, y_here, d), _moved(change, k, 1, x_here, y_here, d)
+    away = ti.max(_moved(change, k, 2, x_here, y_here, d), NEAREST - 1.0)
+    nearness = focal / (1.0 + away)
+    u, v = nearness * (right - x_here * away), nearness * (down - y_here * away)
+    flow[0, y, x], flow[1, y, x] = u, v
+    forward = depth * twists[k, 2]
+    turn = ti.static([bind(twists[k, i]) for i in range(3, 6)])
+    first, second = ti.static(
+        flow_of(motion_columns(6, x_here, y_here)[2:], [forward, turn[0], turn[1], turn[2]])
+    )
+    rho[0, y, x], rho[1, y, x] = u - first, v - second
+    rho[2, y, x] = forward
+    for i in ti.static(range(3)):
+        rho[3 + i, y, x] = turn[i]
 
 
 @ti.func

@@ -168,7 +168,8 @@ def test_motions_are_checked(motions, make_problem):
 
 
 @each_size
-def test_rigid_fields(size, make_problem):
+@pytest.mark.parametrize("by_pixel", [False, True])
+def test_rigid_fields(size, by_pixel, make_problem):
     from tisfm.kernels.readout import rigid_fields
 
     problem = make_problem(*size, 1, 1)
@@ -181,8 +182,9 @@ def test_rigid_fields(size, make_problem):
     labels = chequered(*size).astype(np.int32)
     twists = np.array([TWIST, OTHER_TWIST])
     flow, rho = np.empty((2, *size), np.float32), np.empty((6, *size), np.float32)
+    options = {"focal": camera.focal, "by_pixel": by_pixel}
     place = depth, labels, x_hat, y_hat, flow, rho
-    rigid_fields(*place, motions=motions, twists=twists, focal=camera.focal)
+    rigid_fields(*place, motions=motions, twists=twists, **options)
     each = [reference.displacement(depth, camera, *pose) for pose in poses]
     np.testing.assert_allclose(flow, np.where(labels == 0, *each), atol=1e-5, rtol=1e-5)
     expected = np.moveaxis(twists[labels], -1, 0)
@@ -191,7 +193,7 @@ def test_rigid_fields(size, make_problem):
     matrix = reference.motion_matrix(camera, *size, 6)
     np.testing.assert_allclose(reference.flow(matrix, rho), flow, atol=1e-5)
     still = np.tile(np.eye(3, 4), (2, 1, 1))
-    rigid_fields(*place, motions=still, twists=0 * twists, focal=camera.focal)
+    rigid_fields(*place, motions=still, twists=0 * twists, **options)
     assert not flow.any() and not rho.any()
     with pytest.raises(ValueError, match="labels go from 0 to 1: 1 motions"):
-        rigid_fields(*place, motions=still[:1], twists=twists[:1], focal=camera.focal)
+        rigid_fields(*place, motions=still[:1], twists=twists[:1], **options)

@@ -6,7 +6,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.image_edges import mean_step
 from tisfm.kernels.epipolar import NEAREST
-from tisfm.kernels.lanes import aligned_zeros
+from tisfm.kernels.lanes import aligned_empty, aligned_zeros
 from tisfm.kernels.matching import matching_cost
 from tisfm.kernels.semi_global import FORBIDDEN, aggregate, cheapest
 from tisfm.pyramid import Pyramid
@@ -203,7 +203,7 @@ def swept(
     count, wide = len(hypotheses), lanes()
     padded = -(-count // wide) * wide
     unit = max(mean_step(frame0), FAINTEST)
-    cost = aligned_zeros((height, width, padded))
+    cost = aligned_empty((height, width, padded))
     cost[..., count:] = FORBIDDEN
     matching_cost(
         _features(frame0, unit),
@@ -228,7 +228,7 @@ def swept(
 def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray, wide: int) -> np.ndarray:
     height, width, padded = cost.shape
     shape = (height, width, padded // wide, wide) if wide > 1 else cost.shape
-    total = aligned_zeros(cost.shape)
+    total = aligned_empty(cost.shape)
     aggregate(cost.reshape(shape), guide, total.reshape(shape), step=STEP, jump=JUMP, edge=EDGE)
     best = np.empty((height, width), np.float32)
     cheapest(total, best, count=len(hypotheses))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.interpretation import Status
 from tisfm.kernels.lanes import aligned_empty
@@ -150,5 +151,6 @@ def _fields(
         motions=motions,
         twists=scaled,
         focal=camera.focal,
+        by_pixel=runtime.on_gpu(),
     )
     return flow, rho
