@@ -1,5 +1,6 @@
 """The half-quadratic algorithm (Table 1), within one linearisation."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -92,6 +93,7 @@ class HalfQuadratic:
         # Launches bound to their arrays: of sweeps, and of the renewal for certain constraints.
         self._relax: Callable[[], None] | None = None
         self._advance: tuple[LaneData, Callable[[], Sums]] | None = None
+        self._alpha = math.nan
         self.alpha = alpha
         self.tensor = field.grid.allocate(6)
         shared = joint or not np.isfinite(contrast)  # then b is 1
@@ -108,6 +110,8 @@ class HalfQuadratic:
 
     @alpha.setter
     def alpha(self, value: float) -> None:
+        if value == self._alpha:
+            return
         self._alpha = value
         self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
         self.unbind()

@@ -223,7 +223,8 @@ class _Level:
         size = (grid.width, grid.height)
         resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
-        image_to_lanes(grid, resized, self._labels)
+        if count > 1:
+            image_to_lanes(grid, resized, self._labels)
         self._label_image = resized
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
         inside = grid.inside()[0, self._rows, 1:-1]
@@ -256,7 +257,7 @@ class _Level:
             contrast=settings.contrast_for(focal),
             stiffness=(1.0,),
         )
-        self.flow, self._direction = grid.allocate(2), grid.allocate(2)
+        self.flow, self._direction = (grid.allocate(2, zeros=False) for _ in range(2))
         self._restricted = grid.allocate(3 * self._data_term.constraints)
         self._terms: LaneData | None = None
         self._motions = np.zeros((count, 3, 4), np.float32)
