@@ -73,6 +73,7 @@ def advancer(
     contrast: float,
     scales,
     stiffness=1.0,
+    along_line: bool = False,
 ) -> Callable[[], Sums]:
     """Return what measures ρ̂, and renews the auxiliary fields for it.
 
@@ -95,7 +96,7 @@ def advancer(
         g·b (`tisfm.kernels.edges`); those from before enter the half-quadratic energy.
         Overwritten.
     tensor : lane array, 6 components
-        Σ w_i J_i; likewise. Along a line (n = 1), only J11, j1 and J_tt: the others are left alone.
+        Σ w_i J_i; likewise.
     previous : lane array, n components
         An earlier ρ̂; overwritten with `rho`.
     alpha : float
@@ -106,6 +107,9 @@ def advancer(
         m_i ε² of each term; infinite for a quadratic one.
     stiffness : float or n floats
         s_k.
+    along_line : bool
+        Whether q is 0 in all `terms`, for n = 1: of the tensor only J11, j1 and J_tt are written
+        then, and the others left alone.
     """
     components = rho.shape[0]
     count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
@@ -130,6 +134,7 @@ def advancer(
         components,
         sets,
         count,
+        along_line,
         grid.serial,
         -(-grid.height // ROWS),
         weights,
@@ -169,6 +174,7 @@ def _advance(
     n: ti.template(),
     sets: ti.template(),
     count: ti.template(),
+    along_line: ti.template(),
     serial: ti.template(),
     bands: ti.i32,
     weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
@@ -183,7 +189,7 @@ def _advance(
             _advance_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                 squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                weights, tensor, previous, partial, index // blocks, index % blocks,
+                along_line, weights, tensor, previous, partial, index // blocks, index % blocks,
             )  # fmt: skip
     else:
         chunk = ti.static(1 if serial else CHUNK)
@@ -196,7 +202,7 @@ def _advance(
                         _advance_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                             squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                            weights, tensor, previous, partial, row, block,
+                            along_line, weights, tensor, previous, partial, row, block,
                         )  # fmt: skip
                     # The western weight of a strip's first column is the eastern one of its
                     # neighbour's last.
@@ -221,6 +227,7 @@ def _advance_block(
     n: ti.template(),
     sets: ti.template(),
     count: ti.template(),
+    along_line: ti.template(),
     weights: ti.template(),
     tensor: ti.template(),
     previous: ti.template(),
@@ -243,7 +250,7 @@ def _advance_block(
         scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
-        for k in ti.static(LINE if n == 1 else range(6)):
+        for k in ti.static(LINE if along_line else range(6)):
             tensor[k, y, s] = sums[k]
         for side in ti.static(range(2)):  # east, south
             g = edges[side, y, s]

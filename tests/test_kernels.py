@@ -516,7 +516,7 @@ def test_advance_along_a_line(size, lanes, count, make_problem):
     sums = advance(
         grid, problem.to_lanes(constraints.reshape(-1, *size)), field.edges,
         field.x_hat, field.y_hat, field.rho, weights, tensor, grid.allocate(1),
-        alpha=40.0, contrast=0.3, scales=scales,
+        alpha=40.0, contrast=0.3, scales=scales, along_line=True,
     )  # fmt: skip
     where = (problem.motion, problem.rho)
     terms = reference.tensors_of(split)

@@ -63,7 +63,7 @@ class HalfQuadratic:
     weights : lane array, 2n components, or 2 where edges are joint
         g·b of every edge.
     tensor : lane array, 6 components
-        The data terms, weighted and added up.
+        The data terms, weighted and added up. With one unknown, those of constraints along a line.
     """
 
     def __init__(
@@ -227,6 +227,7 @@ class HalfQuadratic:
                 self._previous,
                 alpha=self.alpha,
                 scales=self.scales,
+                along_line=field.components == 1,
                 **self._penalty,
             )
             self._advance = terms, advance
