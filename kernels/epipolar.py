@@ -37,7 +37,9 @@ def displacement(
     focal : float
         px.
     """
-    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions)
+    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
     _displacement[grid.lanes](inverse_depth, labels, x_hat, y_hat, motions, focal, flow, direction)
 
 
@@ -54,7 +56,8 @@ def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
     inverse_depth : lane array, 1 component
         D₀.
     out : lane array, as many components as `terms`
-        (p', 0, c') of a flow (D, 0): p' = (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀.
+        (p', 0, c') of a flow (D, 0): p' = (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀. The
+        zeros are left alone.
     """
     count = terms.shape[0] // 3
     grid.check(terms, 3 * count, "terms")
@@ -65,14 +68,12 @@ def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
     _along[grid.lanes](terms, flow, direction, inverse_depth, count, out)
 
 
-def check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions) -> None:
-    """Raise unless the arguments of `displacement` are what it says."""
+def check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions) -> None:
+    """Raise unless the arguments of `displacement` that it reads are what it says."""
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(labels, 1, "labels")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
-    grid.check(flow, 2, "flow")
-    grid.check(direction, 2, "direction")
     count = motions.shape[0] if isinstance(motions, np.ndarray) and motions.ndim == 3 else 1
     check_array(motions, (count, 3, 4), "motions", aligned=False)
     if not count:
@@ -137,5 +138,4 @@ def _along(
         for i in ti.static(range(count)):
             p, q = terms[3 * i, y, s], terms[3 * i + 1, y, s]
             out[3 * i, y, s] = p * a + q * b
-            out[3 * i + 1, y, s] = 0.0 * a
             out[3 * i + 2, y, s] = p * u + q * v + terms[3 * i + 2, y, s]

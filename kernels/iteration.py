@@ -30,6 +30,7 @@ from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.robust import check_terms, finite_scales, robust_data, terms_of
 from tisfm.kernels.small_spd import bind
 
+LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
 ROWS = 4  # of a band, which one thread takes at a time
 TINY = 1e-20  # in place of a weight that is zero
 
@@ -74,6 +75,7 @@ def advancer(
     contrast: float,
     scales,
     stiffness=1.0,
+    along_line: bool = False,
 ) -> Callable[[], Sums]:
     """Return what measures ρ̂, and renews the auxiliary fields for it.
 
@@ -107,6 +109,9 @@ def advancer(
         m_i ε² of each term; infinite for a quadratic one.
     stiffness : float or n floats
         s_k.
+    along_line : bool
+        Whether q is 0 in all `terms`, for n = 1: of the tensor only J11, j1 and J_tt are written
+        then, and the others left alone.
     """
     components = rho.shape[0]
     count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
@@ -131,6 +136,7 @@ def advancer(
         components,
         sets,
         count,
+        along_line,
         grid.serial,
         -(-grid.height // ROWS),
         weights,
@@ -170,6 +176,7 @@ def _advance(
     n: ti.template(),
     sets: ti.template(),
     count: ti.template(),
+    along_line: ti.template(),
     serial: ti.template(),
     bands: ti.i32,
     weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
@@ -186,8 +193,8 @@ def _advance(
             _advance_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                 squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                weights, tensor, previous, partial, stride, planes, index // blocks,
-                index % blocks,
+                along_line, weights, tensor, previous, partial, stride, planes,
+                index // blocks, index % blocks,
             )  # fmt: skip
     else:
         chunk = ti.static(1 if serial else CHUNK)
@@ -202,7 +209,8 @@ def _advance(
                         _advance_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                             squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                            weights, tensor, previous, partial, stride, planes, row, block,
+                            along_line, weights, tensor, previous, partial, stride, planes, row,
+                            block,
                         )  # fmt: skip
                     # The western weight of a strip's first column is the eastern one of its
                     # neighbour's last.
@@ -227,6 +235,7 @@ def _advance_block(
     n: ti.template(),
     sets: ti.template(),
     count: ti.template(),
+    along_line: ti.template(),
     weights: ti.template(),
     tensor: ti.template(),
     previous: ti.template(),
@@ -253,7 +262,7 @@ def _advance_block(
         scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
-        for k in ti.static(range(6)):
+        for k in ti.static(LINE if along_line else range(6)):
             tensor[0, 0, i + planes[k]] = sums[k]
         for side in ti.static(range(2)):  # east, south
             g = edges[0, 0, i + planes[side]]

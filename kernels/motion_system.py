@@ -20,8 +20,6 @@ def motion_system(
     weights,
     x_hat,
     y_hat,
-    flow,
-    direction,
     *,
     motions,
     label: int,
@@ -40,7 +38,7 @@ def motion_system(
     ----------
     grid : LaneGrid
     terms : lane array, 3 components for each of 1 to 3 constraints
-        (p, q, c) (`tisfm.kernels.constraints`), linearised about `flow`.
+        (p, q, c) (`tisfm.kernels.constraints`).
     inverse_depth : lane array, 1 component
         D.
     labels : lane array, 1 component
@@ -48,8 +46,6 @@ def motion_system(
         g·b of every edge of D.
     x_hat : column table
     y_hat : (H + 2,) float32
-    flow, direction : lane arrays, 2 components
-        Of `displacement` at the current D and motions.
     motions : (K, 3, 4) float32
     label : int
         The motion whose pixels are summed.
@@ -69,7 +65,7 @@ def motion_system(
         The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
     """
     count = check_constraints(grid, terms, scales)
-    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, flow, direction, motions)
+    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
     grid.check(weights, 2, "weights")
     partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
@@ -79,8 +75,6 @@ def motion_system(
         weights,
         x_hat,
         y_hat,
-        flow,
-        direction,
         np.ascontiguousarray(motions[label]),
         label,
         focal,
@@ -104,8 +98,6 @@ def _motion_system(
     weights: LaneArray(3),  # (2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
-    flow: LaneArray(3),  # (2, H+2, S+2)
-    direction: LaneArray(3),  # (2, H+2, S+2)
     motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     label: ti.f32,
     focal: ti.f32,
@@ -116,7 +108,7 @@ def _motion_system(
     count: ti.template(),
     partial: SumArray(3),  # (H, blocks, 27)
 ):
-    height, strip = flow.shape[1] - 2, flow.shape[2] - 2
+    height, strip = labels.shape[1] - 2, labels.shape[2] - 2
     blocks = partial.shape[1]
     for index in range(height * blocks):
         row, block = index // blocks, index % blocks
@@ -126,8 +118,14 @@ def _motion_system(
             s = position + 1
             apart = labels[0, y, s] - label
             mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
-            u, v = flow[0, y, s], flow[1, y, s]
-            a, b = direction[0, y, s], direction[1, y, s]
+            d = inverse_depth[0, y, s] / focal
+            # The point after the motion, in units of its depth.
+            nearness = 1.0 / ti.max(_coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            x = nearness * _coordinate(motion, 0, x_hat[s], y_hat[y], d)
+            yy = nearness * _coordinate(motion, 1, x_hat[s], y_hat[y], d)
+            u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
+            a = nearness * (motion[0, 3] - x * motion[2, 3])
+            b = nearness * (motion[1, 3] - yy * motion[2, 3])
             lines = ti.static(
                 [[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)]
             )
@@ -144,11 +142,7 @@ def _motion_system(
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
             neighbours += weights[1, y, s] + weights[1, y - 1, s]
-            # The point after the motion, in units of its depth.
-            x, yy = u / focal + x_hat[s], v / focal + y_hat[y]
-            d = inverse_depth[0, y, s] / focal
-            depth = motion[2, 0] * x_hat[s] + motion[2, 1] * y_hat[y] + motion[2, 2]
-            lever = focal * d / ti.max(depth + d * motion[2, 3], NEAREST)
+            lever = focal * d * nearness
             columns = ti.static(_motion_columns(x, yy, lever, focal))
             curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
             inverse = 1.0 / (curvature + alpha * neighbours + TINY)
@@ -167,7 +161,14 @@ def _motion_system(
                     columns[i][0] * g1 + columns[i][1] * g2 - inverse * answers[i] * slope
                 )
         for k in ti.static(range(27)):
-            store_sum(partial, row, block, k, sums[k], ti.static(lane_count(flow)))
+            store_sum(partial, row, block, k, sums[k], ti.static(lane_count(labels)))
+
+
+@ti.func
+def _coordinate(motion: ti.template(), row: ti.template(), x, y, d):
+    """Return one coordinate of R x̂ + d t."""
+    turned = motion[row, 0] * x + motion[row, 1] * y + motion[row, 2]
+    return turned + d * motion[row, 3]
 
 
 def _trusted(parts, square, inverses, trusted):

@@ -7,9 +7,11 @@ lanes: a float32 array of shape (H, W, N / lanes, lanes), without the last axis 
 import taichi as ti
 
 from tisfm.kernels.lanes import LaneArray, aligned_zeros, check_array, lane_count, lane_kernel
+from tisfm.kernels.launch import Kernel
 from tisfm.kernels.relaxation import CHUNK
 
 FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
+TINY = 1e-6  # in place of a bend where hypotheses cost the same
 
 
 def aggregate(cost, guide, out, *, step: float, jump: float, edge: float) -> None:
@@ -45,6 +47,44 @@ def aggregate(cost, guide, out, *, step: float, jump: float, edge: float) -> Non
         lines = cost.shape[0] if across else cost.shape[1]
         path = aligned_zeros((lines, *cost.shape[2:]))
         _aggregate[lanes](cost, guide, path, step, jump, 1 / edge, across, out)
+
+
+def cheapest(cost, out, *, count: int) -> None:
+    """Find the hypothesis that costs least, to a fraction: the vertex of a parabola through three.
+
+    Parameters
+    ----------
+    cost : (H, W, N) float32
+    out : (H, W) float32
+        Its number, from 0 to count − 1; of equals the first.
+    count : int
+        How many of N are hypotheses; at least 2.
+    """
+    check_array(cost, cost.shape, "cost")
+    check_array(out, cost.shape[:2], "out", aligned=False)
+    if not 2 <= count <= cost.shape[2]:
+        raise ValueError(f"count is {count}: expected 2 to {cost.shape[2]}")
+    _cheapest(cost, count, out)
+
+
+@Kernel
+def _cheapest(
+    cost: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, N)
+    count: ti.i32,
+    out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(out.shape[0], out.shape[1]):
+        best, least = 0, cost[y, x, 0]
+        for n in range(1, count):
+            here = cost[y, x, n]
+            if here < least:
+                best, least = n, here
+        offset = 0.0
+        if best > 0 and best < count - 1:
+            below, above = cost[y, x, best - 1], cost[y, x, best + 1]
+            bend = ti.max(below + above - 2.0 * least, TINY)
+            offset = ti.max(-0.5, ti.min(0.5 * (below - above) / bend, 0.5))
+        out[y, x] = best + offset
 
 
 @lane_kernel

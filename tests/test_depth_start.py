@@ -51,6 +51,27 @@ def test_aggregate(size, lanes, count):
 
 
 @each_size
+@pytest.mark.parametrize("count", [2, 5])
+def test_cheapest(size, count):
+    from tisfm.kernels.lanes import aligned_zeros
+    from tisfm.kernels.semi_global import cheapest
+
+    rng = np.random.default_rng(2)
+    cost = aligned_zeros((*size, 7))  # what is no hypothesis costs least here
+    place = rng.uniform(-0.5, count - 0.5, size)
+    cost[..., :count] = 3 + 2 * (np.arange(count) - place[..., None]) ** 2
+    out = np.empty(size, np.float32)
+    cheapest(cost, out, count=count)
+    inner = (np.rint(place) > 0) & (np.rint(place) < count - 1)
+    np.testing.assert_allclose(out, np.where(inner, place, np.rint(place)), atol=1e-5)
+    cost[...] = 1
+    cheapest(cost, out, count=count)
+    assert not out.any()
+    with pytest.raises(ValueError, match="count is 8: expected 2 to 7"):
+        cheapest(cost, out, count=8)
+
+
+@each_size
 def test_matching_cost(size):
     from tisfm.kernels.lanes import aligned_zeros
     from tisfm.kernels.matching import matching_cost

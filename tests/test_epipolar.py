@@ -78,7 +78,6 @@ def split(constraints):
 @pytest.mark.parametrize("label", [0, 1])
 @pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
 def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
-    from tisfm.kernels.epipolar import displacement
     from tisfm.kernels.motion_system import motion_system
 
     problem = make_problem(*size, 1, lanes)
@@ -90,17 +89,12 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     field.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
     labels = problem.to_lanes(chequered(*size)[None])
-    flow, direction = grid.allocate(2), grid.allocate(2)
-    displacement(
-        grid, field.rho, labels, field.x_hat, field.y_hat, flow, direction,
-        motions=motions, focal=problem.camera.focal,
-    )  # fmt: skip
     rng = np.random.default_rng(7)
     weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
     matrix, vector = motion_system(
         grid, problem.to_lanes(constraints.reshape(-1, *size)), field.rho, labels,
         problem.to_lanes(weights),
-        field.x_hat, field.y_hat, flow, direction, motions=motions, label=label,
+        field.x_hat, field.y_hat, motions=motions, label=label,
         focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
     )  # fmt: skip
     identity = reference.motion_matrix(problem.camera, *size, 2)
@@ -171,3 +165,35 @@ def test_motions_are_checked(motions, make_problem):
             grid, field.rho, grid.allocate(1), field.x_hat, field.y_hat,
             grid.allocate(2), grid.allocate(2), motions=motions, focal=1.0,
         )  # fmt: skip
+
+
+@each_size
+@pytest.mark.parametrize("by_pixel", [False, True])
+def test_rigid_fields(size, by_pixel, make_problem):
+    from tisfm.kernels.readout import rigid_fields
+
+    problem = make_problem(*size, 1, 1)
+    camera = problem.camera
+    cx, cy = camera.center_for(*size)
+    x_hat = ((np.arange(size[1]) - cx) / camera.focal).astype(np.float32)
+    y_hat = ((np.arange(size[0]) - cy) / camera.focal).astype(np.float32)
+    depth = np.abs(problem.rho[0]).astype(np.float32) + 1
+    poses, motions = two_motions()
+    labels = chequered(*size).astype(np.int32)
+    twists = np.array([TWIST, OTHER_TWIST])
+    flow, rho = np.empty((2, *size), np.float32), np.empty((6, *size), np.float32)
+    options = {"focal": camera.focal, "by_pixel": by_pixel}
+    place = depth, labels, x_hat, y_hat, flow, rho
+    rigid_fields(*place, motions=motions, twists=twists, **options)
+    each = [reference.displacement(depth, camera, *pose) for pose in poses]
+    np.testing.assert_allclose(flow, np.where(labels == 0, *each), atol=1e-5, rtol=1e-5)
+    expected = np.moveaxis(twists[labels], -1, 0)
+    expected[:3] *= depth
+    np.testing.assert_allclose(rho[2:], expected[2:], rtol=1e-6)
+    matrix = reference.motion_matrix(camera, *size, 6)
+    np.testing.assert_allclose(reference.flow(matrix, rho), flow, atol=1e-5)
+    still = np.tile(np.eye(3, 4), (2, 1, 1))
+    rigid_fields(*place, motions=still, twists=0 * twists, **options)
+    assert not flow.any() and not rho.any()
+    with pytest.raises(ValueError, match="labels go from 0 to 1: 1 motions"):
+        rigid_fields(*place, motions=still[:1], twists=twists[:1], **options)

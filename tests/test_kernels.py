@@ -501,6 +501,34 @@ def test_advance(size, components, lanes, kind, contrast, scales, count, make_pr
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
+@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
+@each_lanes
+@pytest.mark.parametrize("count", [1, 3])
+def test_advance_along_a_line(size, lanes, count, make_problem):
+    from tisfm.kernels.iteration import advance
+
+    problem = make_problem(*size, 1, lanes)
+    grid, field = problem.grid, problem.field
+    constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
+    split = [constraints] if count < 3 else [constraints[:1], constraints[1:]]
+    scales = (3.0, 50.0)[: len(split)]
+    weights, tensor = grid.allocate(2), grid.allocate(6)
+    sums = advance(
+        grid, problem.to_lanes(constraints.reshape(-1, *size)), field.edges,
+        field.x_hat, field.y_hat, field.rho, weights, tensor, grid.allocate(1),
+        alpha=40.0, contrast=0.3, scales=scales, along_line=True,
+    )  # fmt: skip
+    where = (problem.motion, problem.rho)
+    terms = reference.tensors_of(split)
+    expected = reference.robust_tensor(terms, *where, scales)
+    expected[[1, 2, 4]] = 0  # left alone
+    close(problem.from_lanes(tensor), expected, scale=np.abs(expected).max())
+    smoothness = smoothness_of(problem, 0.3, "paper")[0]
+    energy = reference.robust_energy(terms, *where, scales)
+    energy += 40.0 * reference.smoothness_energy(problem.rho, smoothness)
+    assert sums.energy == pytest.approx(energy, rel=5e-6)
+
+
 @each_size
 @pytest.mark.parametrize("components", [3, 6])
 @pytest.mark.parametrize("by_pixel", [False, True])

@@ -6,9 +6,9 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.image_edges import mean_step
 from tisfm.kernels.epipolar import NEAREST
-from tisfm.kernels.lanes import aligned_zeros
+from tisfm.kernels.lanes import aligned_empty, aligned_zeros
 from tisfm.kernels.matching import matching_cost
-from tisfm.kernels.semi_global import FORBIDDEN, aggregate
+from tisfm.kernels.semi_global import FORBIDDEN, aggregate, cheapest
 from tisfm.pyramid import Pyramid
 from tisfm.runtime import lanes
 
@@ -203,7 +203,7 @@ def swept(
     count, wide = len(hypotheses), lanes()
     padded = -(-count // wide) * wide
     unit = max(mean_step(frame0), FAINTEST)
-    cost = aligned_zeros((height, width, padded))
+    cost = aligned_empty((height, width, padded))
     cost[..., count:] = FORBIDDEN
     matching_cost(
         _features(frame0, unit),
@@ -228,19 +228,12 @@ def swept(
 def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray, wide: int) -> np.ndarray:
     height, width, padded = cost.shape
     shape = (height, width, padded // wide, wide) if wide > 1 else cost.shape
-    total = aligned_zeros(cost.shape)
+    total = aligned_empty(cost.shape)
     aggregate(cost.reshape(shape), guide, total.reshape(shape), step=STEP, jump=JUMP, edge=EDGE)
-    best = total[..., : len(hypotheses)].argmin(axis=-1)
-    inner = np.clip(best, 1, len(hypotheses) - 2)
-    below, here, above = (
-        np.take_along_axis(total, (inner + offset)[..., None], axis=-1)[..., 0]
-        for offset in (-1, 0, 1)
-    )
-    # The vertex of a parabola through three.
-    bend = np.maximum(below + above - 2 * here, 1e-6)
-    offset = np.where(best == inner, np.clip(0.5 * (below - above) / bend, -0.5, 0.5), 0)
+    best = np.empty((height, width), np.float32)
+    cheapest(total, best, count=len(hypotheses))
     spacing = hypotheses[1] - hypotheses[0]
-    return (hypotheses[0] + spacing * (best + offset)).astype(np.float32)
+    return np.float32(hypotheses[0]) + np.float32(spacing) * best
 
 
 def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.confidence import median
 
 SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are neighbours
 CONFIDENT = 0.1  # least confidence of those that the essential matrix is drawn from
@@ -93,38 +94,26 @@ def camera_motion(
     problem", PAMI 2004, doi 10.1109/TPAMI.2004.17.
     """
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
-    before, after, trust = _correspondences(flow, confidence, camera)
-    focal = camera.focal
-    few = slice(None, None, max(1, len(trust) // FEW))
+    rays = _correspondences(flow, confidence, camera)
+    few = rays.every(max(1, rays.trust.size // FEW))
     free = _Free(unknowns=6 if rotation is None else 3, near=near)
-    if rotation is None:
-        starts = _starts(before[few], after[few], trust[few], focal)
-    else:
-        starts = _turned_starts(before[few], after[few], trust[few], np.asarray(rotation, float))
-    candidates = [
-        _refine(before[few], after[few], trust[few], focal, start, free, iterations=STARTING)
-        for start in starts
-    ]
+    starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
+    candidates = [_refine(few, start, free, iterations=STARTING) for start in starts]
     scale = min(candidate[2] for candidate in candidates)
-    best = min(
-        candidates,
-        key=lambda pose: _cost(before[few], after[few], trust[few], focal, pose, scale),
-    )
-    turn, translation, scale = _refine(
-        before, after, trust, focal, best[:2], free, iterations=ITERATIONS
-    )
-    distance, _, inverse_depth = _epipolar(before, after, turn, translation, focal)
-    if (trust * np.sign(inverse_depth)).sum() < 0:
+    best = min(candidates, key=lambda pose: _cost(few, pose[:2], scale))
+    turn, translation, scale = _refine(rays, best[:2], free, iterations=ITERATIONS)
+    nearest = _nearest(rays, turn, translation)
+    distance = np.abs(nearest.distance)
+    if rays.trust @ np.sign(nearest.inverse_depth) < 0:
         translation = -translation
-    alone = _rotation_alone(before, after) if rotation is None else turn
-    left = _beyond(before, after, alone)
+    alone = _rotation_alone(rays) if rotation is None else turn
     return CameraMotion(
         rotation=turn,
         translation=translation,
         rotation_alone=alone,
-        residual=1.4826 * _weighted_median(np.abs(distance), trust),
-        parallax=focal * float(np.median(np.linalg.norm(left, axis=1))),
-        inliers=float((np.abs(distance) <= 3 * scale).mean()),
+        residual=1.4826 * _weighted_median(distance, rays.trust),
+        parallax=camera.focal * float(np.median(_length(_beyond(rays, alone)))),
+        inliers=float((distance <= 3 * scale).mean()),
     )
 
 
@@ -160,11 +149,65 @@ def distance_from_rays(
     ValueError
         If too few pixels are trusted.
     """
-    before, after, trust = _correspondences(flow, confidence, camera)
-    direction = translation / np.linalg.norm(translation)
-    distance, _, depth = _epipolar(before, after, rotation, direction, camera.focal)
-    end = camera.focal * np.linalg.norm(_beyond(before, after, rotation), axis=1)
-    return 1.4826 * _weighted_median(np.where(depth > 0, np.abs(distance), end), trust)
+    rays = _correspondences(flow, confidence, camera)
+    nearest = _nearest(rays, rotation, translation / np.linalg.norm(translation))
+    end = camera.focal * _length(_beyond(rays, rotation))
+    off = np.where(nearest.inverse_depth > 0, np.abs(nearest.distance), end)
+    return 1.4826 * _weighted_median(off, rays.trust)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rays:
+    """Corresponding rays, a coordinate in each row.
+
+    Attributes
+    ----------
+    before : (3, N) float64
+        (x̂, ŷ, 1) in frame 0.
+    after : (2, N) float64
+        (x̂, ŷ) in frame 1.
+    trust : (N,) float64
+    focal : float
+        px.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    trust: np.ndarray
+    focal: float
+
+    def every(self, stride: int) -> "_Rays":
+        """Return every so manieth of them."""
+        before, after, trust = (
+            np.ascontiguousarray(array[..., ::stride])
+            for array in (self.before, self.after, self.trust)
+        )
+        return _Rays(before=before, after=after, trust=trust, focal=self.focal)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Nearest:
+    """The points of epipolar lines that are nearest to rays of frame 1, (N,) each.
+
+    Attributes
+    ----------
+    inverse_depth
+        By which they are where they are.
+    x, y, nearness
+        Where that is, normalised, and 1 over the depth that they have there.
+    normal_x, normal_y
+        Its normal, of length 1.
+    distance
+        From the line, px, signed.
+    """
+
+    inverse_depth: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    nearness: np.ndarray
+    normal_x: np.ndarray
+    normal_y: np.ndarray
+    distance: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,18 +244,21 @@ def triangulate(
     (N,) float64
         Signed; 0 where the point lies on the epipole.
     """
-    turned = before @ rotation.T
+    return _inverse_depth((before @ rotation.T).T, after.T[:2], translation)
+
+
+def _inverse_depth(turned: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Return the same of coordinates in rows, (3, N) of R x̂ and (2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
-    offset = after[:, :2] * turned[:, 2:] - turned[:, :2]
-    direction = translation[:2] - after[:, :2] * translation[2]
-    square = (direction**2).sum(axis=1)
-    return (offset * direction).sum(axis=1) / np.maximum(square, 1e-18)
+    along_x = translation[0] - after[0] * translation[2]
+    along_y = translation[1] - after[1] * translation[2]
+    pulled = (after[0] * turned[2] - turned[0]) * along_x
+    pulled += (after[1] * turned[2] - turned[1]) * along_y
+    return pulled / np.maximum(along_x * along_x + along_y * along_y, 1e-18)
 
 
-def _correspondences(
-    flow: np.ndarray, confidence: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rays (x̂, ŷ, 1) in both frames, (N, 3) each, of a regular sample, and their trust."""
+def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> _Rays:
+    """Return the rays of a regular sample of a flow."""
     height, width = confidence.shape
     stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
@@ -226,20 +272,23 @@ def _correspondences(
             f"confidence above {CONFIDENT}: the camera's motion needs at least 8"
         )
     cx, cy = camera.center_for(height, width)
-    start = np.stack([columns - cx, rows - cy], axis=1)[taken]
-    ones = np.ones((len(start), 1))
-    before = np.hstack([start / camera.focal, ones])
-    after = np.hstack([(start + moved[taken]) / camera.focal, ones])
-    return before, after, trust[taken]
+    start = np.stack([columns - cx, rows - cy])[:, taken]
+    return _Rays(
+        before=np.vstack([start / camera.focal, np.ones(start.shape[1])]),
+        after=(start + moved[taken].T) / camera.focal,
+        trust=trust[taken],
+        focal=camera.focal,
+    )
 
 
-def _starts(before: np.ndarray, after: np.ndarray, trust: np.ndarray, focal: float) -> list[Pose]:
+def _starts(rays: _Rays) -> list[Pose]:
     """Return poses to start from: essential matrices by random sampling, and the three axes.
 
     Small motions leave room for wrong ones that meet most of the flow within the threshold.
     """
     starts: list[Pose] = [(np.eye(3), axis) for axis in np.eye(3)]
-    chosen = trust > CONFIDENT
+    chosen = rays.trust > CONFIDENT
+    before, after = rays.before[:2, chosen].T.copy(), rays.after[:, chosen].T.copy()
     parameters = cv2.UsacParams()
     parameters.confidence = 0.9999
     parameters.maxIterations = 2000
@@ -250,9 +299,9 @@ def _starts(before: np.ndarray, after: np.ndarray, trust: np.ndarray, focal: flo
     parameters.randomGeneratorState = 0  # the same every time
     identity, none = np.eye(3), np.zeros(5)
     for threshold in THRESHOLDS:
-        parameters.threshold = threshold / focal
+        parameters.threshold = threshold / rays.focal
         essential, _ = cv2.findEssentialMat(
-            before[chosen, :2], after[chosen, :2], identity, identity, none, none, parameters
+            before, after, identity, identity, none, none, parameters
         )
         if essential is None or essential.shape[0] < 3:  # no motion at all
             continue
@@ -262,42 +311,35 @@ def _starts(before: np.ndarray, after: np.ndarray, trust: np.ndarray, focal: flo
     return starts
 
 
-def _turned_starts(
-    before: np.ndarray, after: np.ndarray, trust: np.ndarray, rotation: np.ndarray
-) -> list[Pose]:
+def _turned_starts(rays: _Rays, rotation: np.ndarray) -> list[Pose]:
     """Return translations to start from where the rotation is known: axes, and a linear fit."""
-    normal = np.cross(before @ rotation.T, after) * trust[:, None]  # of the epipolar planes
-    _, _, axes = np.linalg.svd(normal, full_matrices=False)
-    return [(rotation, axis) for axis in (*np.eye(3), axes[-1])]
+    after = np.vstack([rays.after, np.ones(rays.trust.size)])
+    normal = np.cross(rotation @ rays.before, after, axis=0) * rays.trust  # of epipolar planes
+    axes, _, _ = np.linalg.svd(normal, full_matrices=False)
+    return [(rotation, axis) for axis in (*np.eye(3), axes[:, -1])]
 
 
 def _refine(
-    before: np.ndarray,
-    after: np.ndarray,
-    trust: np.ndarray,
-    focal: float,
-    start: Pose,
-    free: "_Free",
-    *,
-    iterations: int,
+    rays: _Rays, start: Pose, free: _Free, *, iterations: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimise the robust distances from epipolar lines; return pose and scale of distances, px."""
     unknowns = free.unknowns
     rotation, translation = start
     scale = 0.0
     for _ in range(iterations):
-        distance, slope, inverse_depth = _epipolar(before, after, rotation, translation, focal)
-        if (trust * np.sign(inverse_depth)).sum() < 0:
+        nearest = _nearest(rays, rotation, translation)
+        if rays.trust @ np.sign(nearest.inverse_depth) < 0:
             translation = -translation
-            distance, slope, inverse_depth = _epipolar(before, after, rotation, translation, focal)
-        scale = max(1.4826 * _weighted_median(np.abs(distance), trust), SMALLEST_SCALE)
-        weight = trust / (1 + (distance / (2 * scale)) ** 2) ** 2
-        weight *= np.where(inverse_depth > 0, 1.0, 0.2)  # behind the camera
-        normal = (slope * weight[:, None]).T @ slope
+            nearest = _nearest(rays, rotation, translation)
+        distance, slope = nearest.distance, _slope(nearest, rays.focal)
+        scale = max(1.4826 * _weighted_median(np.abs(distance), rays.trust), SMALLEST_SCALE)
+        weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
+        weight *= np.where(nearest.inverse_depth > 0, 1.0, 0.2)  # behind the camera
+        normal = (slope * weight) @ slope.T
         # Along t the scale changes, which nothing tells: hold it.
         along = np.concatenate([translation, np.zeros(3)])
         normal += (np.trace(normal) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(6))
-        pull = slope.T @ (weight * distance)
+        pull = slope @ (weight * distance)
         if free.near is not None:
             stiffness, offset = spin_prior(rotation, free.near, scale)
             normal[3:, 3:] += stiffness * np.eye(3)
@@ -313,81 +355,85 @@ def _refine(
     return rotation, translation, scale
 
 
-def _cost(
-    before: np.ndarray,
-    after: np.ndarray,
-    trust: np.ndarray,
-    focal: float,
-    pose: tuple[np.ndarray, np.ndarray, float],
-    scale: float,
-) -> float:
+def _cost(rays: _Rays, pose: Pose, scale: float) -> float:
     """Return the robust cost (Geman–McClure) of a pose at a common scale, px."""
-    distance, _, inverse_depth = _epipolar(before, after, *pose[:2], focal)
-    square = (distance / (2 * scale)) ** 2
-    cost = np.where(inverse_depth > 0, square / (1 + square), 1.0)
-    return float((trust * cost).sum())
+    nearest = _nearest(rays, *pose)
+    square = (nearest.distance / (2 * scale)) ** 2
+    return float(rays.trust @ np.where(nearest.inverse_depth > 0, square / (1 + square), 1.0))
 
 
-def _epipolar(
-    before: np.ndarray,
-    after: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    focal: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return signed distances from epipolar lines, px, how they fall with the motion, and depth.
+def _nearest(rays: _Rays, rotation: np.ndarray, translation: np.ndarray) -> _Nearest:
+    """Return the points of the epipolar lines of a pose."""
+    turned = rotation @ rays.before
+    inverse_depth = _inverse_depth(turned, rays.after, translation)
+    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], 0.05)
+    x = (turned[0] + inverse_depth * translation[0]) * nearness
+    y = (turned[1] + inverse_depth * translation[1]) * nearness
+    normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
+    inverse = 1 / np.maximum(np.sqrt(normal_x * normal_x + normal_y * normal_y), 1e-9)
+    normal_x *= inverse
+    normal_y *= inverse
+    return _Nearest(
+        inverse_depth=inverse_depth,
+        x=x,
+        y=y,
+        nearness=nearness,
+        normal_x=normal_x,
+        normal_y=normal_y,
+        distance=rays.focal * (normal_x * (rays.after[0] - x) + normal_y * (rays.after[1] - y)),
+    )
 
-    Returns
-    -------
-    distance : (N,)
-    slope : (N, 6)
-        Of the place where the line is, along its normal, in translation and rotation: px.
-    inverse_depth : (N,)
-        Of the nearest point of the line.
-    """
-    inverse_depth = triangulate(before, after, rotation, translation)
-    moved = before @ rotation.T + inverse_depth[:, None] * translation
-    nearness = 1 / np.maximum(moved[:, 2], 0.05)
-    x, y = moved[:, 0] * nearness, moved[:, 1] * nearness
-    lever = inverse_depth * nearness
-    zero = np.zeros_like(x)
+
+def _slope(nearest: _Nearest, focal: float) -> np.ndarray:
+    """Return how the distances fall with translation and rotation, (6, N), px."""
+    x, y = nearest.x, nearest.y
+    a, b = focal * nearest.normal_x, focal * nearest.normal_y
+    across = a * x + b * y
+    lever = nearest.inverse_depth * nearest.nearness
+    slope = np.empty((6, x.size))
     # Of a point P: δP = δT + δω × P, divided by its depth and projected.
-    horizontal = np.stack([lever, zero, -lever * x, -x * y, 1 + x * x, -y], axis=1)
-    vertical = np.stack([zero, lever, -lever * y, -1 - y * y, x * y, x], axis=1)
-    line = np.stack([translation[0] - x * translation[2], translation[1] - y * translation[2]], 1)
-    normal = np.stack([-line[:, 1], line[:, 0]], axis=1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
-    distance = focal * (normal * (after[:, :2] - np.stack([x, y], axis=1))).sum(axis=1)
-    slope = focal * (normal[:, :1] * horizontal + normal[:, 1:] * vertical)
-    return distance, slope, inverse_depth
+    np.multiply(lever, a, out=slope[0])
+    np.multiply(lever, b, out=slope[1])
+    np.multiply(-lever, across, out=slope[2])
+    np.multiply(-y, across, out=slope[3])
+    slope[3] -= b
+    np.multiply(x, across, out=slope[4])
+    slope[4] += a
+    np.subtract(b * x, a * y, out=slope[5])
+    return slope
 
 
-def _rotation_alone(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _rotation_alone(rays: _Rays) -> np.ndarray:
     """Return the rotation, (3, 3), that leaves least of the displacements."""
     rotation = np.eye(3)
     for _ in range(10):
-        left = _beyond(before, after, rotation)
-        x, y = (after[:, :2] - left).T
-        horizontal = np.stack([-x * y, 1 + x * x, -y], axis=1)
-        vertical = np.stack([-1 - y * y, x * y, x], axis=1)
-        slope = np.concatenate([horizontal, vertical])
-        length = np.linalg.norm(left, axis=1)
-        weight = 1 / np.maximum(length, max(float(np.median(length)), 1e-12))  # Huber's
-        weighted = slope * np.tile(weight, 2)[:, None]
-        step = np.linalg.solve(weighted.T @ slope, weighted.T @ left.T.ravel())
+        left = _beyond(rays, rotation)
+        x, y = rays.after - left
+        length = _length(left)
+        weight = 1 / np.maximum(length, max(median(length), 1e-12))  # Huber's
+        horizontal = np.stack([-x * y, 1 + x * x, -y])
+        vertical = np.stack([-1 - y * y, x * y, x])
+        normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
+        pull = horizontal @ (weight * left[0]) + vertical @ (weight * left[1])
+        step = np.linalg.solve(normal, pull)
         rotation = cv2.Rodrigues(step)[0] @ rotation
         if np.linalg.norm(step) < SETTLED:
             break
     return rotation
 
 
-def _beyond(before: np.ndarray, after: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Return what a rotation leaves of the displacements, (N, 2), normalised."""
-    turned = before @ rotation.T
-    return after[:, :2] - turned[:, :2] / turned[:, 2:]
+def _beyond(rays: _Rays, rotation: np.ndarray) -> np.ndarray:
+    """Return what a rotation leaves of the displacements, (2, N), normalised."""
+    turned = rotation @ rays.before
+    return rays.after - turned[:2] / turned[2]
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    """Return the lengths of vectors, (2, N)."""
+    return np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1])
 
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])

@@ -1,5 +1,6 @@
 """The half-quadratic algorithm (Table 1), within one linearisation."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -62,7 +63,7 @@ class HalfQuadratic:
     weights : lane array, 2n components, or 2 where edges are joint
         g·b of every edge.
     tensor : lane array, 6 components
-        The data terms, weighted and added up.
+        The data terms, weighted and added up. With one unknown, those of constraints along a line.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class HalfQuadratic:
         # Launches bound to their arrays: of sweeps, and of the renewal for certain constraints.
         self._relax: Callable[[], None] | None = None
         self._advance: tuple[LaneData, Callable[[], Sums]] | None = None
+        self._alpha = math.nan
         self.alpha = alpha
         self.tensor = field.grid.allocate(6)
         shared = joint or not np.isfinite(contrast)  # then b is 1
@@ -107,6 +109,8 @@ class HalfQuadratic:
 
     @alpha.setter
     def alpha(self, value: float) -> None:
+        if value == self._alpha:
+            return
         self._alpha = value
         self._alphas = np.float32(value) * self._penalty["stiffness"]  # α_k
         self._relax = self._advance = None
@@ -229,6 +233,7 @@ class HalfQuadratic:
                 self._previous,
                 alpha=self.alpha,
                 scales=self.scales,
+                along_line=field.components == 1,
                 **self._penalty,
             )
             self._advance = terms, advance

@@ -258,7 +258,7 @@ class Layering:
         """Return the numbered parts of a surface that float."""
         if not surface.motions[0, :, 3].any():
             return np.zeros(surface.inverse_depth.shape, np.int32)
-        deviation = surface.deviation(surface.minimiser.evidence())
+        deviation = surface.deviation()
         return floating(surface.inverse_depth, deviation, self.smallest)
 
 

@@ -1,5 +1,6 @@
 """Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,10 +12,11 @@ from tisfm.camera import Camera
 from tisfm.confidence import ROUNDING, median
 from tisfm.egomotion import spin_prior
 from tisfm.field import Field, LaneData
-from tisfm.half_quadratic import HalfQuadratic, Iteration
+from tisfm.half_quadratic import Iteration
 from tisfm.kernels.epipolar import along, displacement
 from tisfm.kernels.images import image_to_lanes, multiply
 from tisfm.kernels.lanes import on_host
+from tisfm.kernels.launch import Replay
 from tisfm.kernels.motion_system import motion_system
 from tisfm.pyramid import Pyramid
 from tisfm.settings import Settings
@@ -38,7 +40,7 @@ Refinement = Literal["none", "translation", "motion"]
 
 @dataclass(frozen=True, kw_only=True)
 class RigidSolution:
-    """What coarse to fine leaves at the finest level.
+    """What coarse to fine leaves.
 
     Attributes
     ----------
@@ -46,43 +48,50 @@ class RigidSolution:
         R and t of each motion; t of a length such that D is in px/frame, as an average.
     inverse_depth : (H, W) float32
         D = f·d, signed.
-    flow : (2, H, W) float32
-        The exact displacement, px/frame.
-    minimiser : HalfQuadratic
+    evidence : (7, h, w) float32
+        Of `tisfm.kernels.evidence`, on the level that it ended on.
+    density : float
+        Sampling density of that level over the finest's.
     history : list of (level, warp, Iteration)
     converged : bool
     """
 
     motions: np.ndarray
     inverse_depth: np.ndarray
-    flow: np.ndarray
-    minimiser: HalfQuadratic
+    evidence: np.ndarray
+    density: float
     history: list[tuple[int, int, Iteration]]
     converged: bool
 
-    def deviation(self, evidence: np.ndarray) -> np.ndarray:
+    def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
 
         That of a linear problem with constant coefficients, where data of precision A at every
         pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
         pixel's edges weigh, and the unit is the residual there.
-
-        Parameters
-        ----------
-        evidence : (7, H, W) float32
-            Of `minimiser`, at the solution. Not modified.
         """
-        window = (WINDOW, WINDOW)
-        precision = cv2.blur(evidence[0], window) + TINY
+        window, evidence = (WINDOW, WINDOW), self.evidence
+        precision = cv2.blur(evidence[0], window)
+        precision += TINY
         residual = cv2.blur(evidence[3], window)
         # Where nothing is seen, nothing is violated either.
         seen = evidence[0] > ROUNDING * evidence[0].max()
         usual = median(evidence[3][seen]) if seen.any() else 0.0
         np.maximum(residual, usual, out=residual)
         spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
-        variance = spread * np.log1p(1 / (spread * precision))
-        return np.maximum(np.sqrt(variance * residual) * np.float32(CALIBRATION), SUREST)
+        precision *= spread
+        np.reciprocal(precision, out=precision)
+        np.log1p(precision, out=precision)
+        precision *= spread
+        precision *= residual
+        np.sqrt(precision, out=precision)
+        precision *= np.float32(CALIBRATION)
+        deviation = np.maximum(precision, SUREST, out=precision)
+        height, width = self.inverse_depth.shape
+        if deviation.shape == (height, width):
+            return deviation
+        return cv2.resize(deviation, (width, height)) / np.float32(self.density)
 
 
 def rigid_depth(
@@ -136,7 +145,7 @@ def rigid_depth(
         if level == coarsest and depth is not None:
             field.set_images(depth[None])
         focal = camera.focal * pyramid.scale(level)
-        state = _Level(pyramid, level, field, labels, focal, settings, support)
+        state = _Level(pyramid, level, field, labels, focal, settings, support, count=len(motions))
         for warp in range(warps[level - last]):
             restricted = state.linearise(motions)
             state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
@@ -148,19 +157,12 @@ def rigid_depth(
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
         coarse = field
-    if last > 0:
-        field = pyramid.full(field, last)
-        alpha = state.minimiser.alpha
-        state = _Level(pyramid, 0, field, labels, camera.focal, settings, support)
-        state.minimiser.alpha = alpha
-        restricted = state.linearise(motions)
-    state.minimiser.renew(restricted)  # depth was despeckled, or interpolated
-    state.displace(motions)
+    state.minimiser.renew(restricted)  # depth was despeckled
     return RigidSolution(
         motions=motions,
-        inverse_depth=field.images()[0],
-        flow=field.to_images(state.flow),
-        minimiser=state.minimiser,
+        inverse_depth=pyramid.images(field, last)[0],
+        evidence=state.minimiser.evidence(),
+        density=pyramid.scale(last),
         history=history,
         converged=converged,
     )
@@ -195,7 +197,7 @@ def residual_under(
     field = pyramid.field(0, 1, None)
     field.set_images(inverse_depth[None])
     labels = np.zeros(inverse_depth.shape, np.int32)
-    state = _Level(pyramid, 0, field, labels, camera.focal, settings)
+    state = _Level(pyramid, 0, field, labels, camera.focal, settings, count=1)
     restricted = state.linearise(motion[None])
     state.minimiser.renew(restricted)
     return state.minimiser.residual(), field.to_images(state.flow)
@@ -213,17 +215,21 @@ class _Level:
         focal: float,
         settings: Settings,
         support: np.ndarray | None = None,
+        *,
+        count: int,
     ) -> None:
         self._field, self._focal = field, focal
         grid = field.grid
         size = (grid.width, grid.height)
         resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
-        image_to_lanes(grid, resized, self._labels)
+        if count > 1:
+            image_to_lanes(grid, resized, self._labels)
         self._label_image = resized
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
         inside = grid.inside()[0, self._rows, 1:-1]
-        self._sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        self._samples = [np.flatnonzero(sample == label) for label in range(count)]
         if labels.any():
             multiply(grid, _within(field, resized), field.edges)
         counted: np.ndarray | None = None
@@ -251,39 +257,46 @@ class _Level:
             contrast=settings.contrast_for(focal),
             stiffness=(1.0,),
         )
-        self.flow, self._direction = grid.allocate(2), grid.allocate(2)
+        self.flow, self._direction = (grid.allocate(2, zeros=False) for _ in range(2))
         self._restricted = grid.allocate(3 * self._data_term.constraints)
         self._terms: LaneData | None = None
+        self._motions = np.zeros((count, 3, 4), np.float32)
+        self._linearise = Replay(self._linearisation(), on_device=grid.on_device)
 
-    def displace(self, motions: np.ndarray) -> None:
-        """Compute the flow of the current depth under these motions, and its direction."""
-        field = self._field
-        displacement(
-            field.grid,
-            field.rho,
-            self._labels,
-            field.x_hat,
-            field.y_hat,
-            self.flow,
-            self._direction,
-            motions=motions.astype(np.float32),
-            focal=self._focal,
-        )
+    def _linearisation(self) -> Callable[[], LaneData]:
+        """Return what is launched again and again, without a reference to this object."""
+        field, data_term, support = self._field, self._data_term, self._support
+        flow, direction, restricted = self.flow, self._direction, self._restricted
+        labels, motions, focal = self._labels, self._motions, self._focal
+        x_hat, y_hat, depth = field.x_hat, field.y_hat, field.rho
+
+        def linearise() -> LaneData:
+            displacement(
+                field.grid, depth, labels, x_hat, y_hat, flow, direction,
+                motions=motions, focal=focal,
+            )  # fmt: skip
+            terms = data_term.linearise(flow)
+            along(field.grid, terms, flow, direction, depth, restricted)
+            if support is not None:
+                multiply(field.grid, support, restricted)
+            return terms
+
+        return linearise
 
     def linearise(self, motions: np.ndarray) -> LaneData:
         """Return the data about the current depth, restricted to epipolar lines."""
-        field = self._field
-        self.displace(motions)
-        self._terms = self._data_term.linearise(self.flow)
-        along(field.grid, self._terms, self.flow, self._direction, field.rho, self._restricted)
-        if self._support is not None:
-            multiply(field.grid, self._support, self._restricted)
+        self._motions[...] = motions
+        self._terms = self._linearise()
         return self._restricted
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        depth = median_within(self._field.images()[0], self._label_image)
-        image_to_lanes(self._field.grid, depth, self._field.rho)
+        depth = self._field.images()[0]
+        alone = len(self._motions) == 1
+        medians = (
+            cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
+        )
+        image_to_lanes(self._field.grid, medians, self._field.rho)
 
     def noise(self, motions: np.ndarray) -> np.ndarray:
         """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
@@ -292,19 +305,19 @@ class _Level:
         """
         depth = on_host(self._field.rho)[0, self._rows, 1:-1]
         tensor = on_host(self.minimiser.tensor)[:, self._rows, 1:-1]
-        residual = np.maximum((tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5], 0)
+        residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
         noise = np.zeros(len(motions))
         for label, motion in enumerate(motions):
-            mine = residual[self._sample == label]
+            mine = residual.ravel()[self._samples[label]]
             if mine.size and motion[:, 3].any():
-                noise[label] = np.sqrt(np.median(mine))
+                noise[label] = np.sqrt(max(median(mine), 0))
         return noise
 
     def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
         """Return the motions after a step of Gauss–Newton on the last linearisation."""
         field = self._field
         motions = motions.copy()
-        self.displace(motions)
+        current = motions.astype(np.float32)
         for label, motion in enumerate(motions):
             matrix, vector = motion_system(
                 field.grid,
@@ -314,9 +327,7 @@ class _Level:
                 self.minimiser.weights,
                 field.x_hat,
                 field.y_hat,
-                self.flow,
-                self._direction,
-                motions=motions.astype(np.float32),
+                motions=current,
                 label=label,
                 focal=self._focal,
                 scales=self._data_term.scales,

@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.interpretation import Status
+from tisfm.kernels.lanes import aligned_empty
+from tisfm.kernels.readout import rigid_fields
 from tisfm.pyramid import Iteration, Pyramid
 from tisfm.reading import Reading, ended
 from tisfm.rigid import rigid_twist
@@ -50,18 +53,17 @@ def with_depth(
         for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
     if unseen is not None:
         for_twist[unseen] = for_output[unseen] = 0
-    evidence = solution.minimiser.evidence()
-    factor = for_output[labels]
-    deviation = solution.deviation(evidence) * factor
-    deviation[factor == 0] = np.inf
+    factor = for_output[labels] if len(for_output) > 1 else for_output[0]
+    deviation = solution.deviation()
+    deviation *= factor
+    np.copyto(deviation, np.inf, where=factor == 0)
+    flow, rho = _fields(solution.inverse_depth, labels, solution.motions, twists, for_twist, camera)
     return Reading(
-        rho=rho_of(
-            solution.inverse_depth * for_twist[labels], solution.flow, twists, labels, camera
-        ),
-        flow=solution.flow,
+        rho=rho,
+        flow=flow,
         inverse_depth=solution.inverse_depth * factor,
         inverse_depth_std=deviation,
-        evidence=evidence,
+        evidence=solution.evidence,
         normalized=settings.depth_normalization is not None,
         freedom=1,
         history=solution.history,
@@ -99,15 +101,16 @@ def without_depth(
         contrast=settings.contrast_for(camera.focal),
         stiffness=(1.0, 1.0),
     )
-    flow = rotation_flow(rotation, camera, height, width)
-    field.set_images(flow)
-    minimiser.renew(data_term.linearise(field.flow(field.grid.allocate(2))))
     twists = rigid_twist(rotation, translation)[None]
     if twists[0, :3].any():
         twists[0, :3] /= np.linalg.norm(twists[0, :3])
     nothing, labels = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
+    motion = np.column_stack([rotation, np.zeros(3)])
+    flow, rho = _fields(nothing, labels, motion[None], twists, np.zeros(1), camera)
+    field.set_images(flow)
+    minimiser.renew(data_term.linearise(field.flow(field.grid.allocate(2))))
     return Reading(
-        rho=rho_of(nothing, flow, twists, labels, camera),
+        rho=rho,
         flow=flow,
         inverse_depth=nothing,
         inverse_depth_std=np.full_like(nothing, np.inf),
@@ -121,49 +124,33 @@ def without_depth(
     )
 
 
-def rotation_flow(rotation: np.ndarray, camera: Camera, height: int, width: int) -> np.ndarray:
-    """Return the flow of a rotation, (2, H, W) float32, px/frame; exactly 0 for none."""
-    cx, cy = camera.center_for(height, width)
-    x = (np.arange(width) - cx) / camera.focal
-    y = (np.arange(height)[:, None] - cy) / camera.focal
-    # Of (R − 1) x̂, so that no rotation gives exactly none.
-    turn = rotation - np.eye(3)
-    p1, p2, p3 = (row[0] * x + row[1] * y + row[2] for row in turn)
-    flow = np.stack([p1 - x * p3, p2 - y * p3]) * (camera.focal / (1 + p3))
-    return flow.astype(np.float32)
-
-
-def rho_of(
+def _fields(
     inverse_depth: np.ndarray,
-    flow: np.ndarray,
-    twists: np.ndarray,
     labels: np.ndarray,
+    motions: np.ndarray,
+    twists: np.ndarray,
+    for_twist: np.ndarray,
     camera: Camera,
-) -> np.ndarray:
-    """Return the ρ̂ of twists and inverse depth, (6, H, W), corrected to give exactly a flow.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flow of motions, (2, H, W), and the ρ̂ of their twists, (6, H, W).
 
-    To first order ρ̂ = f·(d T, ω). What the finite displacement has beyond Gρ̂ is added to its
-    first two components, which move a pixel right and down.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        For the lengths of T.
-    flow : (2, H, W) float32
-    twists : (K, 6) float64
-    labels : (H, W) int32
-    camera : Camera
+    `for_twist` takes each motion's inverse depth to that of its twist.
     """
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)
-    x = ((np.arange(width) - cx) / camera.focal).astype(np.float32)
-    y = ((np.arange(height)[:, None] - cy) / camera.focal).astype(np.float32)
-    rho = np.empty((6, height, width), np.float32)
-    for k, component in enumerate((camera.focal * twists.T).astype(np.float32)):
-        rho[k] = component[labels] if len(component) > 1 else component[0]
-    rho[:3] *= inverse_depth
-    # (u, v) = G ρ̂ for the components 3 to 6; the first two take the rest.
-    _, _, t3, w1, w2, w3 = rho
-    rho[0] = flow[0] - (-x * t3 - x * y * w1 + (1 + x * x) * w2 - y * w3)
-    rho[1] = flow[1] - (-y * t3 - (1 + y * y) * w1 + x * y * w2 + x * w3)
-    return rho
+    flow, rho = (aligned_empty((n, height, width)) for n in (2, 6))
+    scaled = camera.focal * twists
+    scaled[:, :3] *= for_twist[:, None]
+    rigid_fields(
+        inverse_depth,
+        labels,
+        ((np.arange(width) - cx) / camera.focal).astype(np.float32),
+        ((np.arange(height) - cy) / camera.focal).astype(np.float32),
+        flow,
+        rho,
+        motions=motions,
+        twists=scaled,
+        focal=camera.focal,
+        by_pixel=runtime.on_gpu(),
+    )
+    return flow, rho

@@ -95,11 +95,12 @@ class Settings:
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
         about 12 px.
     finest_level : int
-        Level to end on, 0 the finest: what is found there is interpolated, and the residuals by
-        which hidden surfaces are told from others are those of its frames. 1, with a
-        `pyramid_factor` of ½, leaves a quarter of the pixels to compute, and blurs motion over two
-        pixels. Beyond the coarsest level it is that; ``motion="camera"`` ends on the level that
-        depth starts from, where that is finer. ``motion="objects"`` takes 0.
+        Level to end on, 0 the finest: what is found there is interpolated, confidence and the
+        deviation of depth with it, and the residuals by which hidden surfaces are told from others
+        are those of its frames. 1, with a `pyramid_factor` of ½, leaves a quarter of the pixels to
+        compute, and blurs motion over two pixels. Beyond the coarsest level it is that;
+        ``motion="camera"`` ends on the level that depth starts from, where that is finer.
+        ``motion="objects"`` takes 0.
     warps : int
         Linearisations on the last level.
     coarse_warps : int
