@@ -82,7 +82,15 @@ class Case:
 # Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
 AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4}
 # On plain images, or vectors of their own.
-WITHOUT_LANES = ("splat", "defeated", "share_of_data", "motion_fields", "matching_cost")
+WITHOUT_LANES = (
+    "splat",
+    "defeated",
+    "share_of_data",
+    "motion_fields",
+    "matching_cost",
+    "cheapest",
+    "rigid_fields",
+)
 PLAIN = (
     "image_to_lanes",
     "warp",
@@ -97,6 +105,8 @@ PLAIN = (
     "motion_system",
     "matching_cost",
     "aggregate",
+    "cheapest",
+    "rigid_fields",
 )
 PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "evidence")
 MULTIGRID = ("relayout", "correct", "descend")

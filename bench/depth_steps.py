@@ -6,10 +6,11 @@ from bench.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED, Pro
 from bench.sides import NumpySide, Run, TaichiSide, Timed
 from tisfm import reference
 from tisfm.field import LaneData
-from tisfm.kernels import epipolar, matching, motion_system, semi_global
+from tisfm.kernels import epipolar, matching, motion_system, readout, semi_global
 from tisfm.kernels.lanes import aligned_zeros
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
+TINY = 1e-6  # in place of a curvature of costs
 
 
 class DepthOperations(TaichiSide):
@@ -33,7 +34,6 @@ class DepthOperations(TaichiSide):
     def motion_system(self) -> Timed:
         p = self.problem
         inverse_depth, labels, *tables = self._geometry()
-        inputs = [self.lay(array) for array in np.split(displaced(p), 2)]
         arguments = (
             self.grid,
             self.lay(p.constraints),
@@ -41,7 +41,6 @@ class DepthOperations(TaichiSide):
             labels,
             self.lay(p.weights(1)),
             *tables,
-            *inputs,
         )
         options = {"label": 0, "scales": SCALES, "alpha": HELD, "tolerated": TOLERATED}
         options |= self._motions()
@@ -80,6 +79,27 @@ class DepthOperations(TaichiSide):
         return (
             lambda: semi_global.aggregate(cost, guide, out, **AGGREGATION),
             lambda _: np.moveaxis(out.reshape(p.cost.shape), -1, 0),
+        )
+
+    def cheapest(self) -> Timed:
+        p = self.problem
+        cost, out = aligned_zeros(p.cost.shape), np.empty((p.height, p.width), np.float32)
+        cost[...] = p.cost
+        return (
+            lambda: semi_global.cheapest(cost, out, count=len(HYPOTHESES)),
+            lambda _: out[None],
+        )
+
+    def rigid_fields(self) -> Timed:
+        p, grid = self.problem, self.grid
+        depth, labels = p.inverse_depth[0].astype(np.float32), p.labels.astype(np.int32)
+        tables = (-p.motion[0, 2, 0], -p.motion[1, 2, :, 0])
+        fields = [np.empty((n, p.height, p.width), np.float32) for n in (2, 6)]
+        arguments = (depth, labels, *(table.astype(np.float32) for table in tables), *fields)
+        options = self._motions() | {"twists": p.twists, "by_pixel": grid.on_device}
+        return (
+            lambda: readout.rigid_fields(*arguments, **options),
+            lambda _: np.concatenate(fields),
         )
 
     def _geometry(self) -> tuple[LaneData, ...]:
@@ -146,6 +166,32 @@ class DepthReferences(NumpySide):
     def aggregate(self) -> Run:
         cost, guide = self.problem.cost, self.problem.features[0, 0]
         return lambda: np.moveaxis(reference.aggregate(cost, guide, **AGGREGATION), -1, 0)
+
+    def cheapest(self) -> Run:
+        cost = self.problem.cost
+
+        def run() -> np.ndarray:
+            best = cost.argmin(2)[..., None]
+            inner = (best > 0) & (best < cost.shape[2] - 1)
+            around = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
+            below, least, above = (np.take_along_axis(cost, place, 2) for place in around)
+            vertex = (below - above) / np.maximum(below + above - 2 * least, TINY) / 2
+            return np.moveaxis(best + inner * np.clip(vertex, -0.5, 0.5), 2, 0)
+
+        return run
+
+    def rigid_fields(self) -> Run:
+        p = self.problem
+        twists = p.twists[p.labels.astype(int)]
+
+        def run() -> np.ndarray:
+            flow = displaced(p)[:2]
+            rho = np.moveaxis(twists, 2, 0).copy()
+            rho[:3] *= p.inverse_depth
+            rho[:2] += flow - reference.flow(p.motion, rho)
+            return np.concatenate([flow, rho])
+
+        return run
 
 
 def displaced(problem: Problem) -> np.ndarray:

@@ -138,10 +138,12 @@ class FieldOperations(TaichiSide):
             tensor,
             previous,
         )
-        options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES}
+        line = self.scheme == "line"
+        options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES, "along_line": line}
+        written = list(iteration.LINE) if line else slice(None)
         return (
             lambda: iteration.advance(*arguments, **options),
-            lambda _: np.concatenate([self.read(tensor), self.read(weights)]),
+            lambda _: np.concatenate([self.read(tensor)[written], self.read(weights)]),
         )
 
     def prolong(self) -> Timed:

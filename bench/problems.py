@@ -133,6 +133,11 @@ class Problem:
         return single(self.residual / 10)
 
     @cached_property
+    def twists(self) -> np.ndarray:
+        """T and f·ω of every motion; random, (K, 6)."""
+        return single(np.random.default_rng(4).normal(size=(len(self.motions), 6)))
+
+    @cached_property
     def cost(self) -> np.ndarray:
         """Costs of all hypotheses; random, (H, W, N)."""
         shape = (self.height, self.width, len(HYPOTHESES))

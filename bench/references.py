@@ -15,6 +15,7 @@ from bench.problems import (
 )
 from bench.sides import NumpySide, Run
 from tisfm import reference
+from tisfm.kernels.iteration import LINE
 
 
 class FieldReferences(NumpySide):
@@ -99,7 +100,8 @@ class FieldReferences(NumpySide):
             weights = reference.edge_weights(self.rho, smoothness)
             before = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
-            return np.concatenate([tensor, *shared])
+            written = list(LINE) if self.scheme == "line" else slice(None)
+            return np.concatenate([tensor[written], *shared])
 
         return run
 

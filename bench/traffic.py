@@ -53,8 +53,8 @@ TRAFFIC = {
     # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
     "advance separate": Traffic(read=(17, 4), written=(6, 3)),
     "advance joint": Traffic(read=(19, 2), written=(8, 1)),
-    # Of the tensor, J11, j1, J_tt are read.
-    "advance line": Traffic(read=(18, 0), written=(9, 0)),
+    # Of the tensor, J11, j1 and J_tt alone.
+    "advance line": Traffic(read=(18, 0), written=(6, 0)),
     "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
     "evidence": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
     "share_of_data": Traffic(read=(7, 0), written=(1, 0)),  # evidence | share
@@ -75,9 +75,10 @@ TRAFFIC = {
     "descend": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
     "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
     "along": Traffic(read=(14, 0), written=(9, 0)),  # constraints, flow, direction, D | constraints
-    # constraints, D, labels, b, flow, direction
-    "motion_system": Traffic(read=(17, 0), written=(0, 0)),
+    "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
+    "cheapest": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
+    "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂
     "aggregate": Traffic(read=(1 + len(HYPOTHESES), 0), written=(len(HYPOTHESES), 0)),
 }
