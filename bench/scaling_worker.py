@@ -30,7 +30,7 @@ STAGES = (
     ("tisfm.pyramid", "Pyramid.data_term", "start of a level"),
     ("tisfm.pyramid", "Pyramid.minimiser", "start of a level"),
     ("tisfm.pyramid", "Pyramid.images", "read-out"),
-    ("tisfm.data_term", "DataTerm.linearise", "warp, derivatives, constraints"),
+    ("tisfm.kernels.launch", "Replay.__call__", "warp, derivatives, constraints"),
     ("tisfm.half_quadratic", "HalfQuadratic.minimise", "iterations"),
     ("tisfm.half_quadratic", "HalfQuadratic.evidence", "read-out"),
     ("tisfm.reading", "_motion_fields", "read-out"),
