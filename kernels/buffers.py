@@ -31,11 +31,12 @@ class Buffers:
         self._free: OrderedDict[int, list[np.ndarray]] = OrderedDict()
         self._lock = threading.Lock()
         self._users: dict[int, weakref.ref] = {}
+        self._kept = 0
 
     @property
     def kept(self) -> int:
         """Bytes that are kept, and not in use, now."""
-        return sum(size * len(blocks) for size, blocks in list(self._free.items()))
+        return self._kept
 
     def floats(self, count: int) -> np.ndarray:
         """Return an aligned float32 array of `count` elements, of any value."""
@@ -58,7 +59,9 @@ class Buffers:
         """Return a block of a size that is kept, or else a new one, of uint8."""
         if LEAST <= size <= GREATEST:
             with self._lock, contextlib.suppress(LookupError):
-                return self._free[size].pop()
+                block = self._free[size].pop()
+                self._kept -= size
+                return block
         return np.empty(size, np.uint8)
 
     def _keep(self, block: np.ndarray) -> None:
@@ -69,10 +72,12 @@ class Buffers:
         try:
             self._free.setdefault(block.nbytes, []).append(block)
             self._free.move_to_end(block.nbytes)
-            while self.kept > self.most:
+            self._kept += block.nbytes
+            while self._kept > self.most:
                 oldest = next(iter(self._free))
                 if self._free[oldest]:
                     self._free[oldest].pop()
+                    self._kept -= oldest
                 else:
                     del self._free[oldest]
         finally:
@@ -82,6 +87,7 @@ class Buffers:
         """Keep nothing."""
         with self._lock:
             self._free.clear()
+            self._kept = 0
 
 
 buffers = Buffers()
