@@ -183,37 +183,23 @@ class Pyramid:
         """Return the level to end on."""
         return min(settings.finest_level, self.levels - 1)
 
-    def full(self, field: Field, level: int) -> Field:
-        """Return the unknown of a level on the finest grid; itself, if it is there."""
-        if level == 0:
-            return field
-        fine = Field(lane_grid(*self.frames0[0].shape), self.camera, field.components)
-        fine.start_from(field, self.scale(level))
-        if self._settings.image_edges > 0:
-            fine.edges = image_edges_in_lanes(
-                fine.grid, self.frames0[0], self._settings.image_edges
-            )
-        return fine
-
     def images(self, field: Field, level: int) -> np.ndarray:
         """Return the unknown of a level at the pixels of the finest, (components, H, W) float32."""
         if level == 0:
             return field.images()
         if self._settings.pyramid_factor != 0.5:
-            return self.full(field, level).images()
+            fine = Field(lane_grid(*self.frames0[0].shape), self.camera, field.components)
+            fine.start_from(field, self.scale(level))
+            return fine.images()
         return enlarged(2**level * field.images(), 2**level, *self.frames0[0].shape)
 
     def data_term(
-        self,
-        level: int,
-        grid: LaneGrid,
-        *,
-        brightness: float,
-        gradient: float,
-        normalization: float | None,
+        self, level: int, grid: LaneGrid, settings: Settings, *, depth: bool = False
     ) -> DataTerm:
-        """Return the data term of a level; `normalization` is a share of the frame's contrast."""
-        settings = self._settings
+        """Return the data term of a level: that of free motion, or the one for `depth`."""
+        brightness, share = settings.brightness, settings.normalization
+        if depth:
+            brightness, share = settings.depth_brightness, settings.depth_normalization
         return DataTerm(
             grid,
             self.frames0[level],
@@ -221,8 +207,8 @@ class Pyramid:
             self.taps1(level),
             scheme=settings.derivatives,
             brightness=brightness,
-            gradient=gradient,
-            normalization=None if normalization is None else normalization * self.contrast,
+            gradient=settings.gradient,
+            normalization=None if share is None else share * self.contrast,
             contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
         )
 
@@ -308,13 +294,7 @@ def _on_level(
     pyramid: Pyramid, settings: Settings, field: Field, level: int, *, contrast: float, warps: int
 ) -> Solution:
     """Estimate ρ̂ on one level, from what it is."""
-    data_term = pyramid.data_term(
-        level,
-        field.grid,
-        brightness=settings.brightness,
-        gradient=settings.gradient,
-        normalization=settings.normalization,
-    )
+    data_term = pyramid.data_term(level, field.grid, settings)
     minimiser = pyramid.minimiser(
         field,
         data_term,

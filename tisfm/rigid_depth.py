@@ -242,13 +242,7 @@ class _Level:
         if counted is not None:
             self._support = grid.allocate(1)
             image_to_lanes(grid, np.sqrt(counted), self._support)  # of what is squared
-        self._data_term = pyramid.data_term(
-            level,
-            grid,
-            brightness=settings.depth_brightness,
-            gradient=settings.gradient,
-            normalization=settings.depth_normalization,
-        )
+        self._data_term = pyramid.data_term(level, grid, settings, depth=True)
         self.minimiser = pyramid.minimiser(
             field,
             self._data_term,

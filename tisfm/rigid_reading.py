@@ -86,13 +86,7 @@ def without_depth(
     """Return the flow of a rotation, without depth; the translation is only reported."""
     height, width = pyramid.frames0[0].shape
     field = pyramid.field(0, 2, None)
-    data_term = pyramid.data_term(
-        0,
-        field.grid,
-        brightness=settings.brightness,
-        gradient=settings.gradient,
-        normalization=settings.normalization,
-    )
+    data_term = pyramid.data_term(0, field.grid, settings)
     minimiser = pyramid.minimiser(
         field,
         data_term,
