@@ -17,8 +17,10 @@ from tisfm.kernels.lanes import (
     element,
     lane_count,
     lane_kernel,
+    load,
     planes_of,
     refresh_halo,
+    store,
 )
 from tisfm.kernels.reductions import (
     BLOCK,
@@ -263,16 +265,16 @@ def _advance_block(
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
         for k in ti.static(LINE if along_line else range(6)):
-            tensor[0, 0, i + planes[k]] = sums[k]
+            store(tensor, i + planes[k], sums[k])
         for side in ti.static(range(2)):  # east, south
-            g = edges[0, 0, i + planes[side]]
+            g = load(edges, i + planes[side])
             beyond = i + 1 + side * (stride - 1)
             steps = ti.static([bind(element(rho, beyond + planes[k]) - here[k]) for k in range(n)])
             squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
             lengths = ti.static(squares if sets == n else [_sum(squares)])
             for k in ti.static(range(sets)):
                 place = i + planes[sets * side + k]
-                square, before = lengths[k], weights[0, 0, place]
+                square, before = lengths[k], load(weights, place)
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
                 both = g / (root * (1.0 + root))  # a quotient takes as long as many products
                 smooth += 2.0 * square * (root * both)  # g Φ_δ
@@ -280,13 +282,13 @@ def _advance_block(
                 gap = g - before
                 half_smooth += before * square
                 half_smooth += squared_contrast * gap * gap / ti.max(before, TINY)
-                weights[0, 0, place] = both * (1.0 + root)  # g b
+                store(weights, place, both * (1.0 + root))  # g b
         for k in ti.static(range(n)):
             place = i + planes[k]
-            step = here[k] - previous[0, 0, place]
+            step = here[k] - load(previous, place)
             moved += step * step
             size += here[k] * here[k]
-            previous[0, 0, place] = here[k]
+            store(previous, place, here[k])
     for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, moved, size))):
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 

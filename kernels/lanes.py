@@ -136,7 +136,29 @@ def element(array, index):
     compiler knows that it does not, and most of it becomes part of the load.
     """
     compiling = impl.get_runtime().compiling_callable
-    return impl.subscript(compiling.ast_builder(), array, 0, 0, index)
+    return impl.subscript(compiling.ast_builder(), array, *_indices(array, index))
+
+
+@ti.func
+def load(array: ti.template(), index):
+    """Return an element by one index, as `element` does."""
+    found = ti.static([bind(element(array, index))])
+    return found[0]
+
+
+@ti.func
+def store(array: ti.template(), index, value):
+    """Write an element by one index, as `element` reads it."""
+    place = ti.static(_indices(array, index))
+    array[place[0], place[1], place[2]] = value
+
+
+def _indices(array, index) -> list:
+    """Return one index as three: itself, unless an application lets Taichi check each of them."""
+    if not impl.current_cfg().debug:
+        return [0, 0, index]
+    rows, row = array.shape[1], array.shape[2]
+    return [bind(index // (rows * row)), bind(index // row % rows), bind(index % row)]
 
 
 @ti.func

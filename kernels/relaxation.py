@@ -20,6 +20,7 @@ from tisfm.kernels.lanes import (
     lane_kernel,
     planes_of,
     refresh_halo,
+    store,
 )
 from tisfm.kernels.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.small_spd import (
@@ -250,7 +251,7 @@ def relax_at(
     )  # fmt: skip
     step = ti.static(_solve(closed_form, alphas, edges, columns, j, residual))
     for k in ti.static(range(n)):
-        rho[0, 0, i + planes[k]] = center[k] + relaxation * step[k]
+        store(rho, i + planes[k], center[k] + relaxation * step[k])
 
 
 def edges_at(weights, planes, stride, sets, i) -> list:

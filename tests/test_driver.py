@@ -220,6 +220,14 @@ def test_zero_motion_gives_exactly_zero(preset, model, blocks):
     assert "further" in result.status.message
 
 
+def test_uniform_frames_of_different_levels_have_no_texture():
+    """At this size filters round so that a little remains of them."""
+    frames = [np.full((376, 1241), level, np.uint8) for level in (0, 128)]
+    result = tisfm.interpret(*frames)
+    assert result.status == "no_texture"
+    assert not result.flow.any() and not result.confidence.any()
+
+
 def test_uniform_frames_have_no_texture():
     result = tisfm.interpret(np.full((30, 40), 90, np.uint8), np.full((30, 40), 120, np.uint8))
     assert not result.rho.any()

@@ -337,9 +337,11 @@ def test_a_checkout_has_its_kernels(monkeypatch):
     root = Path(__file__).parents[1]
     monkeypatch.chdir(root)
     code = """
+    import importlib.util
     import sys
     sys.meta_path = [finder for finder in sys.meta_path if "editable" not in repr(finder)]
     import tisfm.kernels
+    assert importlib.util.find_spec("tisfm.tisfm") is None
     print(tisfm.kernels.__path__[0])
     """
     assert Path(answer(code)) == root / "kernels"
@@ -392,28 +394,32 @@ def test_the_first_interpretation_may_be_in_any_thread(count, before):
     assert answer(code) == f"{count} 1"
 
 
-def test_an_interpretation_may_outlive_the_main_thread():
-    code = """
-    import threading
-    import time
+OUTLIVE = """
+import threading
+import time
 
-    import numpy as np
-    import tisfm
+import numpy as np
+import tisfm
 
-    image = np.random.default_rng(0).uniform(0, 255, (260, 260)).astype(np.float32)
+image = np.random.default_rng(0).uniform(0, 255, (260, 260)).astype(np.float32)
 
-    def interpret():
-        return tisfm.interpret(image, np.roll(image, 1, axis=1), camera=tisfm.Camera(300.0))
+def interpret():
+    return tisfm.interpret(image, np.roll(image, 1, axis=1), camera=tisfm.Camera(300.0))
 
-    def afterwards():
-        while threading.main_thread().is_alive():
-            time.sleep(0.01)
-        print(np.array_equal(interpret().rho, before.rho))
+def afterwards():
+    while threading.main_thread().is_alive():
+        time.sleep(0.01)
+    print(interpret().status)
 
-    before = interpret()
-    threading.Thread(target=afterwards).start()
-    """
-    assert answer(code) == "True"
+{before}
+threading.Thread(target=afterwards).start()
+"""
+
+
+@pytest.mark.parametrize("before", ["", "interpret()"], ids=["first", "second"])
+def test_an_interpretation_may_outlive_the_main_thread(before):
+    """It has no second thread then."""
+    assert answer(OUTLIVE.format(before=before)) == "converged"
 
 
 FORK = """
@@ -444,3 +450,40 @@ os.waitpid(child, 0)
 def test_forking(before, expected):
     """After Taichi was started, a child would wait for threads that it does not have."""
     assert expected in answer(FORK.format(before=before))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_forking_while_another_thread_starts():
+    """A child that has nothing to do with interpretations is not held up."""
+    code = """
+    import os
+    import threading
+    import time
+
+    import tisfm
+
+    started = threading.Thread(target=tisfm.runtime.start)
+    started.start()
+    for _ in range(8):
+        time.sleep(0.02)
+        child = os.fork()
+        if child == 0:
+            os._exit(0)
+        os.waitpid(child, 0)
+    started.join()
+    print("done")
+    """
+    assert answer(code) == "done"
+
+
+def test_an_application_may_let_taichi_check_every_index():
+    before = "import taichi as ti\nti.init(ti.cpu, debug=True, log_level=ti.ERROR)\n"
+    after = "print(result.status, float(np.abs(result.flow).max()) > 0.5)"
+    assert answer(before + INTERPRET + after).endswith("converged True")
+
+
+def test_integers_of_64_bits_are_refused_with_advice():
+    before = "import taichi as ti\nti.init(ti.cpu, default_ip=ti.i64, log_level=ti.ERROR)\n"
+    done = run(before + INTERPRET)
+    assert done.returncode == 1
+    assert "start it with ti.i32" in done.stderr.splitlines()[-1]

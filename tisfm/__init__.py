@@ -1,6 +1,9 @@
 """Dense structure and 3D motion from image sequences, on a CPU, without training."""
 
+import sys
 from importlib import import_module
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -32,10 +35,23 @@ _SUBMODULES = (
     "show",
 )
 
-# Installed, `tisfm.kernels` lies in this folder; in a checkout, `kernels` lies beside it. Python
-# started in a checkout takes this folder for the package, whatever is installed.
+
+class _KernelsOfCheckout:
+    """Finds `tisfm.kernels` beside this package.
+
+    That is where it lies in a checkout. Python started there takes this folder for the package,
+    whatever is installed.
+    """
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        if name != "tisfm.kernels":
+            return None
+        return spec_from_file_location(name, Path(__file__).parents[1] / "kernels" / "__init__.py")
+
+
 if not Path(__file__).with_name("kernels").is_dir():
-    __path__.append(str(Path(__file__).parents[1]))
+    sys.meta_path.append(_KernelsOfCheckout)
 
 
 def __getattr__(name: str) -> ModuleType:

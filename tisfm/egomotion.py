@@ -177,7 +177,7 @@ class _Rays:
     focal: float
 
     def every(self, stride: int) -> "_Rays":
-        """Return every so manieth of them."""
+        """Return one of `stride` of them, at even distances."""
         before, after, trust = (
             np.ascontiguousarray(array[..., ::stride])
             for array in (self.before, self.after, self.trust)

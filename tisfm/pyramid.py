@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -26,7 +26,6 @@ from tisfm.settings import Settings
 
 COARSEST_SIDE = 12  # px
 BESIDE = 1 << 16  # pixels from which on a second thread pays
-_second_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,10 +50,17 @@ class Solution:
     converged: bool
 
 
+@cache
+def _second_thread() -> Executor:
+    from concurrent.futures import ThreadPoolExecutor  # impossible after the main thread has ended
+
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
+
+
 def _beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
     """Start a call in the second thread; return what waits for its result."""
     try:
-        return _second_thread.submit(function, *arguments).result
+        return _second_thread().submit(function, *arguments).result
     except RuntimeError:  # the main thread has ended, and with it the second
         return cache(partial(function, *arguments))
 
@@ -128,6 +134,9 @@ class Pyramid:
         self, grey0: np.ndarray, grey1: np.ndarray, camera: Camera, settings: Settings
     ) -> None:
         self.camera, self._settings = camera, settings
+        if grey0.min() == grey0.max() and grey1.min() == grey1.max():
+            # What rounding leaves of a uniform frame would be all the data there is.
+            grey0, grey1 = np.zeros_like(grey0), np.zeros_like(grey1)
         height, width = grey0.shape
         levels, factor = level_count(height, width, settings), settings.pyramid_factor
 

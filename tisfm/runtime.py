@@ -20,7 +20,7 @@ Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _starting = threading.Lock()
-_forked = False
+_process: int | None = None  # in which Taichi was started, or found running
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
@@ -67,6 +67,7 @@ def start(
     cache, and compiles anew in every process. Where neither HOME nor XDG_CACHE_HOME is set,
     which Taichi does not survive either, HOME is set for this process.
     """
+    global _process
     if arch is not None and arch not in ARCHS:
         raise ValueError(f"arch is {arch!r}: expected one of {', '.join(map(repr, ARCHS))}")
     if threads is not None and (
@@ -75,23 +76,19 @@ def start(
         raise ValueError(f"threads is {threads!r}: expected a positive integer, or None for all")
     if threads is not None:  # Taichi starts every thread it is told of, needed or not
         threads = min(int(threads), os.cpu_count() or 1)
-    if _forked:
+    if _process not in (None, os.getpid()):
         raise RuntimeError(
             "this process was forked from one in which Taichi ran, whose threads have stayed "
             'there: start workers afresh, as multiprocessing.get_context("spawn") does, or fork '
             "before the first interpretation"
         )
     with _starting:
-        _start(arch, threads, bind_threads)
-
-
-def _after_fork() -> None:
-    global _forked, _starting
-    _forked, _starting = _is_running(), threading.Lock()  # which a thread may have held
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+        _process = os.getpid()  # known before: a process may fork while another thread starts
+        try:
+            _start(arch, threads, bind_threads)
+        finally:
+            if not _is_running():
+                _process = None
 
 
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
@@ -203,6 +200,11 @@ def _check_running(arch: str | None, threads: int | None) -> None:
     import taichi as ti
 
     running = ti.lang.impl.current_cfg()
+    if running.default_ip != ti.i32:
+        raise RuntimeError(
+            f"Taichi already runs with default_ip={running.default_ip.to_string()}: its compiler "
+            "fails on our kernels then; start it with ti.i32, its default"
+        )
     if arch is not None and running_arch() != arch:
         raise RuntimeError(
             f"Taichi already runs on {running_arch()!r}, not on {arch!r}: call "
