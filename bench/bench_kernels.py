@@ -32,6 +32,7 @@ TOLERANCES = {
     "evidence": 1e-4,
     "share_of_data": 1e-5,  # of determinants, which are such differences
     "advance": 1e-4,
+    "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,
 }
 
