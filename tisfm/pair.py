@@ -63,6 +63,10 @@ def interpret(
         given for a motion that is not ``"camera"``; if distortion leaves next to nothing of the
         frames.
 
+    Notes
+    -----
+    Beyond 1e15 squares of derivatives overflow: the status is ``"diverged"`` then.
+
     References
     ----------
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
