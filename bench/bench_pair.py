@@ -13,9 +13,10 @@ import taichi as ti
 
 from bench.agreement import check_quantile
 from bench.problems import Problem, problem_at
-from tisfm import pyramid, reference, runtime
-from tisfm.kernels.lanes import LaneGrid
+from tisfm import reference, runtime
+from tisfm.kernels.layout.lanes import LaneGrid
 from tisfm.settings import Settings
+from tisfm.solver import image_pyramid
 
 REFERENCE_SIZE = (240, 320)  # the reference takes minutes beyond
 
@@ -48,10 +49,10 @@ each_solver = pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
 def reference_run(problem: Problem, settings: Settings):
     """Return the reference's call, which gives ρ̂, (components, H, W)."""
     size = (problem.height, problem.width)
-    factor, levels = settings.pyramid_factor, pyramid.level_count(*size, settings)
+    factor, levels = settings.pyramid_factor, image_pyramid.level_count(*size, settings)
     pyramids = [
-        pyramid.gaussian_pyramid(
-            pyramid.smooth(frame.astype(np.float32), settings.presmoothing), factor, levels
+        image_pyramid.gaussian_pyramid(
+            image_pyramid.smooth(frame.astype(np.float32), settings.presmoothing), factor, levels
         )
         for frame in problem.frames
     ]
@@ -68,8 +69,8 @@ def taichi_run(problem: Problem, settings: Settings):
     contrast = settings.contrast_for(problem.camera.focal)
 
     def run():
-        solution = pyramid.coarse_to_fine(
-            pyramid.Pyramid(*frames, problem.camera, settings),
+        solution = image_pyramid.coarse_to_fine(
+            image_pyramid.Pyramid(*frames, problem.camera, settings),
             settings,
             components=settings.components,
             contrast=contrast,
@@ -115,7 +116,7 @@ def bench_pair_numpy(problem, preset, model, measure, full_reference):
 def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatch):
     on_device = runtime.on_gpu()
     monkeypatch.setattr(
-        pyramid, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
+        image_pyramid, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
     )
     pair = PAIRS[preset]
     settings = replace(pair.settings, model=model, solver=solver)

@@ -5,7 +5,7 @@ import pytest
 import taichi as ti
 
 from tisfm import runtime
-from tisfm.kernels.lanes import LaneArray, aligned_zeros, lane_kernel, on_host
+from tisfm.kernels.layout.lanes import LaneArray, aligned_zeros, lane_kernel, on_host
 
 LENGTH = 2**26  # float32, 256 MiB an array: beyond the caches
 

@@ -12,7 +12,7 @@ from bench.contest import Method as FlowMethod
 from bench.contest import MethodFailure
 from bench.depth_pairs import DepthPair
 from bench.two_stage import NoMotion, two_stage
-from tisfm.evaluation import LITTLE_PARALLAX
+from tisfm.evaluation.pairs import LITTLE_PARALLAX
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from bench.depth_methods import Estimate
 from bench.depth_pairs import DepthPair
-from tisfm.evaluation import LITTLE_PARALLAX
-from tisfm.metrics import depth_errors
-from tisfm.poses import pose_errors
+from tisfm.evaluation.pairs import LITTLE_PARALLAX
+from tisfm.metrics import depth_errors, pose_errors
 
 HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
 
@@ -40,7 +39,7 @@ class Score:
         Share of the visible pixels whose inverse depth, in the scale of the others, is off by less
         than its standard deviation.
     direction, rotation : float or None
-        As in `tisfm.poses.PoseErrors`, degrees.
+        As in `tisfm.metrics.PoseErrors`, degrees.
     """
 
     method: str

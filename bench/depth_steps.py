@@ -5,9 +5,10 @@ import numpy as np
 from bench.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED, Problem
 from bench.sides import NumpySide, Run, TaichiSide, Timed
 from tisfm import reference
-from tisfm.field import LaneData
-from tisfm.kernels import epipolar, matching, motion_system, readout, semi_global
-from tisfm.kernels.lanes import aligned_zeros
+from tisfm.kernels.layout.lanes import aligned_zeros
+from tisfm.kernels.model import readout
+from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global
+from tisfm.solver.unknowns import LaneData
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs
@@ -66,7 +67,7 @@ class DepthOperations(TaichiSide):
             "near": NEAR,
         }
         return (
-            lambda: matching.matching_cost(*arrays, *arguments, out, **options),
+            lambda: plane_sweep.matching_cost(*arrays, *arguments, out, **options),
             lambda _: np.moveaxis(out * p.decided, -1, 0),
         )
 

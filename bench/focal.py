@@ -20,9 +20,8 @@ from bench.depth_scores import depth_of
 from bench.focal_plot import draw
 from bench.two_stage import two_stage
 from tisfm import runtime
-from tisfm.evaluation import LITTLE_PARALLAX
-from tisfm.metrics import depth_errors, endpoint_error
-from tisfm.poses import pose_errors
+from tisfm.evaluation.pairs import LITTLE_PARALLAX
+from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene
 from tisfm.scenes.ready import STATIC_KINDS

@@ -5,9 +5,9 @@ import numpy as np
 from bench.problems import ALPHA, STEPS
 from bench.sides import NumpySide, Run, TaichiSide, Timed
 from tisfm import reference
-from tisfm.field import LaneData
-from tisfm.kernels import coarsening, descent
-from tisfm.kernels.lanes import aligned_zeros
+from tisfm.kernels.layout.lanes import aligned_zeros
+from tisfm.kernels.solve import coarsening, line_search
+from tisfm.solver.unknowns import LaneData
 
 
 class MultigridOperations(TaichiSide):
@@ -44,14 +44,14 @@ class MultigridOperations(TaichiSide):
         field, directions = self.field, self._directions()
         arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, *directions)
         return (
-            lambda: descent.plane(*arguments, alpha=ALPHA),
+            lambda: line_search.plane(*arguments, alpha=ALPHA),
             lambda found: np.concatenate([found[0][np.triu_indices(2)], found[1]])[:, None],
         )
 
     def descend(self) -> Timed:
         directions = self._directions()
         return (
-            lambda: descent.descend(self.grid, *STEPS, *directions),
+            lambda: line_search.descend(self.grid, *STEPS, *directions),
             lambda _: np.concatenate([self.read(array) for array in directions]),
         )
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from bench.contest_report import NOTHING, Cells
 from bench.depth_pairs import AT_REST
 from bench.depth_scores import limited
-from tisfm.metrics import depth_errors
-from tisfm.poses import pose_errors
+from tisfm.metrics import depth_errors, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair
 
@@ -27,7 +26,7 @@ class Thing:
     abs_rel : float
         In its own scale.
     direction : float or None
-        As in `tisfm.poses.PoseErrors`, degrees.
+        As in `tisfm.metrics.PoseErrors`, degrees.
     """
 
     iou: float | None

@@ -18,22 +18,12 @@ from bench.problems import (
 from bench.references import mask_moments
 from bench.sides import TaichiSide, Timed
 from bench.unfused import sweep_unfused
-from tisfm.interpolation import spline_taps
-from tisfm.kernels import (
-    claims,
-    constraints,
-    derivatives,
-    evidence,
-    flow,
-    image_edges,
-    images,
-    iteration,
-    readout,
-    relaxation,
-    transfer,
-    warp,
-)
-from tisfm.kernels.lanes import aligned_zeros
+from tisfm.kernels.data import constraints, derivatives, forward_splatting, image_edges, warp
+from tisfm.kernels.layout import images
+from tisfm.kernels.layout.lanes import aligned_zeros
+from tisfm.kernels.model import flow, readout
+from tisfm.kernels.solve import data_precision, prolongation, relaxation, weight_update
+from tisfm.solver.sampling import spline_taps
 
 
 class FieldOperations(TaichiSide):
@@ -140,9 +130,9 @@ class FieldOperations(TaichiSide):
         )
         line = self.scheme == "line"
         options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES, "along_line": line}
-        written = list(iteration.LINE) if line else slice(None)
+        written = list(weight_update.LINE) if line else slice(None)
         return (
-            lambda: iteration.advance(*arguments, **options),
+            lambda: weight_update.advance(*arguments, **options),
             lambda _: np.concatenate([self.read(tensor)[written], self.read(weights)]),
         )
 
@@ -150,20 +140,20 @@ class FieldOperations(TaichiSide):
         field = self.field
         coarse = self.problem.coarse[: self.n].astype(np.float32)
         return (
-            lambda: transfer.prolong(self.grid, coarse, field.rho, ratio=RATIO),
+            lambda: prolongation.prolong(self.grid, coarse, field.rho, ratio=RATIO),
             lambda _: self.read(field.rho),
         )
 
     def evidence(self) -> Timed:
         field, out = self.field, self.grid.allocate(7)
         arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho, out)
-        return lambda: evidence.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
+        return lambda: data_precision.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
 
     def share_of_data(self) -> Timed:
         p = self.problem
         given, out = p.evidence.astype(np.float32), np.empty((p.height, p.width), np.float32)
         options = {"tolerated": TOLERATED, "freedom": 2}
-        return lambda: evidence.share_of_data(given, out, **options), lambda _: out[None]
+        return lambda: data_precision.share_of_data(given, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:
         p = self.problem
@@ -179,16 +169,16 @@ class FieldOperations(TaichiSide):
         arguments = self._arrivals()
         options = {"any_order": self.grid.on_device}
         return (
-            lambda: claims.splat(*arguments, **options),
+            lambda: forward_splatting.splat(*arguments, **options),
             lambda _: np.moveaxis(arguments[-1], -1, 0),
         )
 
     def defeated(self) -> Timed:
         arguments = self._arrivals()
-        claims.splat(*arguments)
+        forward_splatting.splat(*arguments)
         out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
-            lambda: claims.defeated(*arguments, out, **UNIQUENESS),
+            lambda: forward_splatting.defeated(*arguments, out, **UNIQUENESS),
             lambda _: mask_moments(out),
         )
 

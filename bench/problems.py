@@ -102,7 +102,7 @@ class Problem:
 
     @cached_property
     def evidence(self) -> np.ndarray:
-        """J of windows, squared residual and M, random, of `tisfm.kernels.evidence`, (7, H, W)."""
+        """J of windows, squared residual and M, random, (7, H, W): data precision."""
         a, b = np.random.default_rng(2).normal(size=(2, 2, self.height, self.width))
         covariance = np.stack([a[0] ** 2, a[0] * a[1], a[1] ** 2])
         covariance += np.stack([b[0] ** 2, b[0] * b[1], b[1] ** 2])

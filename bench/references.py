@@ -15,7 +15,7 @@ from bench.problems import (
 )
 from bench.sides import NumpySide, Run
 from tisfm import reference
-from tisfm.kernels.iteration import LINE
+from tisfm.kernels.solve.weight_update import LINE
 
 
 class FieldReferences(NumpySide):

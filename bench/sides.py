@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from bench.problems import Problem
-from tisfm.field import Field, LaneData
-from tisfm.kernels.lanes import LaneGrid, aligned_zeros, on_host
+from tisfm.kernels.layout.lanes import LaneGrid, aligned_zeros, on_host
+from tisfm.solver.unknowns import Field, LaneData
 
 Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
 Run = Callable[[], np.ndarray]

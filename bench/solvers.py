@@ -20,16 +20,16 @@ from bench.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from bench.solvers_plot import draw
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.data_term import DataTerm
-from tisfm.field import Field
 from tisfm.frames import grey_pair
-from tisfm.image_edges import image_edges_in_lanes
-from tisfm.interpolation import spline_taps
-from tisfm.kernels.iteration import advance
-from tisfm.kernels.lanes import LaneGrid
-from tisfm.kernels.relaxation import sweep
-from tisfm.multigrid import Multigrid
+from tisfm.kernels.layout.lanes import LaneGrid
+from tisfm.kernels.solve.relaxation import sweep
+from tisfm.kernels.solve.weight_update import advance
 from tisfm.settings import PAPER_SMOOTHNESS
+from tisfm.solver.data_term import DataTerm
+from tisfm.solver.multigrid import Multigrid
+from tisfm.solver.sampling import spline_taps
+from tisfm.solver.smoothness import image_edges_in_lanes
+from tisfm.solver.unknowns import Field
 
 SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))
 ALPHA = PAPER_SMOOTHNESS

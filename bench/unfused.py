@@ -1,13 +1,12 @@
 """A sweep that passes over memory once for each color, of what the library's does in one pass.
 
 It shows whether relaxing a pixel keeps up with memory where nothing is left in the caches; what
-`tisfm.kernels.relaxation` gains by letting black follow red is the difference.
+`tisfm.kernels.solve.relaxation` gains by letting black follow red is the difference.
 """
 
 import taichi as ti
 
-from tisfm.kernels.edges import component_table, weight_sets
-from tisfm.kernels.lanes import (
+from tisfm.kernels.layout.lanes import (
     CHUNK,
     SMALL,
     LaneArray,
@@ -16,8 +15,9 @@ from tisfm.kernels.lanes import (
     planes_of,
     refresh_halo,
 )
-from tisfm.kernels.relaxation import BAND, relax_at
-from tisfm.kernels.small_spd import bind
+from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.solve.relaxation import BAND, relax_at
 
 
 def sweep_unfused(

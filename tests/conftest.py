@@ -32,8 +32,8 @@ def arrays_on_the_device(monkeypatch):
     """On a GPU, give kernels copies there, as the driver does, and bring back what they left."""
     if not runtime.on_gpu():
         return
-    from tisfm.kernels.lanes import LaneGrid, on_host
-    from tisfm.kernels.launch import Kernel
+    from tisfm.kernels.layout.lanes import LaneGrid, on_host
+    from tisfm.kernels.layout.launch import Kernel
 
     grid, launch = LaneGrid(1, 1, lanes=1, on_device=True), Kernel.__call__
 
@@ -96,8 +96,8 @@ def make_problem():
     """Build a random linearised problem of a given size, model and lane count."""
 
     def make(height, width, components, lanes, *, seed=0, focal=50.0, channels=1):
-        from tisfm.field import Field
-        from tisfm.kernels.lanes import LaneGrid
+        from tisfm.kernels.layout.lanes import LaneGrid
+        from tisfm.solver.unknowns import Field
 
         rng = np.random.default_rng(seed)
         camera = tisfm.Camera(focal=focal, center=(0.4 * width, 0.6 * height))

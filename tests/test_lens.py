@@ -8,11 +8,11 @@ import pytest
 
 import tisfm
 from tisfm.camera import Camera
-from tisfm.egomotion import camera_motion
-from tisfm.evaluation import evaluate
+from tisfm.evaluation.pairs import evaluate
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion, undistort
 from tisfm.metrics import endpoint_error
+from tisfm.motion.egomotion import camera_motion
 from tisfm.scenes import Scene, static_scene
 
 BARREL = (-0.25, 0.08, 1e-3, -5e-4)

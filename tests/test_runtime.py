@@ -189,7 +189,7 @@ import os
 from tisfm import runtime
 from tisfm.cores import thread_ids
 runtime.start({options})
-import tisfm.kernels.flow
+import tisfm.kernels.model.flow
 cores = [sorted(os.sched_getaffinity(thread)) for thread in thread_ids()]
 alone = sorted(core[0] for core in cores if len(core) == 1)
 """

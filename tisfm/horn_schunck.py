@@ -63,7 +63,7 @@ def horn_schunck(
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()
-    from tisfm.pyramid import Pyramid, coarse_to_fine
+    from tisfm.solver.image_pyramid import Pyramid, coarse_to_fine
 
     pyramid = Pyramid(grey0, grey1, Camera(), settings)
     last = pyramid.last(settings)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.occlusion import leaves_image
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
+from tisfm.visibility.occlusion import leaves_image
 
 FORMAT = 5  # of the .npz; raised when a reader of the one before would go wrong
 

@@ -6,8 +6,8 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
 from tisfm.frames import check_frame
-from tisfm.interpolation import sample
-from tisfm.occlusion import leaves_image
+from tisfm.solver.sampling import sample
+from tisfm.visibility.occlusion import leaves_image
 
 FAR = 1e7  # px: outside any image
 LEAST = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera

@@ -6,15 +6,15 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
-from tisfm.confidence import confidence
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.interpretation import Interpretation, Status
 from tisfm.lens import Undistortion
-from tisfm.occlusion import leaves_image
 from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
+from tisfm.visibility.confidence import confidence
+from tisfm.visibility.occlusion import leaves_image
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 LARGEST = 1e15  # grey levels: squares of derivatives have to be numbers of float32
@@ -85,10 +85,10 @@ def interpret(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.camera_reading import camera_reading
-    from tisfm.objects_reading import objects_reading
-    from tisfm.pyramid import Pyramid
-    from tisfm.reading import field_reading, history_of
+    from tisfm.motion.camera import camera_reading
+    from tisfm.motion.field import field_reading, history_of
+    from tisfm.motion.objects.estimation import objects_reading
+    from tisfm.solver.image_pyramid import Pyramid
 
     lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
     if lens is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from tisfm.cores import bind_newest, thread_ids
 
 if TYPE_CHECKING:
-    from tisfm.kernels.lanes import LaneGrid
+    from tisfm.kernels.layout.lanes import LaneGrid
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
@@ -171,7 +171,7 @@ def cpu_lanes() -> int:
 def lane_grid(height: int, width: int) -> "LaneGrid":
     """Return a grid whose arrays lie as suits the running arch, and on its device."""
     device = on_gpu()  # before kernels are imported: it starts Taichi
-    from tisfm.kernels.lanes import LaneGrid
+    from tisfm.kernels.layout.lanes import LaneGrid
 
     return LaneGrid(height, width, lanes=lanes(), on_device=device)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
-from tisfm.cli import main
+from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
 
 

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid, promised, record
-from tisfm import demo, evaluation, pair
+from tisfm import pair
+from tisfm.cli import demo
+from tisfm.evaluation import pairs
 from tisfm.formats import write_png
 
 
@@ -147,7 +149,7 @@ def test_an_output_that_is_no_folder_is_one_line(
 ):
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
-    monkeypatch.setattr(evaluation, "interpret", forbid)
+    monkeypatch.setattr(pairs, "interpret", forbid)
     monkeypatch.setattr(demo, "interpret", forbid)
     source = {
         "run": ["frames"],

@@ -120,7 +120,7 @@ def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monk
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tisfm.evaluation_outputs, "save_figure", interrupted)
+    monkeypatch.setattr(tisfm.evaluation.files, "save_figure", interrupted)
     assert tisfm_run("eval", "flows", "-o", "out") == (130, "", "tisfm: interrupted\n")
     assert evaluated("out")["complete"] is False and evaluated("out")["pairs"] == []
 

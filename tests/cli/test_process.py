@@ -8,7 +8,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import TISFM, files, promised
-from tisfm.cli import main
+from tisfm.cli.command_line import main
 
 
 def test_a_process_of_its_own(frames):

@@ -21,8 +21,9 @@ from tests.cli.command_line import (
     load,
     record,
 )
-from tisfm import commands, pair
-from tisfm.cli import main
+from tisfm import pair
+from tisfm.cli import commands
+from tisfm.cli.command_line import main
 from tisfm.formats import write_png
 
 
@@ -105,8 +106,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeyp
     module, name = {
         "interpret": (pair, "interpret"),
         "first": (pair, "interpret"),
-        "write_flo": (tisfm.outputs, "write_flo"),
-        "save_figure": (tisfm.outputs, "save_figure"),
+        "write_flo": (tisfm.cli.outputs, "write_flo"),
+        "save_figure": (tisfm.cli.outputs, "save_figure"),
         "savez": (np, "savez_compressed"),
     }[when]
     original, calls = getattr(module, name), []

@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 
 import tisfm
 from tests.cli.command_line import FRAMES, H, W, assert_one_line, files, load, promised, record
-from tisfm import commands
+from tisfm.cli import commands
 from tisfm.formats import read_depth_png, read_flo, read_image
 from tisfm.lens import undistort
 from tisfm.settings import Settings

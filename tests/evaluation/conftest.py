@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.evaluation.evaluated import CALIBRATION, HOLE, MOTION, SCENES, put
-from tisfm import evaluation, evaluation_outputs
+from tisfm.evaluation import files, pairs
 from tisfm.formats import write_flo, write_kitti_flow
 from tisfm.interpretation import Status
 
@@ -16,7 +16,7 @@ from tisfm.interpretation import Status
 @pytest.fixture(autouse=True)
 def coarse_pictures(monkeypatch):
     """Draw with few pixels, which is what takes the time here."""
-    monkeypatch.setattr(evaluation_outputs, "_DPI", 60)
+    monkeypatch.setattr(files, "_DPI", 60)
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def camera_results(monkeypatch):
     Of the latter motion, depth and status are put in, for each pair in order.
     """
     asked, given = [], []
-    original = evaluation.interpret
+    original = pairs.interpret
 
     def interpret(frame0, frame1, *, camera=None, settings, pose=None):
         plain = replace(settings, motion="field")
@@ -91,5 +91,5 @@ def camera_results(monkeypatch):
             status=Status(status, "a word of advice"),
         )
 
-    monkeypatch.setattr(evaluation, "interpret", interpret)
+    monkeypatch.setattr(pairs, "interpret", interpret)
     return asked, given

@@ -11,9 +11,9 @@ from rich.console import Console
 
 import tisfm
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import evaluate
-from tisfm.evaluation_outputs import EvaluationWriter
-from tisfm.evaluation_table import evaluation_tables
+from tisfm.evaluation.files import EvaluationWriter
+from tisfm.evaluation.pairs import evaluate
+from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import write_png
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene

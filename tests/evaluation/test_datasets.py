@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm import evaluation
 from tisfm.datasets import find_pairs
-from tisfm.egomotion import camera_motion
-from tisfm.evaluation import evaluate
+from tisfm.evaluation import pairs
+from tisfm.evaluation.pairs import evaluate
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.metrics import (
     pose_errors,
 )
+from tisfm.motion.egomotion import camera_motion
 
 
 def test_the_default_preset_on_a_real_pair(shared_data):
@@ -41,14 +41,14 @@ def test_poses_of_a_real_sequence(shared_data):
 def test_what_warms_up_reaches_all_kernels(monkeypatch, recwarn, channels):
     """A pair without parallax would leave those of depth to be compiled while time is taken."""
     statuses = []
-    original = evaluation.interpret
+    original = pairs.interpret
 
     def interpret(*frames, **options):
         result = original(*frames, **options)
         statuses.append(result.status)
         return result
 
-    monkeypatch.setattr(evaluation, "interpret", interpret)
-    evaluation._warm_up(tisfm.Settings(motion="camera"), channels, np.dtype(np.uint8))
+    monkeypatch.setattr(pairs, "interpret", interpret)
+    pairs._warm_up(tisfm.Settings(motion="camera"), channels, np.dtype(np.uint8))
     assert statuses == ["converged"]
     assert not [w for w in recwarn if w.category is GuessedFocalWarning]

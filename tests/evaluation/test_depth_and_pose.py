@@ -18,8 +18,8 @@ from tests.evaluation.evaluated import (
     written,
 )
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import evaluate
-from tisfm.evaluation_table import evaluation_tables
+from tisfm.evaluation.pairs import evaluate
+from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import read_image
 from tisfm.metrics import (
     DepthErrors,

@@ -18,10 +18,10 @@ from tests.evaluation.evaluated import (
     record,
     written,
 )
-from tisfm import evaluation, evaluation_outputs
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import evaluate
-from tisfm.evaluation_outputs import EvaluationWriter
+from tisfm.evaluation import files, pairs
+from tisfm.evaluation.files import EvaluationWriter
+from tisfm.evaluation.pairs import evaluate
 from tisfm.formats import read_flo, read_image
 from tisfm.metrics import (
     FlowErrors,
@@ -54,14 +54,14 @@ def test_nothing_left_to_average(data):
 
 
 def test_flow_that_is_not_finite_is_a_fault(data, monkeypatch):
-    original = evaluation.interpret
+    original = pairs.interpret
 
     def broken(*arguments, **options):
         result = original(*arguments, **options)
         result.flow[3, 4] = np.nan
         return result
 
-    monkeypatch.setattr(evaluation, "interpret", broken)
+    monkeypatch.setattr(pairs, "interpret", broken)
     result = evaluate(find_pairs(data / "mid"), settings=FAST)
     assert all("flow is not finite at 1 of" in pair.fault for pair in result.pairs)
 
@@ -134,7 +134,7 @@ def test_names_stay_within_the_folder(data, tmp_path):
 def test_what_an_interruption_leaves_is_complete(data, tmp_path, monkeypatch, step):
     """Ctrl-C at the second pair: the record holds the first, and every file there is whole."""
     evaluate_to(tmp_path / "whole", data / "mid")
-    module = evaluation if step == "interpret" else evaluation_outputs
+    module = pairs if step == "interpret" else files
     name = "atomic_write" if step == "rename" else step
     original, calls = getattr(module, name), []
     # One warm-up and one pair; one flow; two figures; the empty record and that of one pair.
@@ -167,14 +167,14 @@ def test_the_record_of_an_earlier_evaluation_does_not_stay(data, tmp_path):
 
 
 def test_a_picture_that_cannot_be_written_is_a_fault(data, tmp_path, monkeypatch):
-    original = evaluation_outputs.write_flo
+    original = files.write_flo
 
     def full(path, flow):
         if "B_flow" in str(path):
             raise OSError(28, "No space left on device")
         original(path, flow)
 
-    monkeypatch.setattr(evaluation_outputs, "write_flo", full)
+    monkeypatch.setattr(files, "write_flo", full)
     result = evaluate_to(tmp_path / "out", data / "mid")
     (fault,) = result.faults
     assert fault.label == "mid/B" and "No space left on device" in fault.fault

@@ -7,9 +7,9 @@ import pytest
 
 import tisfm
 from tests.evaluation.evaluated import FAST, LABELS, H, W
-from tisfm import evaluation
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import PairEvaluation, evaluate, mean_errors
+from tisfm.evaluation import pairs
+from tisfm.evaluation.pairs import PairEvaluation, evaluate, mean_errors
 from tisfm.formats import write_kitti_flow
 from tisfm.metrics import (
     FlowErrors,
@@ -20,7 +20,7 @@ from tisfm.metrics import (
     occlusion_scores,
     outlier_rate,
 )
-from tisfm.occlusion import leaves_image
+from tisfm.visibility.occlusion import leaves_image
 
 
 def test_errors_are_those_of_the_metrics(data):
@@ -143,13 +143,13 @@ def test_a_pair_given_twice_counts_once(data):
 def test_no_time_includes_compiling(data, monkeypatch):
     """A small pair of the same type and channels is interpreted first."""
     seen = []
-    original = evaluation.interpret
+    original = pairs.interpret
 
     def spy(frame0, frame1, **options):
         seen.append((frame0.shape, frame0.dtype, options["settings"]))
         return original(frame0, frame1, **options)
 
-    monkeypatch.setattr(evaluation, "interpret", spy)
+    monkeypatch.setattr(pairs, "interpret", spy)
     evaluate(find_pairs(data), settings=FAST)
     grey, colour = (H, W), (H, W, 3)
     assert [shape for shape, _, _ in seen] == [(64, 64), grey, grey, (64, 64, 3), colour, grey]

@@ -1,9 +1,9 @@
 """The tables that are printed."""
 
 from tests.evaluation.evaluated import FAST, printed
-from tisfm import evaluation
 from tisfm.datasets import find_pairs
-from tisfm.evaluation import PairEvaluation, evaluate
+from tisfm.evaluation import pairs
+from tisfm.evaluation.pairs import PairEvaluation, evaluate
 
 
 def test_the_table(data):
@@ -39,7 +39,5 @@ def test_the_table_has_no_empty_columns(data):
 def test_names_are_no_markup(data):
     (pair,) = find_pairs(data / "mid" / "A")
     odd = type(pair)(**{**vars(pair), "dataset": "[red]set[/red]"})
-    result = evaluation.Evaluation(
-        settings=FAST, pairs=(PairEvaluation(pair=odd, fault="no file"),)
-    )
+    result = pairs.Evaluation(settings=FAST, pairs=(PairEvaluation(pair=odd, fault="no file"),))
     assert printed(result)[0][0] == "[red]set[/red]/A (failed)"

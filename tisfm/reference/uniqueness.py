@@ -1,4 +1,4 @@
-"""Which pixels go to the same place of frame 1: what `tisfm.occlusion` rests on."""
+"""Which pixels go to the same place of frame 1: what `tisfm.visibility.occlusion` rests on."""
 
 import numpy as np
 

@@ -1,0 +1,167 @@
+"""The data term as linear constraints on the flow: all that the solver needs to know of the images.
+
+A constraint p u + q v + c = 0 is stored as (p, q, c), times the root of its weight. Brightness
+has one, its gradient two; a term is the sum of its constraints squared, and its motion tensor
+(J11, J12, J22, j1, j2, J_tt) that of (p², p q, q², p c, q c, c²). The number of constraints tells
+the terms: 1 is brightness, 2 its gradient, 3 both, in this order.
+"""
+
+import taichi as ti
+
+from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
+from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
+from tisfm.kernels.model.small_spd import bind
+
+TINY = 1e-12  # squared grey levels: no division by zero in uniform regions
+
+
+def constancy_constraints(
+    grid: LaneGrid,
+    derivatives,
+    flow,
+    mask,
+    out,
+    tensor=None,
+    *,
+    brightness,
+    gradient,
+    normalization,
+    scales,
+) -> None:
+    """Write the constraints of brightness and of gradient constancy, linearised about a flow.
+
+    With frame 1 warped by (u₀, v₀), constancy is I_t + ∇I·(u − u₀, v − v₀) = 0, or p u + q v + c
+    = 0 in the whole flow (u, v), with (p, q) = ∇I and c = I_t − ∇I·(u₀, v₀). With (u₀, v₀) = 0 it
+    is the paper's eq. 3. Gradient constancy is the same for I_x and for I_y in place of I.
+
+    Normalised, each constraint squared is divided by |∇I|² + ζ²: it is then the squared distance,
+    in px, of (u, v) from the line on which it holds, whatever the contrast of the image.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    derivatives : lane array, 3 components, halo `DERIVATIVE_HALO`
+        I_x, I_y, I_t.
+    flow : lane array, 2 components
+        (u₀, v₀), px/frame.
+    mask : lane array, 1 component
+        Weight of the constraints at each pixel; 0 outside the image.
+    out : lane array, 3, 6 or 9 components
+        (p, q, c) of brightness, if its weight is above 0, then of both derivatives of the image,
+        if the gradient's is.
+    tensor : lane array, 6 components, optional
+        Σ w_i J_i with the robust weights at (u₀, v₀) (`tisfm.kernels.solve.weight_update`).
+    brightness, gradient : float
+        Weights of the two terms; at least one above 0.
+    normalization : float or None
+        ζ, grey levels per px; None for constraints as they are.
+    scales : sequence of float
+        m_i ε² of each term in use (`tisfm.kernels.model.robust`).
+
+    References
+    ----------
+    Brox, Bruhn, Papenberg, Weickert, "High accuracy optical flow estimation based on a theory for
+    warping", ECCV 2004, doi 10.1007/978-3-540-24673-2_3 (gradient constancy); Zimmer, Bruhn,
+    Weickert, "Optic flow in harmony", IJCV 2011, doi 10.1007/s11263-011-0422-6 (normalisation).
+    """
+    if brightness < 0 or gradient < 0 or not brightness + gradient > 0:
+        raise ValueError(
+            f"brightness is {brightness} and gradient is {gradient}: expected weights of at "
+            "least 0, not both 0"
+        )
+    count = constraint_count(brightness, gradient)
+    grid.check(derivatives, 3, "derivatives", halo=DERIVATIVE_HALO)
+    grid.check(flow, 2, "flow")
+    grid.check(mask, 1, "mask")
+    grid.check(out, 3 * count, "out")
+    if tensor is not None:
+        grid.check(tensor, 6, "tensor")
+    _constancy_constraints[grid.lanes](
+        derivatives,
+        flow,
+        mask,
+        brightness,
+        gradient,
+        1.0 if normalization is None else normalization**2 + TINY,
+        0.0 if normalization is None else 1.0,
+        *finite_scales(scales),
+        count,
+        tensor is not None,
+        grid.serial,
+        out,
+        out if tensor is None else tensor,
+    )
+
+
+def constraint_count(brightness: float, gradient: float) -> int:
+    """Return how many constraints a pixel has."""
+    return int(brightness > 0) + 2 * int(gradient > 0)
+
+
+@lane_kernel
+def _constancy_constraints(
+    derivatives: LaneArray(3),  # (3, H+4, S+4)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    mask: LaneArray(3),  # (1, H+2, S+2)
+    brightness: ti.f32,
+    gradient: ti.f32,
+    noise: ti.f32,  # ζ²; 1 for constraints as they are
+    normalized: ti.f32,  # 1 or 0
+    inverse0: ti.f32,
+    scale0: ti.f32,
+    inverse1: ti.f32,
+    scale1: ti.f32,
+    count: ti.template(),
+    with_tensor: ti.template(),
+    serial: ti.template(),
+    out: LaneArray(3),  # (3 count, H+2, S+2)
+    tensor: LaneArray(3),  # (6, H+2, S+2), written if `with_tensor`
+):
+    ti.loop_config(serialize=serial)
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        u, v = flow[0, y, s], flow[1, y, s]
+        # Of these, what is not in use is not compiled.
+        ix, iy = derivatives[0, y + 1, s + 1], derivatives[1, y + 1, s + 1]
+        it = derivatives[2, y + 1, s + 1]
+        ixx = _along_row(derivatives, 0, y + 1, s + 1)
+        ixy = _along_row(derivatives, 1, y + 1, s + 1)
+        iyy = _along_column(derivatives, 1, y + 1, s + 1)
+        # Differentiation is linear: the change of a derivative is the derivative of I_t.
+        itx = _along_row(derivatives, 2, y + 1, s + 1)
+        ity = _along_column(derivatives, 2, y + 1, s + 1)
+        brightly, steeply = brightness * mask[0, y, s], gradient * mask[0, y, s]
+        found = ((brightly, ix, iy, it), (steeply, ixx, ixy, itx), (steeply, ixy, iyy, ity))
+        lines = ti.static(_lines(found, count, noise, normalized, u, v))
+        for i in ti.static(range(count)):
+            for k in ti.static(range(3)):
+                out[3 * i + k, y, s] = lines[i][k]
+        if ti.static(with_tensor):
+            scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
+            _, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
+            for k in ti.static(range(6)):
+                tensor[k, y, s] = sums[k]
+
+
+def _lines(found, count, noise, normalized, u, v):
+    """Return (p, q, c) of those constraints that are in use, times the root of the weight."""
+    lines = []
+    for weight, ix, iy, it in {1: found[:1], 2: found[1:], 3: found}[count]:
+        root = bind(ti.sqrt(weight / (noise + normalized * (ix * ix + iy * iy))))
+        lines.append((bind(root * ix), bind(root * iy), bind(root * (it - ix * u - iy * v))))
+    return lines
+
+
+@ti.func
+def _along_row(array: ti.template(), k: ti.template(), y, s):
+    near, far = ti.static(8.0 / 12.0, 1.0 / 12.0)
+    inner = array[k, y, s + 1] - array[k, y, s - 1]
+    return near * inner - far * (array[k, y, s + 2] - array[k, y, s - 2])
+
+
+@ti.func
+def _along_column(array: ti.template(), k: ti.template(), y, s):
+    near, far = ti.static(8.0 / 12.0, 1.0 / 12.0)
+    inner = array[k, y + 1, s] - array[k, y - 1, s]
+    return near * inner - far * (array[k, y + 2, s] - array[k, y - 2, s])

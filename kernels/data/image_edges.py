@@ -1,0 +1,107 @@
+"""How strong the smoothness of every edge is, by the image's own steps."""
+
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    lane_count,
+    lane_kernel,
+)
+from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+
+LEAST = 1e-12  # of the mean of g, which divides
+
+
+def image_edges(grid: LaneGrid, image, out, *, rate: float) -> None:
+    """Compute g = c/(1 + rate·|ΔI|) of every edge, c such that the mean of g is 1.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    image : (H, W) float32
+        Grey levels.
+    out : lane array, 2 components
+        Eastern and southern edges; 0 across the border and in the padding. Its halo is left alone.
+    rate : float
+        Per grey level.
+    """
+    grid.check_image(image, "image")
+    grid.check(out, 2, "out")
+    if not 0 <= rate < float("inf"):
+        raise ValueError(f"rate is {rate}: expected a number of at least 0, per grey level")
+    partial = block_sums(grid, 1)
+    _image_edges[grid.lanes](image, rate, grid.serial, out, partial)
+    count = grid.height * (grid.width - 1) + (grid.height - 1) * grid.width
+    mean = float(add_blocks(partial)[0]) / max(count, 1)
+    _scale[grid.lanes](1.0 / max(mean, LEAST), grid.serial, out)
+
+
+@lane_kernel
+def _image_edges(
+    image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    rate: ti.f32,
+    serial: ti.template(),
+    out: LaneArray(3),  # (2, H+2, S+2), finite before
+    partial: SumArray(3),  # (H, blocks, 1)
+):
+    height, width = image.shape[0], image.shape[1]
+    strip, blocks = out.shape[2] - 2, partial.shape[1]
+    lanes = ti.static(lane_count(out))
+    ti.loop_config(serialize=serial)
+    for row, block in ti.ndrange(height, blocks):
+        zero = 0.0 * out[0, row + 1, 1]
+        below = ti.min(row + 1, height - 1)
+        is_open = ti.cast(row < height - 1, ti.f32)
+        here = _columns(image, row, block * BLOCK, strip, zero, lanes)
+        total = zero
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            right = _columns(image, row, position + 1, strip, zero, lanes)
+            down = _columns(image, below, position, strip, zero, lanes)
+            east = _before(width - 1, position, strip, zero, lanes)
+            east /= 1.0 + rate * ti.max(right - here, here - right)
+            south = is_open * _before(width, position, strip, zero, lanes)
+            south /= 1.0 + rate * ti.max(down - here, here - down)
+            out[0, row + 1, position + 1] = east
+            out[1, row + 1, position + 1] = south
+            total += east + south
+            here = right
+        store_sum(partial, row, block, 0, total, lanes)
+
+
+@ti.func
+def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template()):
+    """Return an image at one strip position of every lane; beyond its border it repeats."""
+    values = zero
+    last = image.shape[1] - 1
+    if ti.static(lanes > 1):
+        for lane in range(lanes):
+            values[lane] = image[y, ti.min(lane * strip + position, last)]
+    else:
+        values = image[y, ti.min(position, last)]
+    return values
+
+
+@ti.func
+def _before(end, position, strip, zero, lanes: ti.template()):
+    """Return 1 where the column at a strip position of a lane is less than `end`, else 0."""
+    values = zero
+    if ti.static(lanes > 1):
+        for lane in range(lanes):
+            values[lane] = ti.select(lane * strip + position < end, 1.0, 0.0)
+    else:
+        values = ti.select(position < end, 1.0, 0.0)
+    return values
+
+
+@lane_kernel
+def _scale(
+    factor: ti.f32,
+    serial: ti.template(),
+    out: LaneArray(3),  # (2, H+2, S+2), in place
+):
+    ti.loop_config(serialize=serial)
+    for k, row in ti.ndrange(out.shape[0], out.shape[1] - 2):
+        for position in range(out.shape[2] - 2):
+            out[k, row + 1, position + 1] = factor * out[k, row + 1, position + 1]

@@ -1,0 +1,186 @@
+"""Frame 1 brought to frame 0 by the current image motion."""
+
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    CHUNK,
+    LaneArray,
+    LaneGrid,
+    check_array,
+    lane_count,
+    lane_kernel,
+    lane_of,
+    set_lane,
+)
+from tisfm.kernels.model.small_spd import bind
+
+BAND = 16  # rows, at least
+
+
+def warp(grid: LaneGrid, image, taps, flow, out, mask) -> None:
+    """Sample an image at x + flow by its cubic B-spline.
+
+    Fourth-order accurate, smooth, and exact at pixels, where the image itself is taken: no motion
+    leaves it as it is, to the last bit. Beyond its border the image repeats.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    image : (H, W) float32
+    taps : ((H + 3)·W, 4) float32
+        Its `tisfm.solver.sampling.spline_taps`; on a device, placed as vectors.
+    flow : lane array, 2 components
+        (u, v), px/frame.
+    out : lane array, 1 component, any halo
+        The warped image; halo and padding repeat its border.
+    mask : lane array, 1 component
+        1 where the pixel lands inside the image, 0 where it leaves it and in the padding.
+    """
+    grid.check_image(image, "image")
+    check_array(taps, ((grid.height + 3) * grid.width, 4), "taps")
+    grid.check(flow, 2, "flow")
+    halo = (out.shape[1] - grid.height) // 2
+    grid.check(out, 1, "out", halo=halo)
+    grid.check(mask, 1, "mask")
+    if grid.lanes == 1:
+        _warp_sites[grid.lanes](image, taps, flow, halo, out, mask)
+        return
+    bands = 1 if grid.serial else max(1, grid.height // BAND)
+    _warp[grid.lanes](image, taps, flow, halo, grid.serial, bands, out, mask)
+
+
+_Taps = ti.types.vector(4, ti.f32)  # loaded at once, so it must be aligned
+
+
+@lane_kernel
+def _warp(
+    image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    taps: ti.types.ndarray(dtype=_Taps, ndim=1),  # ((H+3)·W,)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    halo: ti.i32,
+    serial: ti.template(),
+    bands: ti.i32,
+    out: LaneArray(3),  # (1, H+2·halo, S+2·halo)
+    mask: LaneArray(3),  # (1, H+2, S+2)
+):
+    """Warp a band of rows in one thread, whose border is laid while the row is at hand."""
+    height, width = image.shape[0], image.shape[1]
+    strip = flow.shape[2] - 2
+    lanes = ti.static(lane_count(flow))
+    chunk = ti.static(1 if serial else CHUNK)
+    ti.loop_config(serialize=serial)
+    for task in range(chunk * bands):
+        if task % chunk == 0:
+            band = task // chunk
+            first = 0.0 * flow[0, 0, 0]  # columns
+            for lane in ti.static(range(lanes)):
+                first[lane] = lane * strip
+            for y in range(band * height // bands, (band + 1) * height // bands):
+                for s in range(strip):
+                    u, v = flow[0, y + 1, s + 1], flow[1, y + 1, s + 1]
+                    warped, inside = _sample(image, taps, first + s, y, u, v, lanes)
+                    out[0, y + halo, s + halo] = warped
+                    mask[0, y + 1, s + 1] = inside
+                _repeat_columns(out, y + halo, halo, first, width)
+                if y == 0:
+                    for k, position in ti.ndrange(halo, out.shape[2]):
+                        out[0, k, position] = out[0, halo, position]
+                if y == height - 1:
+                    for k, position in ti.ndrange(halo, out.shape[2]):
+                        out[0, height + halo + k, position] = out[0, y + halo, position]
+
+
+@lane_kernel
+def _warp_sites(
+    image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    taps: ti.types.ndarray(dtype=_Taps, ndim=1),  # ((H+3)·W,)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    halo: ti.i32,
+    out: LaneArray(3),  # (1, H+2·halo, S+2·halo)
+    mask: LaneArray(3),  # (1, H+2, S+2)
+):
+    """Warp to every element of `out`, its border included, in a thread of its own: for one lane."""
+    height, width = image.shape[0], image.shape[1]
+    strip = flow.shape[2] - 2
+    for row, position in ti.ndrange(out.shape[1], out.shape[2]):
+        y = ti.max(0, ti.min(row - halo, height - 1))
+        x = ti.max(0, ti.min(position - halo, width - 1))
+        u, v = flow[0, y + 1, x + 1], flow[1, y + 1, x + 1]
+        warped, inside = _sample(image, taps, ti.cast(x, ti.f32), y, u, v, 1)
+        out[0, row, position] = warped
+        if row == y + halo and position >= halo and position < strip + halo:
+            mask[0, y + 1, position - halo + 1] = ti.select(x == position - halo, inside, 0.0)
+
+
+@ti.func
+def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes: ti.template()):
+    """Return what pixels of a row go to, and whether it is in the image: one for each lane."""
+    height, width = image.shape[0], image.shape[1]
+    target_x, target_y = column + u, row + v
+    x = ti.max(0.0, ti.min(target_x, width - 1.0))
+    y = ti.max(0.0, ti.min(target_y, height - 1.0))
+    none, one = 0.0 * x, 0.0 * x + 1.0
+    inside = ti.select(column < width, one, none)
+    inside = ti.select(x == target_x, inside, none)
+    inside = ti.select(y == target_y, inside, none)
+    left, top = ti.floor(x), ti.floor(y)
+    across, down = x - left, y - top
+    weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
+    # Four columns of coefficients, each the sum of its four rows.
+    columns = ti.static([bind(none) for _ in range(4)])
+    for lane in range(lanes):
+        at = _index(top, lane, lanes) * width + _index(left, lane, lanes)
+        total = lane_of(weights_y[0], lane, lanes) * taps[at]
+        for k in ti.static(range(1, 4)):
+            total += lane_of(weights_y[k], lane, lanes) * taps[at + k * width]
+        for k in ti.static(range(4)):
+            set_lane(columns[k], lane, lanes, total[k])
+    value = weights_x[0] * columns[0]
+    for k in ti.static(range(1, 4)):
+        value += weights_x[k] * columns[k]
+    for lane in range(lanes):
+        if lane_of(across, lane, lanes) + lane_of(down, lane, lanes) == 0.0:
+            pixel = image[_index(top, lane, lanes), _index(left, lane, lanes)]
+            set_lane(value, lane, lanes, pixel)
+    return value, inside
+
+
+@ti.func
+def _index(value, lane: ti.template(), lanes: ti.template()):
+    return ti.cast(lane_of(value, lane, lanes), ti.i32)
+
+
+def _weights(t):
+    """Return the four values of the cubic B-spline for samples a fraction t past the second."""
+    s = bind(1.0 - t)
+    return [
+        bind(s * s * s / 6.0),
+        bind(2.0 / 3.0 - t * t * (1.0 - 0.5 * t)),
+        bind(2.0 / 3.0 - s * s * (1.0 - 0.5 * s)),
+        bind(t * t * t / 6.0),
+    ]
+
+
+@ti.func
+def _repeat_columns(array: ti.template(), row, halo, first, width):
+    """Lay the border of a row that the pixels of the strips are in already.
+
+    The padding repeats the image's last column, the halo columns those of the neighbouring strips.
+    """
+    strip = array.shape[2] - 2 * halo
+    lanes = ti.static(lane_count(array))
+    if width < lanes * strip:
+        last = array[0, row, (width - 1) % strip + halo][(width - 1) // strip]
+        for s in range(strip):
+            value = array[0, row, s + halo]
+            array[0, row, s + halo] = ti.select(first + s < width, value, 0.0 * value + last)
+    # From within, because the neighbour may be narrower than the halo.
+    for k in range(halo):
+        west, east = halo - 1 - k, strip + halo + k
+        next_west, next_east = array[0, row, west + strip], array[0, row, east - strip]
+        from_west, from_east = array[0, row, west + 1], array[0, row, east - 1]
+        for lane in range(lanes - 1):
+            from_west[lane + 1] = next_west[lane]
+            from_east[lane] = next_east[lane + 1]
+        array[0, row, west] = from_west
+        array[0, row, east] = from_east

@@ -1,0 +1,357 @@
+"""Arrays in lanes: the layout that lets one source run as SIMD on a CPU and as plain floats.
+
+Column x of an image lies in lane ``x // strip`` at strip position ``x % strip``. A lane array of
+k components is float32 of shape (k, H + 2·halo, strip + 2·halo, lanes), or without the last axis
+when lanes = 1. Eastern and western neighbours lie in the same lane one strip position away, so a
+kernel loads and stores whole vectors of lanes, and red and black sites alternate along the strip
+in every lane at once (the strip is even).
+
+The halo columns repeat the border columns of the neighbouring strips; rows and columns outside
+the image are zero unless a function says otherwise. Columns between the image's width and
+``lanes * strip`` are padding: no data and no edge to the image, so the unknowns there stay zero.
+
+On a GPU there is one lane, and the arrays of a grid stay on the device (``ti.ndarray``): `place`
+and `on_host` take them there and back.
+"""
+
+import math
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import taichi as ti
+from taichi.lang import impl
+
+from tisfm.kernels.layout.buffers import ALIGNMENT, buffers
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.small_spd import bind
+
+LANES = (1, 8, 16)
+CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
+SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
+SMALL = 2**29 - 1  # elements: no array has more
+
+
+@dataclass(frozen=True)
+class LaneArray:
+    """Annotation of a kernel argument that is a lane array with `ndim` axes before the lanes."""
+
+    ndim: int
+
+
+@dataclass(frozen=True)
+class SumArray:
+    """Annotation of a kernel argument that holds sums, float64; or, for one lane, float32.
+
+    A block of one lane is summed in float32 anyway, and not every GPU has float64.
+    """
+
+    ndim: int
+
+
+def lane_kernel(function):
+    """Make a Taichi kernel for each lane count out of one function.
+
+    Arguments annotated with `LaneArray` become arrays of vectors of 8 or 16 lanes or of plain
+    floats, those with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
+    """
+
+    def typed(element, sums):
+        elements = {LaneArray: element, SumArray: sums}
+        copy = types.FunctionType(
+            function.__code__, function.__globals__, function.__name__, function.__defaults__
+        )
+        copy.__qualname__, copy.__module__ = function.__qualname__, function.__module__
+        copy.__doc__ = function.__doc__
+        copy.__annotations__ = {
+            name: ti.types.ndarray(dtype=elements[type(kind)], ndim=kind.ndim)
+            if type(kind) in elements
+            else kind
+            for name, kind in function.__annotations__.items()
+        }
+        return Kernel(copy)
+
+    wide = {lanes: typed(ti.types.vector(lanes, ti.f32), ti.f64) for lanes in LANES if lanes > 1}
+    return {1: typed(ti.f32, ti.f32), **wide}
+
+
+def bind_kernel(grid: "LaneGrid", kernels, arguments: tuple) -> Callable[[], None]:
+    """Return a launch of a lane kernel of a grid with these arguments."""
+    kernel = kernels[grid.lanes]
+    return partial(kernel, *arguments) if grid.on_device else kernel.bound(*arguments)
+
+
+def lane_count(array) -> int:
+    """Return the number of lanes of a kernel argument, while the kernel is being compiled."""
+    shape = array.element_shape()
+    return shape[0] if shape else 1
+
+
+@ti.func
+def lane_of(value, lane: ti.template(), lanes: ti.template()):
+    """Return one lane of a loaded value as a plain float."""
+    result = 0.0
+    if ti.static(lanes > 1):
+        result = value[lane]
+    else:
+        result = value
+    return result
+
+
+@ti.func
+def set_lane(value: ti.template(), lane: ti.template(), lanes: ti.template(), part):
+    """Replace one lane of a variable."""
+    if ti.static(lanes > 1):
+        value[lane] = part
+    else:
+        value = part
+
+
+@ti.func
+def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
+    """Write one lane of an element of a lane array."""
+    if ti.static(lane_count(array) > 1):
+        array[k, y, s][lane] = value
+    else:
+        array[k, y, s] = value
+
+
+def planes_of(array, count: int) -> list:
+    """Return where the components of a lane array begin, for `element`, while compiling.
+
+    To be written before loops.
+    """
+    plane = bind(array.shape[1] * array.shape[2])
+    return [bind((k * plane) & SMALL) for k in range(count)]
+
+
+def element(array, index):
+    """Return an element of a lane array by one index, while compiling.
+
+    Three indices take seven instructions to become an address, every time, since in the 32 bits
+    that they have they might overflow. Of an index that is a sum of few parts cut to `SMALL`, such
+    as ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and one of `planes_of`, the
+    compiler knows that it does not, and most of it becomes part of the load.
+    """
+    compiling = impl.get_runtime().compiling_callable
+    return impl.subscript(compiling.ast_builder(), array, *_indices(array, index))
+
+
+@ti.func
+def load(array: ti.template(), index):
+    """Return an element by one index, as `element` does."""
+    found = ti.static([bind(element(array, index))])
+    return found[0]
+
+
+@ti.func
+def store(array: ti.template(), index, value):
+    """Write an element by one index, as `element` reads it."""
+    place = ti.static(_indices(array, index))
+    array[place[0], place[1], place[2]] = value
+
+
+def _indices(array, index) -> list:
+    """Return one index as three: itself, unless an application lets Taichi check each of them."""
+    if not impl.current_cfg().debug:
+        return [0, 0, index]
+    rows, row = array.shape[1], array.shape[2]
+    return [bind(index // (rows * row)), bind(index // row % rows), bind(index % row)]
+
+
+@ti.func
+def refresh_halo(array: ti.template(), k, y):
+    """Copy the border columns of the neighbouring strips into the halo columns of row y."""
+    if ti.static(lane_count(array) > 1):
+        strip = array.shape[2] - 2
+        first, last = array[k, y, 1], array[k, y, strip]
+        west, east = 0.0 * first, 0.0 * last
+        for lane in range(ti.static(lane_count(array) - 1)):
+            west[lane + 1] = last[lane]
+            east[lane] = first[lane + 1]
+        array[k, y, 0] = west
+        array[k, y, strip + 1] = east
+
+
+@dataclass(frozen=True)
+class LaneGrid:
+    """An image grid of `height` × `width` pixels cut into `lanes` strips.
+
+    Parameters
+    ----------
+    height, width : int
+        Size of the image, px.
+    lanes : {8, 16, 1}
+        Strips side by side: 8 or 16 for SIMD on a CPU, 1 for plain floats.
+    on_device : bool
+        Whether its arrays stay on the device, for a single lane.
+    """
+
+    height: int
+    width: int
+    lanes: int = 8
+    on_device: bool = False
+
+    def __post_init__(self):
+        if self.height < 1 or self.width < 1:
+            raise ValueError(f"a grid of {self.height} × {self.width} pixels has no pixel")
+        if self.lanes not in LANES:
+            raise ValueError(f"lanes is {self.lanes}: expected 1, 8 or 16")
+        if self.on_device and self.lanes != 1:
+            raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
+
+    @property
+    def strip(self) -> int:
+        """Columns per lane: even, so that red and black alternate alike in every lane."""
+        columns = -(-self.width // self.lanes)
+        return columns + columns % 2
+
+    @property
+    def serial(self) -> bool:
+        """Whether the image is so small that kernels had better run in one thread."""
+        return self.lanes > 1 and self.height * self.width <= SERIAL
+
+    def shape(self, components: int, halo: int = 1) -> tuple[int, ...]:
+        """Return the shape of a lane array of this grid."""
+        return (components, self.height + 2 * halo, *self._strip_shape(halo))
+
+    def allocate(self, components: int, halo: int = 1, *, zeros: bool = True):
+        """Return a lane array of zeros, or of any values, aligned for vector loads."""
+        shape = self.shape(components, halo)
+        if math.prod(shape[:3]) > SMALL:
+            raise ValueError(
+                f"{self.height} × {self.width} pixels are too many for arrays of {components} "
+                f"components with lanes = {self.lanes}: scale the frames down"
+            )
+        if self.on_device:
+            return ti.ndarray(ti.f32, shape)
+        return aligned_zeros(shape) if zeros else aligned_empty(shape)
+
+    def place(self, array: np.ndarray, *, vectors: bool = False):
+        """Return a float32 array where the kernels of this grid want it: itself, or a copy.
+
+        `vectors`: whether they take its last axis for vectors.
+        """
+        if not self.on_device:
+            return array
+        copy = (
+            ti.Vector.ndarray(array.shape[-1], ti.f32, array.shape[:-1])
+            if vectors
+            else ti.ndarray(ti.f32, array.shape)
+        )
+        copy.from_numpy(np.ascontiguousarray(array))
+        return copy
+
+    def copy(self, source, out) -> None:
+        """Copy an array that this grid has allocated to another."""
+        if self.on_device:
+            out.copy_from(source)
+        else:
+            out[...] = source
+
+    def columns(self, values: np.ndarray, halo: int = 1) -> np.ndarray:
+        """Lay a function of the column into lanes; not placed.
+
+        Parameters
+        ----------
+        values : (lanes · strip,) array
+            One value per column, padding included.
+
+        Returns
+        -------
+        (strip + 2·halo[, lanes]) float32, zero in the halo
+        """
+        table = aligned_zeros(self._strip_shape(halo))
+        by_lane = np.asarray(values, np.float32).reshape(self.lanes, self.strip).T
+        table[halo : halo + self.strip] = by_lane.reshape(table[halo : halo + self.strip].shape)
+        return table
+
+    def column_index(self) -> np.ndarray:
+        """Return the index of every column, padding included, as float64."""
+        return np.arange(self.lanes * self.strip, dtype=np.float64)
+
+    def inside(self) -> np.ndarray:
+        """Return 1 on pixels of the image, else 0, as a lane array of 1 component; not placed."""
+        mask = aligned_zeros(self.shape(1))
+        mask[0, 1:-1] = self.columns(self.column_index() < self.width)
+        return mask
+
+    def open_edges(self):
+        """Return a lane array that is 1 where a pixel has an eastern, a southern neighbour."""
+        edges = aligned_zeros(self.shape(2))
+        edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
+        edges[1, 1:-2] = self.columns(self.column_index() < self.width)
+        return self.place(edges)
+
+    def check(self, array, components: int, name: str, halo: int = 1) -> None:
+        """Raise unless `array` is a lane array of this grid that a kernel may write to."""
+        check_array(array, self.shape(components, halo), name)
+
+    def check_columns(self, table, name: str, halo: int = 1) -> None:
+        """Raise unless `table` is a column table of this grid."""
+        check_array(table, self._strip_shape(halo), name)
+
+    def check_rows(self, table, name: str) -> None:
+        """Raise unless `table` has one float32 per row, halo included."""
+        check_array(table, (self.height + 2,), name)
+
+    def check_image(self, image, name: str, components: int | None = None) -> None:
+        """Raise unless `image` is a float32 image of this grid, or a stack of `components`."""
+        size = (self.height, self.width)
+        check_array(image, size if components is None else (components, *size), name, aligned=False)
+
+    def _strip_shape(self, halo: int) -> tuple[int, ...]:
+        columns = self.strip + 2 * halo
+        return (columns,) if self.lanes == 1 else (columns, self.lanes)
+
+
+def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """Return float32 zeros whose first element lies on an `ALIGNMENT` boundary."""
+    array = aligned_empty(shape)
+    array.fill(0)
+    return array
+
+
+def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
+    """Return a float32 array of any values that is aligned likewise."""
+    return buffers.floats(math.prod(shape)).reshape(shape)
+
+
+def on_host(array) -> np.ndarray:
+    """Return an array that a grid has allocated or placed as NumPy's: itself, or a copy."""
+    return array if isinstance(array, np.ndarray) else array.to_numpy()
+
+
+def check_array(
+    array, shape: tuple[int, ...], name: str, dtype=np.float32, aligned: bool = True
+) -> None:
+    """Raise unless `array` can be handed to a kernel.
+
+    An array of floats on the device need have the shape alone.
+
+    Raises
+    ------
+    TypeError
+        If it is not a NumPy array of this dtype.
+    ValueError
+        If its shape differs, or it is not C-contiguous, writable and (if asked) aligned.
+    """
+    if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
+        whole = array.shape + array.element_shape
+        if whole != tuple(shape):
+            raise ValueError(f"{name} is {whole}: expected {tuple(shape)}")
+        return
+    if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        kind = getattr(array, "dtype", type(array).__name__)
+        raise TypeError(f"{name} is {kind}: expected a NumPy array of {np.dtype(dtype).name}")
+    if array.shape != tuple(shape):
+        raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
+    if not (array.flags.c_contiguous and array.flags.writeable):
+        raise ValueError(f"{name} must be C-contiguous and writable")
+    if aligned and array.__array_interface__["data"][0] % ALIGNMENT:
+        raise ValueError(
+            f"{name} must be aligned to {ALIGNMENT} bytes: allocate it with "
+            "LaneGrid.allocate or aligned_zeros"
+        )

@@ -1,0 +1,252 @@
+"""What a user reads off the unknowns, on plain images."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import CHUNK, check_array
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.rigid.epipolar import NEAREST
+
+BAND = 16  # rows, at least
+
+
+def motion_fields(
+    rho: np.ndarray,
+    x_hat: np.ndarray,
+    y_hat: np.ndarray,
+    flow: np.ndarray,
+    inverse_depth: np.ndarray,
+    *,
+    focal: float,
+    by_pixel: bool = False,
+) -> None:
+    """Compute image motion (eq. 25) and inverse depth (eq. 24 without its sign) of a field.
+
+    Parameters
+    ----------
+    rho : (n, H, W) float32
+        ρ̂, px/frame, of 6 or 3 components.
+    x_hat, y_hat : (W,), (H,) float32
+        Normalised coordinates.
+    flow : (2, H, W) float32
+        (u, v) = G ρ̂, px/frame.
+    inverse_depth : (H, W) float32
+        ‖(τ1, τ2, τ3)‖ = ‖(ρ̂1, ρ̂2, ρ̂3)‖/f.
+    focal : float
+        px.
+    by_pixel : bool
+        Whether every pixel is a thread's own, as a GPU wants it, and not a band of rows.
+    """
+    n, height, width = rho.shape
+    if n not in (3, 6):
+        raise ValueError(f"rho has {n} components: expected 3 or 6")
+    check_array(rho, rho.shape, "rho", aligned=False)
+    check_array(x_hat, (width,), "x_hat", aligned=False)
+    check_array(y_hat, (height,), "y_hat", aligned=False)
+    check_array(flow, (2, height, width), "flow", aligned=False)
+    check_array(inverse_depth, (height, width), "inverse_depth", aligned=False)
+    if by_pixel:
+        _motion_fields_by_pixel(rho, x_hat, y_hat, 1 / focal, n, flow, inverse_depth)
+        return
+    bands = max(1, height // BAND)
+    _motion_fields(rho, x_hat, y_hat, 1 / focal, n, bands, flow, inverse_depth)
+
+
+@Kernel
+def _motion_fields(
+    rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (n, H, W)
+    x_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (W,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H,)
+    inverse_focal: ti.f32,
+    n: ti.template(),
+    bands: ti.i32,
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+):
+    height, width = rho.shape[1], rho.shape[2]
+    for task in range(CHUNK * bands):
+        if task % CHUNK == 0:
+            band = task // CHUNK
+            for y in range(band * height // bands, (band + 1) * height // bands):
+                for x in range(width):
+                    _motion_at(rho, x_hat, y_hat, inverse_focal, n, flow, inverse_depth, y, x)
+
+
+@Kernel
+def _motion_fields_by_pixel(
+    rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (n, H, W)
+    x_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (W,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H,)
+    inverse_focal: ti.f32,
+    n: ti.template(),
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(rho.shape[1], rho.shape[2]):
+        _motion_at(rho, x_hat, y_hat, inverse_focal, n, flow, inverse_depth, y, x)
+
+
+@ti.func
+def _motion_at(
+    rho: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    inverse_focal,
+    n: ti.template(),
+    flow: ti.template(),
+    inverse_depth: ti.template(),
+    y,
+    x,
+):
+    here = ti.static([bind(rho[k, y, x]) for k in range(n)])
+    columns = ti.static(motion_columns(n, x_hat[x], y_hat[y]))
+    u, v = ti.static(flow_of(columns, here))
+    flow[0, y, x] = u
+    flow[1, y, x] = v
+    square = here[0] * here[0] + here[1] * here[1] + here[2] * here[2]
+    inverse_depth[y, x] = ti.sqrt(square) * inverse_focal
+
+
+def rigid_fields(
+    inverse_depth: np.ndarray,
+    labels: np.ndarray,
+    x_hat: np.ndarray,
+    y_hat: np.ndarray,
+    flow: np.ndarray,
+    rho: np.ndarray,
+    *,
+    motions: np.ndarray,
+    twists: np.ndarray,
+    focal: float,
+    by_pixel: bool = False,
+) -> None:
+    """Compute the exact flow of rigid motions, and the ρ̂ of their twists with Gρ̂ = that flow.
+
+    To first order ρ̂ = (D T, f·ω). What the finite displacement has beyond Gρ̂ is added to its
+    first two components, which move a pixel right and down.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        D, px/frame.
+    labels : (H, W) int32
+        Which motion a pixel has.
+    x_hat, y_hat : (W,), (H,) float32
+        Normalised coordinates.
+    flow : (2, H, W) float32
+        (u, v), px/frame (`tisfm.kernels.rigid.epipolar`); 0 without motion, exactly.
+    rho : (6, H, W) float32
+        ρ̂, px/frame.
+    motions : (K, 3, 4) array
+        R and t.
+    twists : (K, 6) array
+        T and f·ω: what is multiplied by D, and what is not.
+    focal : float
+        px.
+    by_pixel : bool
+        Whether every pixel is a thread's own.
+    """
+    height, width = inverse_depth.shape
+    count = len(motions)
+    check_array(inverse_depth, (height, width), "inverse_depth", aligned=False)
+    check_array(labels, (height, width), "labels", dtype=np.int32, aligned=False)
+    check_array(x_hat, (width,), "x_hat", aligned=False)
+    check_array(y_hat, (height,), "y_hat", aligned=False)
+    check_array(flow, (2, height, width), "flow", aligned=False)
+    check_array(rho, (6, height, width), "rho", aligned=False)
+    if motions.shape != (count, 3, 4) or twists.shape != (count, 6):
+        raise ValueError(
+            f"motions is {motions.shape} and twists {twists.shape}: expected as many of (3, 4) as "
+            "of (6,)"
+        )
+    if labels.min() < 0 or labels.max() >= count:
+        raise ValueError(f"labels go from {labels.min()} to {labels.max()}: {count} motions")
+    # Of (R − 1) x̂, so that no motion gives exactly none.
+    change = (np.array(motions, np.float64) - np.eye(3, 4)).astype(np.float32)
+    where = inverse_depth, labels, x_hat, y_hat, change, twists.astype(np.float32), focal
+    if by_pixel:
+        _rigid_fields_by_pixel(*where, flow, rho)
+        return
+    _rigid_fields(*where, max(1, height // BAND), flow, rho)
+
+
+@Kernel
+def _rigid_fields(
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    labels: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
+    x_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (W,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H,)
+    change: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (K, 3, 4): R − 1 and t
+    twists: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (K, 6)
+    focal: ti.f32,
+    bands: ti.i32,
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (6, H, W)
+):
+    height, width = inverse_depth.shape[0], inverse_depth.shape[1]
+    for task in range(CHUNK * bands):
+        if task % CHUNK == 0:
+            band = task // CHUNK
+            for y in range(band * height // bands, (band + 1) * height // bands):
+                for x in range(width):
+                    _rigid_at(
+                        inverse_depth, labels, x_hat, y_hat, change, twists, focal, flow, rho, y, x
+                    )  # fmt: skip
+
+
+@Kernel
+def _rigid_fields_by_pixel(
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    labels: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
+    x_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (W,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H,)
+    change: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (K, 3, 4): R − 1 and t
+    twists: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (K, 6)
+    focal: ti.f32,
+    flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
+    rho: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (6, H, W)
+):
+    for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
+        _rigid_at(inverse_depth, labels, x_hat, y_hat, change, twists, focal, flow, rho, y, x)
+
+
+@ti.func
+def _rigid_at(
+    inverse_depth: ti.template(),
+    labels: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    change: ti.template(),
+    twists: ti.template(),
+    focal,
+    flow: ti.template(),
+    rho: ti.template(),
+    y,
+    x,
+):
+    k = labels[y, x]
+    x_here, y_here, depth = x_hat[x], y_hat[y], inverse_depth[y, x]
+    d = depth / focal
+    right, down = _moved(change, k, 0, x_here, y_here, d), _moved(change, k, 1, x_here, y_here, d)
+    away = ti.max(_moved(change, k, 2, x_here, y_here, d), NEAREST - 1.0)
+    nearness = focal / (1.0 + away)
+    u, v = nearness * (right - x_here * away), nearness * (down - y_here * away)
+    flow[0, y, x], flow[1, y, x] = u, v
+    forward = depth * twists[k, 2]
+    turn = ti.static([bind(twists[k, i]) for i in range(3, 6)])
+    first, second = ti.static(
+        flow_of(motion_columns(6, x_here, y_here)[2:], [forward, turn[0], turn[1], turn[2]])
+    )
+    rho[0, y, x], rho[1, y, x] = u - first, v - second
+    rho[2, y, x] = forward
+    for i in ti.static(range(3)):
+        rho[3 + i, y, x] = turn[i]
+
+
+@ti.func
+def _moved(change: ti.template(), k, row: ti.template(), x, y, d):
+    """Return by what a motion changes one coordinate of x̂, whose inverse depth is d."""
+    still = change[k, row, 0] * x + change[k, row, 1] * y + change[k, row, 2]
+    return still + d * change[k, row, 3]

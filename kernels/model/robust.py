@@ -1,0 +1,89 @@
+"""The robust data term: constraints weighted by how well they are met.
+
+A term of weight m_i, the sum of squares q_i of its constraints (`tisfm.kernels.data.constraints`),
+contributes m_i ψ(q_i/m_i), where ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), written
+2q/(1 + √(1 + q/ε²)). Its half-quadratic form is w q + m ε²(w + 1/w − 2), least for
+w = 1/√(1 + q/(m ε²)).
+
+Functions here that are no kernel's are called inside ``ti.static(...)``: they write out their
+arithmetic while a kernel is being compiled.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.model.small_spd import bind
+
+
+def check_terms(grid, terms, x_hat, y_hat, rho, scales) -> int:
+    """Raise unless constraints, tables and ρ̂ are of the grid; return how many constraints."""
+    if not all(scale > 0 for scale in scales):
+        raise ValueError(f"scales is {tuple(scales)}: expected positive values")
+    count = check_constraints(grid, terms, scales)
+    grid.check(rho, rho.shape[0], "rho")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    return count
+
+
+def check_constraints(grid, terms, scales) -> int:
+    """Raise unless `terms` are 1, 2 or 3 constraints of as many terms as `scales`; return that."""
+    count = terms.shape[0] // 3
+    if count not in (1, 2, 3) or len(scales) != len(terms_of(range(count))):
+        raise ValueError(
+            f"terms has {terms.shape[0]} components and scales {len(scales)} values: expected 3 "
+            "or 6 for one term, 9 for two"
+        )
+    grid.check(terms, 3 * count, "terms")
+    return count
+
+
+def terms_of(constraints) -> list:
+    """Return the constraints of each term, from all that a pixel has."""
+    if len(constraints) < 3:
+        return [constraints]
+    return [constraints[:1], constraints[1:]]
+
+
+def finite_scales(scales) -> tuple[float, ...]:
+    """Return 1/scale and scale of two terms; 0 and 0 for a quadratic one, w = 1 without penalty."""
+    pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
+    return (*pairs[0], *pairs[1])
+
+
+def squares(lines, u, v):
+    """Return the sum of the squares of a term's constraints (p, q, c)."""
+    total = 0.0
+    for p, q, c in lines:
+        distance = bind(p * u + q * v + c)
+        total = total + distance * distance
+    return bind(total)
+
+
+def products(lines) -> list:
+    """Return the motion tensor of a term: Σ p², p q, q², p c, q c, c²."""
+    tensor = [0.0] * 6
+    for p, q, c in lines:
+        entries = (p * p, p * q, q * q, p * c, q * c, c * c)
+        tensor = [total + entry for total, entry in zip(tensor, entries, strict=True)]
+    return [bind(entry) for entry in tensor]
+
+
+def robust_data(terms, scales, u, v):
+    """Return the energy of a pixel's terms at a flow, and the tensor of its half-quadratic form.
+
+    `terms` are lists of constraints, `scales` pairs (1/s, s) of `finite_scales`. J_tt contains the
+    penalty, so that the form of the tensor is the half-quadratic one.
+    """
+    energy, tensor = 0.0, [0.0] * 6
+    for lines, (inverse, scale) in zip(terms, scales, strict=False):
+        q = squares(lines, u, v)
+        root = bind(ti.sqrt(1.0 + inverse * q))
+        both = bind(1.0 / (root * (1.0 + root)))  # one quotient for two
+        weight = bind((1.0 + root) * both)
+        energy = energy + 2.0 * q * (root * both)
+        tensor = [
+            total + weight * entry for total, entry in zip(tensor, products(lines), strict=True)
+        ]
+        tensor[5] = tensor[5] + scale * (1.0 - weight) * (root - 1.0)  # m ε²(w + 1/w − 2)
+    return bind(energy), [bind(entry) for entry in tensor]

@@ -1,0 +1,141 @@
+"""Rigid motions: every pixel moves along a known curve, by its inverse depth.
+
+A pixel at x̂ = (x̂, ŷ, 1) of inverse depth d, on the surface that moves by P₁ = R P₀ + t, goes to
+π(R x̂ + d t), exactly. The unknown of the solver is D = f·d, and about a current D₀ the flow is
+(u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A
+constraint then is one on D.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, check_array, lane_kernel
+
+NEAREST = 0.05  # least depth after the motion over depth before: nothing comes closer to the camera
+
+
+def displacement(
+    grid: LaneGrid, inverse_depth, labels, x_hat, y_hat, flow, direction, *, motions, focal
+) -> None:
+    """Compute the flow of rigid motions, and how it changes with the inverse depth.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    inverse_depth : lane array, 1 component
+        D.
+    labels : lane array, 1 component
+        Which motion a pixel has: whole numbers from 0.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    flow : lane array, 2 components
+        (u, v) = f·(π(R x̂ + d t) − x̂), px/frame.
+    direction : lane array, 2 components
+        a = ∂(u, v)/∂D.
+    motions : (K, 3, 4) float32
+        R and t of each motion.
+    focal : float
+        px.
+    """
+    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
+    _displacement[grid.lanes](inverse_depth, labels, x_hat, y_hat, motions, focal, flow, direction)
+
+
+def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
+    """Restrict constraints to the epipolar line.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    terms : lane array, 3 components for each constraint
+        (p, q, c) (`tisfm.kernels.data.constraints`).
+    flow, direction : lane arrays, 2 components
+        Of `displacement`, at the same D.
+    inverse_depth : lane array, 1 component
+        D₀.
+    out : lane array, as many components as `terms`
+        (p', 0, c') of a flow (D, 0): p' = (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀. The
+        zeros are left alone.
+    """
+    count = terms.shape[0] // 3
+    grid.check(terms, 3 * count, "terms")
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check(out, 3 * count, "out")
+    _along[grid.lanes](terms, flow, direction, inverse_depth, count, out)
+
+
+def check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions) -> None:
+    """Raise unless the arguments of `displacement` that it reads are what it says."""
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check(labels, 1, "labels")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    count = motions.shape[0] if isinstance(motions, np.ndarray) and motions.ndim == 3 else 1
+    check_array(motions, (count, 3, 4), "motions", aligned=False)
+    if not count:
+        raise ValueError("motions is empty: expected at least one")
+
+
+@lane_kernel
+def _displacement(
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    labels: LaneArray(3),  # (1, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    motions: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (K, 3, 4)
+    focal: ti.f32,
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+):
+    for row, position in ti.ndrange(flow.shape[1] - 2, flow.shape[2] - 2):
+        y, s = row + 1, position + 1
+        x_here, y_here = x_hat[s], y_hat[y]
+        d = inverse_depth[0, y, s] / focal
+        p1, p2, p3 = 0.0 * d, 0.0 * d, 0.0 * d
+        t1, t2, t3 = 0.0 * d, 0.0 * d, 0.0 * d
+        for k in range(motions.shape[0]):
+            apart = labels[0, y, s] - ti.cast(k, ti.f32)
+            mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)  # 1 for label k, else 0
+            p1 += mine * _coordinate(motions, k, 0, x_here, y_here)
+            p2 += mine * _coordinate(motions, k, 1, x_here, y_here)
+            p3 += mine * _coordinate(motions, k, 2, x_here, y_here)
+            t1 += mine * motions[k, 0, 3]
+            t2 += mine * motions[k, 1, 3]
+            t3 += mine * motions[k, 2, 3]
+        nearness = 1.0 / ti.max(p3 + d * t3, NEAREST)
+        x_there = nearness * (p1 + d * t1)
+        y_there = nearness * (p2 + d * t2)
+        flow[0, y, s] = focal * (x_there - x_here)
+        flow[1, y, s] = focal * (y_there - y_here)
+        direction[0, y, s] = nearness * (t1 - x_there * t3)
+        direction[1, y, s] = nearness * (t2 - y_there * t3)
+
+
+@ti.func
+def _coordinate(motions: ti.template(), k, row: ti.template(), x, y):
+    """Return one coordinate of R x̂."""
+    return motions[k, row, 0] * x + motions[k, row, 1] * y + motions[k, row, 2]
+
+
+@lane_kernel
+def _along(
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    count: ti.template(),
+    out: LaneArray(3),  # (3 count, H+2, S+2)
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        a, b = direction[0, y, s], direction[1, y, s]
+        d = inverse_depth[0, y, s]
+        u, v = flow[0, y, s] - d * a, flow[1, y, s] - d * b
+        for i in ti.static(range(count)):
+            p, q = terms[3 * i, y, s], terms[3 * i + 1, y, s]
+            out[3 * i, y, s] = p * a + q * b
+            out[3 * i + 2, y, s] = p * u + q * v + terms[3 * i + 2, y, s]

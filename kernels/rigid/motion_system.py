@@ -1,0 +1,205 @@
+"""Normal equations of a rigid motion, every pixel's inverse depth eliminated."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, SumArray, lane_count, lane_kernel
+from tisfm.kernels.model.robust import check_constraints, finite_scales, products, squares, terms_of
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.rigid.epipolar import NEAREST, check_geometry
+from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+
+TINY = 1e-12  # in place of a curvature where there is neither data nor a neighbour
+
+
+def motion_system(
+    grid: LaneGrid,
+    terms,
+    inverse_depth,
+    labels,
+    weights,
+    x_hat,
+    y_hat,
+    *,
+    motions,
+    label: int,
+    focal: float,
+    scales,
+    alpha: float,
+    tolerated: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum the normal equations of a small change of one motion, inverse depth eliminated.
+
+    A change (δt, δω) takes R x̂ + d t to itself plus d δt + δω × (R x̂ + d t), and the flow by B (δt,
+    δω). Every pixel's D may answer it, held by its neighbours alone; that is the Schur complement
+    BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    terms : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.data.constraints`).
+    inverse_depth : lane array, 1 component
+        D.
+    labels : lane array, 1 component
+    weights : lane array, 2 components
+        g·b of every edge of D.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    motions : (K, 3, 4) float32
+    label : int
+        The motion whose pixels are summed.
+    focal : float
+        px.
+    scales : sequence of float
+        m_i ε² of each term (`tisfm.kernels.model.robust`).
+    alpha : float
+        Weight of D's regularisation; infinity holds D.
+    tolerated : float
+        Squared residual that counts for a quarter (Geman–McClure, in the weights of the data):
+        what moves on its own has more, and is hardly seen. Infinity for no such weight.
+
+    Returns
+    -------
+    matrix, vector : (6, 6) and (6,) float64
+        The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
+    """
+    count = check_constraints(grid, terms, scales)
+    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
+    grid.check(weights, 2, "weights")
+    partial = block_sums(grid, 27)
+    _motion_system[grid.lanes](
+        terms,
+        inverse_depth,
+        labels,
+        weights,
+        x_hat,
+        y_hat,
+        np.ascontiguousarray(motions[label]),
+        label,
+        focal,
+        *finite_scales(scales)[::2],
+        min(alpha, 1e12),
+        1 / tolerated,
+        count,
+        partial,
+    )
+    sums = add_blocks(partial)
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = sums[:21]
+    return matrix + np.triu(matrix, 1).T, sums[21:]
+
+
+@lane_kernel
+def _motion_system(
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    labels: LaneArray(3),  # (1, H+2, S+2)
+    weights: LaneArray(3),  # (2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    label: ti.f32,
+    focal: ti.f32,
+    inverse0: ti.f32,
+    inverse1: ti.f32,
+    alpha: ti.f32,
+    inverse_tolerated: ti.f32,
+    count: ti.template(),
+    partial: SumArray(3),  # (H, blocks, 27)
+):
+    height, strip = labels.shape[1] - 2, labels.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(27)])
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            apart = labels[0, y, s] - label
+            mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
+            d = inverse_depth[0, y, s] / focal
+            # The point after the motion, in units of its depth.
+            nearness = 1.0 / ti.max(_coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            x = nearness * _coordinate(motion, 0, x_hat[s], y_hat[y], d)
+            yy = nearness * _coordinate(motion, 1, x_hat[s], y_hat[y], d)
+            u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
+            a = nearness * (motion[0, 3] - x * motion[2, 3])
+            b = nearness * (motion[1, 3] - yy * motion[2, 3])
+            lines = ti.static(
+                [[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)]
+            )
+            parts = ti.static(terms_of(lines))
+            square = ti.static([bind(squares(part, u, v)) for part in parts])
+            off = 0.0 * u
+            for part in ti.static(range(len(parts))):
+                off += square[part]
+            trusted = 1.0 / (1.0 + inverse_tolerated * off)
+            trusted = mine * trusted * trusted
+            j11, j12, j22, j1, j2 = ti.static(
+                _trusted(parts, square, (inverse0, inverse1), trusted)
+            )
+            g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
+            neighbours = weights[0, y, s] + weights[0, y, s - 1]
+            neighbours += weights[1, y, s] + weights[1, y - 1, s]
+            lever = focal * d * nearness
+            columns = ti.static(_motion_columns(x, yy, lever, focal))
+            curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
+            inverse = 1.0 / (curvature + alpha * neighbours + TINY)
+            slope = a * g1 + b * g2
+            pulled = ti.static(_pulled(columns, j11, j12, j22))
+            answers = ti.static(_answers(pulled, a, b))
+            for i in ti.static(range(6)):
+                for j in ti.static(range(i, 6)):
+                    k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
+                    sums[k] += (
+                        columns[i][0] * pulled[j][0]
+                        + columns[i][1] * pulled[j][1]
+                        - inverse * answers[i] * answers[j]
+                    )
+                sums[21 + i] += (
+                    columns[i][0] * g1 + columns[i][1] * g2 - inverse * answers[i] * slope
+                )
+        for k in ti.static(range(27)):
+            store_sum(partial, row, block, k, sums[k], ti.static(lane_count(labels)))
+
+
+@ti.func
+def _coordinate(motion: ti.template(), row: ti.template(), x, y, d):
+    """Return one coordinate of R x̂ + d t."""
+    turned = motion[row, 0] * x + motion[row, 1] * y + motion[row, 2]
+    return turned + d * motion[row, 3]
+
+
+def _trusted(parts, square, inverses, trusted):
+    """Return J11, J12, J22, j1 and j2 of all terms, weighted."""
+    total = [0.0] * 5
+    for lines, q, inverse in zip(parts, square, inverses, strict=False):
+        weight = bind(trusted / ti.sqrt(1.0 + inverse * q))
+        entries = products(lines)[:5]
+        total = [before + weight * entry for before, entry in zip(total, entries, strict=True)]
+    return [bind(entry) for entry in total]
+
+
+def _motion_columns(x, y, lever, focal):
+    """Return the columns of B at a point (x, y, 1) after the motion, lever = f·d/depth there."""
+    zero = bind(0.0 * x)
+    xy = bind(focal * x * y)
+    return [
+        (lever, zero),
+        (zero, lever),
+        (bind(0.0 - lever * x), bind(0.0 - lever * y)),
+        (bind(0.0 - xy), bind(0.0 - focal * (1.0 + y * y))),
+        (bind(focal * (1.0 + x * x)), xy),
+        (bind(0.0 - focal * y), bind(focal * x)),
+    ]
+
+
+def _pulled(columns, j11, j12, j22):
+    """Return the columns of J B."""
+    return [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
+
+
+def _answers(pulled, a, b):
+    """Return aᵀ J B."""
+    return [bind(a * p + b * q) for p, q in pulled]

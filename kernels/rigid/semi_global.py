@@ -1,0 +1,197 @@
+"""Semi-global aggregation: the costs of hypotheses, summed along paths that may change slowly.
+
+The costs of a pixel's N hypotheses lie side by side, in vectors of as many as a `LaneGrid` has
+lanes: a float32 array of shape (H, W, N / lanes, lanes), without the last axis for one lane.
+"""
+
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    LaneArray,
+    aligned_zeros,
+    check_array,
+    lane_count,
+    lane_kernel,
+)
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.solve.relaxation import CHUNK
+
+FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
+TINY = 1e-6  # in place of a bend where hypotheses cost the same
+
+
+def aggregate(cost, guide, out, *, step: float, jump: float, edge: float) -> None:
+    """Sum costs along the four paths through every pixel, from each border of the image.
+
+    Along a path, L(p, n) = C(p, n) + min(L(q, n), L(q, n ± 1) + step, min L(q, ·) + jump') −
+    min L(q, ·), where q is the pixel before p and jump' = max(step, jump / (1 + |ΔI| / edge)).
+
+    Parameters
+    ----------
+    cost : (H, W, M[, lanes]) float32
+        C of every pixel and hypothesis, `FORBIDDEN` where the last vector has one too many.
+    guide : (H, W) float32
+        Grey levels I of frame 0.
+    out : like `cost`
+        The sum of L over the four paths.
+    step, jump : float
+        Cost of a change by one hypothesis, and of any other.
+    edge : float
+        Step of grey levels at which a jump costs half.
+
+    References
+    ----------
+    Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008,
+    doi 10.1109/TPAMI.2007.1166, eq. 13.
+    """
+    lanes = 1 if cost.ndim == 3 else cost.shape[3]
+    check_array(cost, cost.shape, "cost")
+    check_array(out, cost.shape, "out")
+    check_array(guide, cost.shape[:2], "guide", aligned=False)
+    out[...] = 0
+    for across in (True, False):
+        lines = cost.shape[0] if across else cost.shape[1]
+        path = aligned_zeros((lines, *cost.shape[2:]))
+        _aggregate[lanes](cost, guide, path, step, jump, 1 / edge, across, out)
+
+
+def cheapest(cost, out, *, count: int) -> None:
+    """Find the hypothesis that costs least, to a fraction: the vertex of a parabola through three.
+
+    Parameters
+    ----------
+    cost : (H, W, N) float32
+    out : (H, W) float32
+        Its number, from 0 to count − 1; of equals the first.
+    count : int
+        How many of N are hypotheses; at least 2.
+    """
+    check_array(cost, cost.shape, "cost")
+    check_array(out, cost.shape[:2], "out", aligned=False)
+    if not 2 <= count <= cost.shape[2]:
+        raise ValueError(f"count is {count}: expected 2 to {cost.shape[2]}")
+    _cheapest(cost, count, out)
+
+
+@Kernel
+def _cheapest(
+    cost: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, N)
+    count: ti.i32,
+    out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+):
+    for y, x in ti.ndrange(out.shape[0], out.shape[1]):
+        best, least = 0, cost[y, x, 0]
+        for n in range(1, count):
+            here = cost[y, x, n]
+            if here < least:
+                best, least = n, here
+        offset = 0.0
+        if best > 0 and best < count - 1:
+            below, above = cost[y, x, best - 1], cost[y, x, best + 1]
+            bend = ti.max(below + above - 2.0 * least, TINY)
+            offset = ti.max(-0.5, ti.min(0.5 * (below - above) / bend, 0.5))
+        out[y, x] = best + offset
+
+
+@lane_kernel
+def _aggregate(
+    cost: LaneArray(3),  # (H, W, M)
+    guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    path: LaneArray(2),  # (lines, M): L of the pixel before
+    step: ti.f32,
+    jump: ti.f32,
+    inverse_edge: ti.f32,
+    across: ti.template(),
+    out: LaneArray(3),  # (H, W, M)
+):
+    lines = path.shape[0]
+    if ti.static(lane_count(cost) == 1):  # on a GPU, a thread for every line
+        for line in range(lines):
+            _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+    else:
+        for task in range(CHUNK * lines):
+            if task % CHUNK == 0:
+                line = task // CHUNK
+                _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+
+
+@ti.func
+def _follow(
+    cost: ti.template(),
+    guide: ti.template(),
+    path: ti.template(),
+    step,
+    jump,
+    inverse_edge,
+    across: ti.template(),
+    out: ti.template(),
+    line,
+):
+    """Sum along one line of the image, there and back."""
+    count = cost.shape[2]
+    lanes = ti.static(lane_count(cost))
+    length = cost.shape[1] if ti.static(across) else cost.shape[0]
+    for way in range(2):
+        for m in range(count):
+            path[line, m] = 0.0 * cost[0, 0, m]
+        least, grey = 0.0, 0.0
+        for i in range(length):
+            at = i if way == 0 else length - 1 - i
+            y = line if ti.static(across) else at
+            x = at if ti.static(across) else line
+            apart = guide[y, x] - grey
+            apart = ti.max(apart, 0.0 - apart)
+            grey = guide[y, x]
+            leap = least + ti.max(step, jump / (1.0 + inverse_edge * apart))
+            before = 0.0 * cost[y, x, 0] + FORBIDDEN
+            here = path[line, 0]
+            smallest = 0.0 * here + 2.0 * FORBIDDEN
+            for m in range(count):
+                after = 0.0 * here + FORBIDDEN
+                if m + 1 < count:
+                    after = path[line, m + 1]
+                near = ti.min(_shifted_up(before, here, lanes), _shifted_down(here, after, lanes))
+                best = ti.min(ti.min(here, near + step), leap)
+                value = cost[y, x, m] + best - least
+                path[line, m] = value
+                out[y, x, m] = out[y, x, m] + value  # no atomic sum
+                smallest = ti.min(smallest, value)
+                before, here = here, after
+            least = _least(smallest, lanes)
+
+
+@ti.func
+def _shifted_up(before, here, lanes: ti.template()):
+    """Return what lies one hypothesis below each of `here`."""
+    result = before
+    if ti.static(lanes > 1):
+        result = here
+        for lane in ti.static(range(1, lanes)):
+            result[lane] = here[lane - 1]
+        result[0] = before[lanes - 1]
+    return result
+
+
+@ti.func
+def _shifted_down(here, after, lanes: ti.template()):
+    """Return what lies one hypothesis above each of `here`."""
+    result = after
+    if ti.static(lanes > 1):
+        result = here
+        for lane in ti.static(range(lanes - 1)):
+            result[lane] = here[lane + 1]
+        result[lanes - 1] = after[0]
+    return result
+
+
+@ti.func
+def _least(value, lanes: ti.template()):
+    """Return the smallest lane."""
+    result = 0.0
+    if ti.static(lanes > 1):
+        result = value[0]
+        for lane in ti.static(range(1, lanes)):
+            result = ti.min(result, value[lane])
+    else:
+        result = value
+    return result

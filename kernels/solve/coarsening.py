@@ -1,0 +1,274 @@
+"""A linear system and its unknowns brought to a grid of half the density, and back (multigrid).
+
+A coarse pixel stands for 2×2 fine ones, its children, and its centre is theirs. Strips of lanes
+halve with the image, so that children lie in the lane of their parent: arrays of a fine grid
+reduce to its *halved* layout, whose strips are half as long and may be odd. Where those are not
+the strips of the coarse grid, `relayout` moves a halved array there and back.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    SMALL,
+    LaneArray,
+    LaneGrid,
+    check_array,
+    element,
+    lane_count,
+    lane_kernel,
+    lane_of,
+    planes_of,
+    refresh_halo,
+    store_lane,
+)
+from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.rigid_motion import motion_columns
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.solve.relaxation import edges_at, residual_at
+
+
+def coarse_grid(grid: LaneGrid) -> LaneGrid:
+    """Return the grid of half the density; an odd row or column is a parent's only child."""
+    return replace(grid, height=-(-grid.height // 2), width=-(-grid.width // 2))
+
+
+def halved_shape(grid: LaneGrid, components: int) -> tuple[int, ...]:
+    """Return the shape of a halved array of a fine grid."""
+    shape = (components, coarse_grid(grid).height + 2, grid.strip // 2 + 2)
+    return shape if grid.lanes == 1 else (*shape, grid.lanes)
+
+
+def coarsen_system(grid: LaneGrid, tensor, weights, coarse_tensor, coarse_weights) -> None:
+    """Sum the children's motion tensors, and combine the weights of edges.
+
+    The energy of a coarse field is then that of its bilinear interpolation, nearly: an edge takes
+    half the sum of the two fine ones that it replaces, because the step over it is twice as long,
+    and counts four times, but between twice as many pixels.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    tensor : lane array, 6 components
+    weights : lane array, 2n or 2 components
+        g·b of the eastern edges, then of the southern ones.
+    coarse_tensor, coarse_weights : halved arrays, 6 components and as many as `weights`
+    """
+    grid.check(tensor, 6, "tensor")
+    grid.check(weights, weights.shape[0], "weights")
+    _check_halved(grid, coarse_tensor, 6, "coarse_tensor")
+    _check_halved(grid, coarse_weights, weights.shape[0], "coarse_weights")
+    _coarsen_system[grid.lanes](
+        tensor, weights, grid.height, weights.shape[0] // 2, coarse_tensor, coarse_weights
+    )
+
+
+@lane_kernel
+def _coarsen_system(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    height: ti.i32,
+    n: ti.template(),
+    coarse_tensor: LaneArray(3),  # (6, h+2, S/2+2)
+    coarse_weights: LaneArray(3),  # (2n or 2, h+2, S/2+2)
+):
+    rows, strip = coarse_tensor.shape[1] - 2, coarse_tensor.shape[2] - 2
+    for row, position in ti.ndrange(rows, strip):
+        y, s = 2 * row + 1, 2 * position + 1
+        below = ti.min(y + 1, height + 1)  # halo, which is zero, under an odd last row
+        for k in ti.static(range(6)):
+            coarse_tensor[k, row + 1, position + 1] = (
+                tensor[k, y, s] + tensor[k, y, s + 1]
+                + tensor[k, below, s] + tensor[k, below, s + 1]
+            )  # fmt: skip
+        for k in ti.static(range(n)):
+            east = weights[k, y, s + 1] + weights[k, below, s + 1]
+            south = weights[n + k, below, s] + weights[n + k, below, s + 1]
+            coarse_weights[k, row + 1, position + 1] = 0.5 * east
+            coarse_weights[n + k, row + 1, position + 1] = 0.5 * south
+    for k, row in ti.ndrange(n, rows):
+        refresh_halo(coarse_weights, k, row + 1)
+
+
+def restrict_residual(
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha, source=None
+) -> None:
+    """Sum the children's residuals c − Bρ̂.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    tensor, weights, x_hat, y_hat, rho, alpha, source
+        As `tisfm.kernels.solve.relaxation.sweep` takes them.
+    out : halved array, n components
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    sets = weight_sets(grid, weights, components)
+    grid.check(rho, components, "rho")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    if source is not None:
+        grid.check(source, components, "source")
+    _check_halved(grid, out, components, "out")
+    _restrict_residual[grid.lanes](
+        tensor,
+        weights,
+        x_hat,
+        y_hat,
+        rho if source is None else source,
+        rho,
+        component_table(alpha, components),
+        grid.height,
+        components,
+        sets,
+        source is not None,
+        out,
+    )
+
+
+@lane_kernel
+def _restrict_residual(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    height: ti.i32,
+    n: ti.template(),
+    sets: ti.template(),
+    sourced: ti.template(),
+    out: LaneArray(3),  # (n, h+2, S/2+2)
+):
+    rows, strip = out.shape[1] - 2, out.shape[2] - 2
+    for row, position in ti.ndrange(rows, strip):
+        alphas = ti.static([bind(alpha[k]) for k in range(n)])
+        stride = rho.shape[2] & SMALL
+        planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+        total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
+        for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
+            for side in ti.static(range(2)):
+                s = 2 * position + 1 + side
+                i = (y * stride + s) & SMALL
+                columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+                center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+                edges = ti.static(edges_at(weights, planes, stride, sets, i))
+                residual = ti.static(
+                    residual_at(
+                        tensor, edges, columns, source if sourced else None, alphas, planes,
+                        stride, rho, center, i,
+                    )
+                )  # fmt: skip
+                for k in ti.static(range(n)):
+                    total[k] += residual[k]
+        for k in ti.static(range(n)):
+            out[k, row + 1, position + 1] = total[k]
+
+
+def relayout(coarse: LaneGrid, array, out) -> None:
+    """Copy a lane array of a grid into strips of another length, halo columns included.
+
+    Parameters
+    ----------
+    coarse : LaneGrid
+        The grid: one of the two arrays has its strips.
+    array : lane array, k components
+    out : lane array, k components
+        Its padding becomes 0; its halo rows are left as they are.
+    """
+    for name, given in (("array", array), ("out", out)):
+        shape = (array.shape[0], coarse.height + 2, given.shape[2])
+        check_array(given, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
+        if coarse.lanes * (given.shape[2] - 2) < coarse.width:
+            raise ValueError(f"{name} has too few columns for a grid {coarse.width} px wide")
+    _relayout[coarse.lanes](array, coarse.width, out)
+
+
+@lane_kernel
+def _relayout(
+    array: LaneArray(3),  # (k, h+2, s+2)
+    width: ti.i32,
+    out: LaneArray(3),  # (k, h+2, S+2)
+):
+    old, new = array.shape[2] - 2, out.shape[2] - 2
+    lanes = ti.static(lane_count(out))
+    for k, row, position in ti.ndrange(out.shape[0], out.shape[1] - 2, new + 2):
+        for lane in ti.static(range(lanes)):
+            column = lane * new + position - 1
+            value = 0.0
+            if column >= 0 and column < width:
+                origin = column // old
+                element = array[k, row + 1, column - origin * old + 1]
+                for other in ti.static(range(lanes)):
+                    if other == origin:
+                        value = lane_of(element, other, lanes)
+            store_lane(out, k, row + 1, position, lane, value)
+
+
+def correct(grid: LaneGrid, coarse, across, rho) -> None:
+    """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    coarse : halved array, n components
+        With its halo columns; beyond the border of the image it is not read.
+    across : column tables of 2
+        Of `interpolation_columns`.
+    rho : lane array, n components
+    """
+    components = rho.shape[0]
+    grid.check(rho, components, "rho")
+    _check_halved(grid, coarse, components, "coarse")
+    for table in across:
+        grid.check_columns(table, "across")
+    _correct[grid.lanes](coarse, *across, grid.height, components, rho)
+
+
+def interpolation_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much every fine column takes of its parent, and of its parent's neighbour.
+
+    ¾ and ¼; all of its parent's where the neighbour lies outside; 0 for padding.
+    """
+    column = grid.column_index()
+    last = coarse_grid(grid).width - 1
+    parent = column // 2
+    neighbour = np.where(column % 2 == 0, parent - 1, parent + 1)
+    inside = column < grid.width
+    far = np.where(inside & (neighbour >= 0) & (neighbour <= last), 0.25, 0.0)
+    return grid.columns(inside - far), grid.columns(far)
+
+
+@lane_kernel
+def _correct(
+    coarse: LaneArray(3),  # (n, h+2, S/2+2)
+    near: LaneArray(1),  # (S+2,)
+    far: LaneArray(1),  # (S+2,)
+    height: ti.i32,
+    n: ti.template(),
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
+    for row, position in ti.ndrange(height, strip):
+        y = row // 2 + 1
+        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # itself at the border
+        for side in ti.static(range(2)):  # both children of a row
+            s, parent = 2 * position + 1 + side, position + 1
+            neighbour = parent - 1 + 2 * side
+            for k in ti.static(range(n)):
+                own = near[s] * coarse[k, y, parent] + far[s] * coarse[k, y, neighbour]
+                other = near[s] * coarse[k, beyond, parent] + far[s] * coarse[k, beyond, neighbour]
+                rho[k, row + 1, s] = rho[k, row + 1, s] + 0.75 * own + 0.25 * other
+    for k, row in ti.ndrange(n, height):
+        refresh_halo(rho, k, row + 1)
+
+
+def _check_halved(grid: LaneGrid, array, components: int, name: str) -> None:
+    check_array(array, halved_shape(grid, components), name)

@@ -1,0 +1,116 @@
+"""What data and neighbours each say about the image motion of a pixel."""
+
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, check_array, lane_kernel
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.model.small_spd import DIAGONAL_FLOOR
+
+
+def evidence(grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha) -> None:
+    """Compute the data's curvature and residual, and the covariance that neighbours leave.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+    weights : lane array, 2n or 2 components
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    rho : lane array, n components
+    out : lane array, 7 components
+        J11, J12, J22; the data term at ρ̂, which is the squared residual; and M11, M12, M22 of
+        M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of the flow of a pixel given its neighbours, in the
+        units in which J is the precision that its data add.
+    alpha : float or n floats
+        α_k = λ̂β s_k.
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    sets = weight_sets(grid, weights, components)
+    grid.check(rho, components, "rho")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    grid.check(out, 7, "out")
+    alphas = component_table(alpha, components)
+    _evidence[grid.lanes](tensor, weights, x_hat, y_hat, rho, alphas, components, sets, out)
+
+
+@lane_kernel
+def _evidence(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    n: ti.template(),
+    sets: ti.template(),
+    out: LaneArray(3),  # (7, H+2, S+2)
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+        u, v = ti.static(flow_of(columns, [rho[k, y, s] for k in range(n)]))
+        residual = u * (tensor[0, y, s] * u + 2.0 * (tensor[1, y, s] * v + tensor[3, y, s]))
+        residual += v * (tensor[2, y, s] * v + 2.0 * tensor[4, y, s]) + tensor[5, y, s]
+        m11, m12, m22 = 0.0 * x_hat[s], 0.0 * x_hat[s], 0.0 * x_hat[s]
+        for k in ti.static(range(n)):
+            a, b = ti.static(columns[k])
+            east, south = ti.static(k % sets, sets + k % sets)
+            neighbours = weights[east, y, s] + weights[east, y, s - 1]
+            neighbours += weights[south, y, s] + weights[south, y - 1, s]
+            variance = 1.0 / (alpha[k] * neighbours + DIAGONAL_FLOOR)
+            m11 += a * a * variance
+            m12 += a * b * variance
+            m22 += b * b * variance
+        for k in ti.static(range(3)):
+            out[k, y, s] = tensor[k, y, s]
+        out[3, y, s] = ti.max(residual, 0.0)  # a square, but for its rounding
+        out[4, y, s] = m11
+        out[5, y, s] = m12
+        out[6, y, s] = m22
+
+
+def share_of_data(evidence, out, *, tolerated: float, freedom: int) -> None:
+    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated.
+
+    Parameters
+    ----------
+    evidence : (7, H, W) float32
+        J11, J12, J22, squared residual, M11, M12, M22.
+    out : (H, W) float32
+        The share of the data in what is known of a pixel's flow.
+    tolerated : float
+        The squared residual that halves it; above 0.
+    freedom : {2, 1}
+        Degrees of freedom of a pixel's flow; if 1, M is of rank 1.
+    """
+    check_array(out, out.shape[:2], "out", aligned=False)
+    check_array(evidence, (7, *out.shape), "evidence", aligned=False)
+    if freedom not in (1, 2):
+        raise ValueError(f"freedom is {freedom}: expected 1 or 2")
+    if not tolerated > 0:
+        raise ValueError(f"tolerated is {tolerated}: expected a positive value")
+    flat = evidence.reshape(7, -1), out.reshape(-1)  # so that no place has to be computed
+    _share_of_data(flat[0], 1.0 / tolerated, 1.0 - 1.0 / freedom, flat[1])
+
+
+@Kernel
+def _share_of_data(
+    evidence: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (7, H·W)
+    inverse_tolerated: ti.f32,
+    known: ti.f32,
+    out: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H·W,)
+):
+    for i in range(out.shape[0]):
+        j11, j12, j22 = evidence[0, i], evidence[1, i], evidence[2, i]
+        m11, m12, m22 = evidence[4, i], evidence[5, i], evidence[6, i]
+        trace = j11 * m11 + 2.0 * j12 * m12 + j22 * m22
+        # det(I + J M) = 1 + tr(J M) + det J · det M
+        determinant = ti.max(j11 * j22 - j12 * j12, 0.0) * ti.max(m11 * m22 - m12 * m12, 0.0)
+        determinant += 1.0 + trace
+        share = 1.0 - (1.0 + known * trace) / determinant
+        out[i] = share / (1.0 + inverse_tolerated * evidence[3, i])

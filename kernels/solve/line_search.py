@@ -1,0 +1,145 @@
+"""The least energy in the plane of two directions: conjugate gradients, one step at a time."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    lane_count,
+    lane_kernel,
+    refresh_halo,
+)
+from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+
+
+def plane(
+    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, before, step, *, alpha
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        Motion tensor.
+    weights : lane array, 2n or 2 components
+        g·b of every edge.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    rho, before, step : lane arrays, n components
+    alpha : float or n floats
+        α_k = λ̂β s_k.
+
+    Returns
+    -------
+    matrix, vector : (2, 2) and (2,) float64
+        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q).
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    sets = weight_sets(grid, weights, components)
+    for name, array in (("rho", rho), ("before", before), ("step", step)):
+        grid.check(array, components, name)
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    partial = block_sums(grid, 5)
+    alphas = component_table(alpha, components)
+    arguments = (tensor, weights, x_hat, y_hat, rho, before, step, alphas)
+    _plane[grid.lanes](*arguments, components, sets, partial)
+    a, b, c, first, second = add_blocks(partial)
+    return np.array([[a, b], [b, c]]), np.array([first, second])
+
+
+@lane_kernel
+def _plane(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    before: LaneArray(3),  # (n, H+2, S+2)
+    step: LaneArray(3),  # (n, H+2, S+2)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    n: ti.template(),
+    sets: ti.template(),
+    partial: SumArray(3),  # (H, blocks, 5)
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(5)])
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+            j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
+            u, v = ti.static(flow_of(columns, [before[k, y, s] for k in range(n)]))
+            a, b = ti.static(flow_of(columns, [rho[k, y, s] - before[k, y, s] for k in range(n)]))
+            c, d = ti.static(flow_of(columns, [step[k, y, s] for k in range(n)]))
+            gu = j11 * u + j12 * v + tensor[3, y, s]
+            gv = j12 * u + j22 * v + tensor[4, y, s]
+            ja, jb = j11 * a + j12 * b, j12 * a + j22 * b
+            sums[0] += ja * a + jb * b
+            sums[1] += ja * c + jb * d
+            sums[2] += (j11 * c + j12 * d) * c + (j12 * c + j22 * d) * d
+            sums[3] += gu * a + gv * b
+            sums[4] += gu * c + gv * d
+            for side in ti.static(range(2)):  # east, south
+                for k in ti.static(range(n)):
+                    weight = alpha[k] * weights[sets * side + k % sets, y, s]
+                    old = before[k, y + side, s + 1 - side] - before[k, y, s]
+                    new = rho[k, y + side, s + 1 - side] - rho[k, y, s] - old
+                    last = step[k, y + side, s + 1 - side] - step[k, y, s]
+                    sums[0] += weight * new * new
+                    sums[1] += weight * new * last
+                    sums[2] += weight * last * last
+                    sums[3] += weight * old * new
+                    sums[4] += weight * old * last
+        for term in ti.static(range(5)):
+            store_sum(partial, row, block, term, sums[term], ti.static(lane_count(rho)))
+
+
+def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> None:
+    """Move from `before` by p (rho − before) + q step.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    p, q : float
+    rho, before, step : lane arrays, n components
+        In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
+    """
+    components = rho.shape[0]
+    for name, array in (("rho", rho), ("before", before), ("step", step)):
+        grid.check(array, components, name)
+    _descend[grid.lanes](p, q, components, rho, before, step)
+
+
+@lane_kernel
+def _descend(
+    p: ti.f32,
+    q: ti.f32,
+    n: ti.template(),
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+    before: LaneArray(3),  # (n, H+2, S+2), in place
+    step: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    for row, position in ti.ndrange(height, strip):
+        y, s = row + 1, position + 1
+        for k in ti.static(range(n)):
+            old = before[k, y, s]
+            move = p * (rho[k, y, s] - old) + q * step[k, y, s]
+            rho[k, y, s] = old + move
+            before[k, y, s] = old + move
+            step[k, y, s] = move
+    for k, row in ti.ndrange(n, height):
+        refresh_halo(rho, k, row + 1)
+        refresh_halo(before, k, row + 1)
+        refresh_halo(step, k, row + 1)

@@ -1,0 +1,319 @@
+"""Red–black Gauss–Seidel sweeps with over-relaxation (eq. 16, 22–23).
+
+At each pixel, B = GᵀJG + α·diag(b̄) and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂): the same
+iteration as solving Bρ̂ = c, but with differences of neighbours in place of differences of large
+numbers, and safe where a pivot floor acts.
+"""
+
+from collections.abc import Callable
+
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    CHUNK,
+    SMALL,
+    LaneArray,
+    LaneGrid,
+    bind_kernel,
+    element,
+    lane_kernel,
+    planes_of,
+    refresh_halo,
+    store,
+)
+from tisfm.kernels.model.edges import component_table, spread, weight_sets
+from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.model.small_spd import (
+    DATA_FLOOR,
+    DIAGONAL_FLOOR,
+    bind,
+    cholesky_solve,
+    woodbury_solve,
+)
+
+SOLVERS = ("cholesky", "closed_form")
+BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
+
+
+def sweep(*arguments, **options) -> None:
+    """Run full red–black sweeps once; arguments are those of `sweeper`."""
+    sweeper(*arguments, **options)()
+
+
+def sweeper(
+    grid: LaneGrid,
+    tensor,
+    weights,
+    x_hat,
+    y_hat,
+    rho,
+    *,
+    alpha,
+    relaxation: float,
+    solver: str = "cholesky",
+    sweeps: int = 1,
+    source=None,
+) -> Callable[[], None]:
+    """Return what runs full red–black sweeps; `rho` is modified in place, halo included.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        Motion tensor (J11, J12, J22, j1, j2, J_tt); the last is not read.
+    weights : lane array, 2n components, or 2 for all alike
+        g·b of every edge (`tisfm.kernels.model.edges`).
+    x_hat : column table
+        Normalised column coordinate x/f.
+    y_hat : (H + 2,) float32
+        Normalised row coordinate y/f, row 0 being the halo.
+    rho : lane array, n components
+        ρ̂, px/frame.
+    alpha : float or n floats
+        α_k = λ̂β s_k.
+    relaxation : float
+        In (0, 2); 1 is Gauss–Seidel.
+    solver : {"cholesky", "closed_form"}
+    sweeps : int
+    source : lane array, n components, optional
+        Right-hand side c in place of −Gᵀj: then j is not read, either.
+    """
+    components = rho.shape[0]
+    grid.check(tensor, 6, "tensor")
+    sets = weight_sets(grid, weights, components)
+    grid.check(rho, components, "rho")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    if not 0 < relaxation < 2:
+        raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
+    if solver not in SOLVERS:
+        raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
+    if source is not None:
+        grid.check(source, components, "source")
+    closed_form = solver == "closed_form"
+    sourced = source is not None
+    alphas = component_table(alpha, components)
+    system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alphas, relaxation)
+    if grid.lanes == 1:
+        arguments = (*system, components, sets, closed_form, sourced, rho)
+        return _repeated(bind_kernel(grid, _sweep_sites, arguments), sweeps)
+    # A function of the size alone: with the threads it would move the borders between bands, and
+    # the rows beside them are computed by a loop of their own, which may round otherwise.
+    bands = max(1, 2 * (grid.height // (2 * BAND)))
+    # One band is one thread's, which may as well go on to the next sweep.
+    launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
+    arguments = (
+        *system, components, sets, closed_form, sourced, bands == 1, bands, repeats, rho
+    )  # fmt: skip
+    return _repeated(bind_kernel(grid, _sweep, arguments), launches)
+
+
+def _repeated(launch: Callable[[], None], times: int) -> Callable[[], None]:
+    def run() -> None:
+        for _ in range(times):
+            launch()
+
+    return run
+
+
+@lane_kernel
+def _sweep(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    relaxation: ti.f32,
+    n: ti.template(),
+    sets: ti.template(),
+    closed_form: ti.template(),
+    sourced: ti.template(),
+    alone: ti.template(),
+    bands: ti.i32,
+    repeats: ti.i32,
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    """Sweep in one pass over memory: black follows one row behind red.
+
+    A thread takes a band of rows at a time. Black rows that touch another band wait until all red
+    is done, so the result is that of red everywhere and then black everywhere, but for rounding.
+    `repeats` is how often to sweep: once, but where there is one band `alone`, which needs no
+    other thread.
+    """
+    height = rho.shape[1] - 2
+    pairs = (rho.shape[2] - 2) // 2
+    chunk = ti.static(1 if alone else CHUNK)
+    ti.loop_config(serialize=alone)
+    for task in range(chunk * bands):
+        if task % chunk == 0:
+            alphas = ti.static([bind(alpha[k]) for k in range(n)])
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+            band = task // chunk
+            first, last = band * height // bands, (band + 1) * height // bands
+            first_black = ti.select(band > 0, first + 1, first)
+            last_black = ti.select(band < bands - 1, last - 1, last)
+            for turn in range(repeats * (2 * (last - first) + 2)):
+                step = turn % (2 * (last - first) + 2)
+                color = step % 2
+                row = first + step // 2 - color
+                red = color == 0 and row < last
+                black = color == 1 and row >= first_black and row < last_black
+                if red or black:
+                    for pair in range(pairs):
+                        s = 2 * pair + (row + color) % 2 + 1
+                        relax_at(
+                            tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                            relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+                        )  # fmt: skip
+                    for k in range(n):
+                        refresh_halo(rho, k, row + 1)
+    # The black rows on both sides of every border between bands.
+    if ti.static(not alone):
+        for task in range(CHUNK * 2 * (bands - 1)):
+            if task % CHUNK == 0:
+                alphas = ti.static([bind(alpha[k]) for k in range(n)])
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+                border = task // CHUNK
+                row = (border // 2 + 1) * height // bands - 1 + border % 2
+                for pair in range(pairs):
+                    s = 2 * pair + (row + 1) % 2 + 1
+                    relax_at(
+                        tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                        relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+                    )  # fmt: skip
+                for k in range(n):
+                    refresh_halo(rho, k, row + 1)
+
+
+@lane_kernel
+def _sweep_sites(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    relaxation: ti.f32,
+    n: ti.template(),
+    sets: ti.template(),
+    closed_form: ti.template(),
+    sourced: ti.template(),
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    """Sweep red everywhere and then black, every site by a thread of its own: for one lane."""
+    height = rho.shape[1] - 2
+    pairs = (rho.shape[2] - 2) // 2
+    for color in ti.static(range(2)):
+        for row, pair in ti.ndrange(height, pairs):
+            s = 2 * pair + (row + color) % 2 + 1
+            alphas = ti.static([bind(alpha[k]) for k in range(n)])
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+            relax_at(
+                tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+            )  # fmt: skip
+
+
+@ti.func
+def relax_at(
+    tensor: ti.template(),
+    weights: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    source: ti.template(),
+    alphas: ti.template(),
+    stride,
+    planes: ti.template(),
+    relaxation,
+    n: ti.template(),
+    sets: ti.template(),
+    closed_form: ti.template(),
+    sourced: ti.template(),
+    rho: ti.template(),
+    y,
+    s,
+):
+    """Solve one pixel (one vector of lanes) and over-relax."""
+    i = (y * stride + s) & SMALL
+    columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+    center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+    edges = ti.static(edges_at(weights, planes, stride, sets, i))
+    j = ti.static([bind(element(tensor, i + planes[k])) for k in range(3)])
+    residual = ti.static(
+        residual_at(
+            tensor, edges, columns, source if sourced else None, alphas, planes, stride, rho,
+            center, i,
+        )
+    )  # fmt: skip
+    step = ti.static(_solve(closed_form, alphas, edges, columns, j, residual))
+    for k in ti.static(range(n)):
+        store(rho, i + planes[k], center[k] + relaxation * step[k])
+
+
+def edges_at(weights, planes, stride, sets, i) -> list:
+    """Return the weights of a pixel's edges, while compiling: lists of `sets`, E, W, S, N."""
+    return [
+        [bind(element(weights, place + planes[first + k])) for k in range(sets)]
+        for first, place in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
+    ]
+
+
+def residual_at(tensor, edges, columns, source, alphas, planes, stride, rho, center, i) -> list:
+    """Return c − Bρ̂ of a pixel, where ρ̂ is `center`, while compiling; without `source`, c = −Gᵀj.
+
+    `i` is the pixel's `element`, `edges` are those of `edges_at`.
+    """
+    n = len(center)
+    u, v = flow_of(columns, center)
+    j11, j12, j22, j1, j2 = (bind(element(tensor, i + planes[k])) for k in range(5))
+    # Gradient of the data term in the flow, J(u, v)ᵀ + j.
+    g1, g2 = j11 * u + j12 * v, j12 * u + j22 * v
+    if source is None:
+        g1, g2 = g1 + j1, g2 + j2
+    g1, g2 = bind(g1), bind(g2)
+    neighbours = (i + 1, i - 1, i + stride, i - stride)
+    residual = []
+    for k, (a, b) in enumerate(columns):
+        smooth = 0.0
+        for side, place in zip(edges, neighbours, strict=True):
+            difference = element(rho, place + planes[k]) - center[k]
+            smooth = smooth + spread(side, n)[k] * difference
+        total = alphas[k] * smooth - a * g1 - b * g2
+        if source is not None:
+            total = total + element(source, i + planes[k])
+        residual.append(bind(total))
+    return residual
+
+
+def _solve(closed_form, alphas, edges, columns, tensor, residual):
+    """Return B⁻¹ residual, written out by the chosen solver."""
+    sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
+    totals = spread(sets, len(alphas))
+    j11, j12, j22 = tensor
+    # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
+    # to, where the residual is zero, it leaves alone.
+    floor = bind(DATA_FLOOR * (j11 + j22) + DIAGONAL_FLOOR)
+    if closed_form and len(alphas) > 1:  # a single equation is solved as it is
+        if len(sets) == 1:  # a single quotient of vectors
+            softest = alphas[0]
+            for alpha in alphas[1:]:
+                softest = ti.min(softest, alpha)
+            shared = bind(1.0 / ti.max(totals[0], floor * bind(1.0 / softest)))
+            inverse = [bind(shared * bind(1.0 / alpha)) for alpha in alphas]
+        else:
+            inverse = [
+                bind(1.0 / ti.max(alpha * total, floor))
+                for alpha, total in zip(alphas, totals, strict=True)
+            ]
+        return woodbury_solve(inverse, columns, tensor, residual)
+    image = [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
+    matrix = []
+    for i, (a, b) in enumerate(columns):
+        row = [a * image[j][0] + b * image[j][1] for j in range(i)]
+        diagonal = ti.max(alphas[i] * totals[i], floor)
+        matrix.append([*row, diagonal + a * image[i][0] + b * image[i][1]])
+    return cholesky_solve([[bind(entry) for entry in row] for row in matrix], residual)

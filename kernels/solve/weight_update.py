@@ -1,0 +1,300 @@
+"""What a half-quadratic iteration does besides relaxation, in one pass over memory."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import (
+    CHUNK,
+    SMALL,
+    LaneArray,
+    LaneGrid,
+    SumArray,
+    bind_kernel,
+    element,
+    lane_count,
+    lane_kernel,
+    load,
+    planes_of,
+    refresh_halo,
+    store,
+)
+from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
+from tisfm.kernels.model.robust import check_terms, finite_scales, robust_data, terms_of
+from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.solve.reductions import (
+    BLOCK,
+    add_blocks,
+    block_sums,
+    store_sum,
+)
+
+LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
+ROWS = 4  # of a band, which one thread takes at a time
+TINY = 1e-20  # in place of a weight that is zero
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums over the image.
+
+    Attributes
+    ----------
+    energy : float
+        Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
+    half_quadratic : float
+        Its half-quadratic form (eq. 8, 21), with the weights and the tensor from before.
+    moved, size : float
+        ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
+    """
+
+    energy: float
+    half_quadratic: float
+    moved: float
+    size: float
+
+
+def advance(*arguments, **options) -> Sums:
+    """Measure ρ̂, and renew the auxiliary fields for it, once; arguments are those of `advancer`."""
+    return advancer(*arguments, **options)()
+
+
+def advancer(
+    grid: LaneGrid,
+    terms,
+    edges,
+    x_hat,
+    y_hat,
+    rho,
+    weights,
+    tensor,
+    previous,
+    *,
+    alpha: float,
+    contrast: float,
+    scales,
+    stiffness=1.0,
+    along_line: bool = False,
+) -> Callable[[], Sums]:
+    """Return what measures ρ̂, and renews the auxiliary fields for it.
+
+    An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, joint, g Φ_δ of the length of the vector
+    of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
+    g [bΔ² + δ²(b + 1/b − 2)], least for b = 1/√(1 + Δ²/δ²); and likewise the data term
+    (`tisfm.kernels.model.robust`).
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    terms : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.data.constraints`).
+    edges : lane array, 2 components
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    rho : lane array, n components
+        ρ̂, px/frame.
+    weights : lane array, 2n components, or 2, which makes edges joint
+        g·b (`tisfm.kernels.model.edges`); those from before enter the half-quadratic energy.
+        Overwritten.
+    tensor : lane array, 6 components
+        Σ w_i J_i; likewise.
+    previous : lane array, n components
+        An earlier ρ̂; overwritten with `rho`.
+    alpha : float
+        α = λ̂β.
+    contrast : float
+        δ, px/frame; infinite for quadratic smoothness.
+    scales : sequence of float
+        m_i ε² of each term; infinite for a quadratic one.
+    stiffness : float or n floats
+        s_k.
+    along_line : bool
+        Whether q is 0 in all `terms`, for n = 1: of the tensor only J11, j1 and J_tt are written
+        then, and the others left alone.
+    """
+    components = rho.shape[0]
+    count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
+    sets = weight_sets(grid, weights, components)
+    grid.check(tensor, 6, "tensor")
+    grid.check(edges, 2, "edges")
+    grid.check(previous, components, "previous")
+    if not contrast > 0:
+        raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")
+    partial = block_sums(grid, 6)
+    arguments = (
+        terms,
+        edges,
+        x_hat,
+        y_hat,
+        rho,
+        component_table(stiffness, components, "stiffness"),
+        (1.0 / contrast) ** 2,
+        # With δ infinite, b is 1 and its penalty vanishes.
+        contrast * contrast if np.isfinite(contrast) else 0.0,
+        *finite_scales(scales),
+        components,
+        sets,
+        count,
+        along_line,
+        grid.serial,
+        -(-grid.height // ROWS),
+        weights,
+        tensor,
+        previous,
+        partial,
+    )
+    launch = bind_kernel(grid, _advance, arguments)
+
+    def run() -> Sums:
+        launch()
+        data, half_data, smooth, half_smooth, moved, size = add_blocks(partial)
+        return Sums(
+            energy=float(data + alpha * smooth),
+            half_quadratic=float(half_data + alpha * half_smooth),
+            moved=float(np.sqrt(moved)),
+            size=float(np.sqrt(size)),
+        )
+
+    return run
+
+
+@lane_kernel
+def _advance(
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
+    edges: LaneArray(3),  # (2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
+    stiffness: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    inverse_squared_contrast: ti.f32,
+    squared_contrast: ti.f32,
+    inverse0: ti.f32,
+    scale0: ti.f32,
+    inverse1: ti.f32,
+    scale1: ti.f32,
+    n: ti.template(),
+    sets: ti.template(),
+    count: ti.template(),
+    along_line: ti.template(),
+    serial: ti.template(),
+    bands: ti.i32,
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
+    tensor: LaneArray(3),  # (6, H+2, S+2), in place
+    previous: LaneArray(3),  # (n, H+2, S+2), in place
+    partial: SumArray(3),  # (H, blocks, 6)
+):
+    height = rho.shape[1] - 2
+    blocks = partial.shape[1]
+    if ti.static(lane_count(rho) == 1):
+        for index in range(height * blocks):
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
+            _advance_block(
+                terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
+                squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
+                along_line, weights, tensor, previous, partial, stride, planes,
+                index // blocks, index % blocks,
+            )  # fmt: skip
+    else:
+        chunk = ti.static(1 if serial else CHUNK)
+        ti.loop_config(serialize=serial)
+        for task in range(chunk * bands):
+            if task % chunk == 0:
+                band = task // chunk
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
+                for row in range(band * height // bands, (band + 1) * height // bands):
+                    for block in range(blocks):
+                        _advance_block(
+                            terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
+                            squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
+                            along_line, weights, tensor, previous, partial, stride, planes, row,
+                            block,
+                        )  # fmt: skip
+                    # The western weight of a strip's first column is the eastern one of its
+                    # neighbour's last.
+                    for k in range(sets):
+                        refresh_halo(weights, k, row + 1)
+
+
+@ti.func
+def _advance_block(
+    terms: ti.template(),
+    edges: ti.template(),
+    x_hat: ti.template(),
+    y_hat: ti.template(),
+    rho: ti.template(),
+    stiffness: ti.template(),
+    inverse_squared_contrast,
+    squared_contrast,
+    inverse0,
+    scale0,
+    inverse1,
+    scale1,
+    n: ti.template(),
+    sets: ti.template(),
+    count: ti.template(),
+    along_line: ti.template(),
+    weights: ti.template(),
+    tensor: ti.template(),
+    previous: ti.template(),
+    partial: ti.template(),
+    stride,
+    planes: ti.template(),
+    row,
+    block,
+):
+    """Advance one block of one row."""
+    y, strip = row + 1, rho.shape[2] - 2
+    zero = 0.0 * x_hat[1]
+    data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
+    for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+        s = position + 1
+        i = (y * stride + s) & SMALL
+        here = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+        columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
+        u, v = ti.static(flow_of(columns, here))
+        j = ti.static([bind(element(tensor, i + planes[k])) for k in range(6)])
+        half_data += u * (j[0] * u + 2.0 * (j[1] * v + j[3])) + v * (j[2] * v + 2.0 * j[4]) + j[5]
+        entries = ti.static([bind(element(terms, i + planes[k])) for k in range(3 * count)])
+        lines = ti.static([entries[3 * k : 3 * k + 3] for k in range(count)])
+        scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
+        energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
+        data += energy
+        for k in ti.static(LINE if along_line else range(6)):
+            store(tensor, i + planes[k], sums[k])
+        for side in ti.static(range(2)):  # east, south
+            g = load(edges, i + planes[side])
+            beyond = i + 1 + side * (stride - 1)
+            steps = ti.static([bind(element(rho, beyond + planes[k]) - here[k]) for k in range(n)])
+            squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
+            lengths = ti.static(squares if sets == n else [_sum(squares)])
+            for k in ti.static(range(sets)):
+                place = i + planes[sets * side + k]
+                square, before = lengths[k], load(weights, place)
+                root = ti.sqrt(1.0 + inverse_squared_contrast * square)
+                both = g / (root * (1.0 + root))  # a quotient takes as long as many products
+                smooth += 2.0 * square * (root * both)  # g Φ_δ
+                # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
+                gap = g - before
+                half_smooth += before * square
+                half_smooth += squared_contrast * gap * gap / ti.max(before, TINY)
+                store(weights, place, both * (1.0 + root))  # g b
+        for k in ti.static(range(n)):
+            place = i + planes[k]
+            step = here[k] - load(previous, place)
+            moved += step * step
+            size += here[k] * here[k]
+            store(previous, place, here[k])
+    for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, moved, size))):
+        store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
+
+
+def _sum(values):
+    total = values[0]
+    for value in values[1:]:
+        total = total + value
+    return bind(total)

@@ -1,0 +1,375 @@
+"""motion="objects": motions, labels and depth of things that move on their own."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.metrics import depth_errors, pose_errors
+from tisfm.motion.field import Reading
+from tisfm.motion.objects.contacts import aligned
+from tisfm.reference import flow as flow_of
+from tisfm.reference import motion_matrix
+from tisfm.rigid import pose_matrix, rigid_motion
+from tisfm.scenes import static_scene, three_blocks, two_blocks
+
+OBJECTS = tisfm.Settings(motion="objects")
+FAST = tisfm.Settings.preset("fast", motion="objects")
+SIZE = (120, 160)
+
+
+def interpreted(scene, settings=OBJECTS):
+    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+
+
+def things(scene):
+    """Wall and floor are one thing, each block another."""
+    return np.maximum(scene.labels - 1, 0)
+
+
+def overlap(found, true):
+    """Intersection over union."""
+    return (found & true).sum() / (found | true).sum()
+
+
+def partners(result, scene):
+    """The label of the result for each thing of the scene, by overlap."""
+    true = things(scene)
+    return [
+        max(range(len(result.motions)), key=lambda k: overlap(result.labels == k, true == thing))
+        for thing in range(true.max() + 1)
+    ]
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    return two_blocks(240, 320, seed=6)
+
+
+@pytest.fixture(scope="module")
+def result(blocks):
+    return interpreted(blocks)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return two_blocks(*SIZE, seed=2)
+
+
+# --- Labels, depth and motions ----------------------------------------------------------------
+
+
+def check(result, scene, *, least_overlap=0.9, most_error=0.03):
+    """Every thing has a label of its own and no other does, and depth is right within each."""
+    true, mine = things(scene), partners(result, scene)
+    assert len(set(mine)) == len(mine) == len(result.motions)
+    for thing, label in enumerate(mine):
+        assert overlap(result.labels == label, true == thing) >= least_overlap
+        both = (result.labels == label) & (true == thing) & scene.visible
+        assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < most_error
+
+
+def test_two_moving_blocks(result, blocks):
+    assert result.status == "converged"
+    check(result, blocks, least_overlap=0.95, most_error=0.02)
+    assert result.labels.dtype == np.int32 and result.motions.dtype == np.float64
+    np.testing.assert_allclose(np.linalg.norm(result.motions[:, :3], axis=1), 1)
+
+
+def test_the_background_comes_first(result, blocks):
+    areas = np.bincount(result.labels.ravel())
+    assert np.all(np.diff(areas) <= 0)
+    assert partners(result, blocks)[0] == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_three_moving_blocks(seed):
+    scene = three_blocks(240, 320, seed=seed)
+    check(interpreted(scene), scene)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "settings"), [(7, OBJECTS), (8, OBJECTS), (9, FAST)])
+def test_blocks_whose_motions_are_alike_to_start_with(seed, settings):
+    """One motion explained two of them, or parts of the third, within the tolerance."""
+    scene = three_blocks(240, 320, seed=seed)
+    check(interpreted(scene, settings), scene)
+
+
+def test_motions_are_those_of_the_things(result, blocks):
+    true = [blocks.motions[label] for label in (0, 2, 3)]
+    for twist, label, limit in zip(true, partners(result, blocks), (1, 6, 12), strict=True):
+        found = pose_errors(pose_matrix(result.motions[label]), pose_matrix(twist))
+        assert found.direction < limit  # a block of 1 px of parallax shows less than the room
+
+
+def test_rho_is_the_field_of_the_flow(result, blocks):
+    matrix = motion_matrix(blocks.camera, *blocks.depth.shape, 6)
+    expected = flow_of(matrix, result.rho.astype(float))
+    np.testing.assert_allclose(np.moveaxis(result.flow, -1, 0), expected, atol=2e-5)
+    spin = result.motions[:, 3:].T[:, result.labels]
+    np.testing.assert_allclose(result.omega, spin, atol=1e-7)
+
+
+def test_one_motion_cannot_explain_it(blocks):
+    """What the labels are for."""
+    camera = interpreted(blocks, tisfm.Settings(motion="camera"))
+    on_blocks = (things(blocks) > 0) & blocks.visible
+    assert depth_errors(camera.depth, blocks.depth, mask=on_blocks).abs_rel > 0.1
+
+
+@pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
+def test_a_static_scene_is_one_thing(kind):
+    scene = static_scene(kind, 240, 320, seed=4)
+    result = interpreted(scene)
+    assert len(result.motions) == 1 and not result.labels.any()
+    assert depth_errors(result.depth, scene.depth, mask=scene.visible).abs_rel < 0.013
+
+
+def test_a_camera_at_rest():
+    """The background shows no depth, and is none; the blocks do."""
+    scene = two_blocks(240, 320, seed=3, camera_motion=np.zeros(6))
+    result = interpreted(scene)
+    true, mine = things(scene), partners(result, scene)
+    assert len(result.motions) == 3 and mine[0] == 0
+    assert not result.motions[0].any()
+    background = result.labels == 0
+    assert not result.inverse_depth[background].any()
+    assert np.isinf(result.inverse_depth_std[background]).all()
+    for thing, label in enumerate(mine[1:], start=1):
+        both = (result.labels == label) & (true == thing) & scene.visible
+        assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < 0.03
+
+
+@pytest.mark.parametrize(("size", "settings"), [(SIZE, FAST), ((180, 240), OBJECTS)])
+def test_noise_and_a_small_picture(size, settings):
+    scene = two_blocks(*size, seed=1)
+    rng = np.random.default_rng(0)
+    frames = [
+        np.clip(frame + rng.normal(scale=2, size=size), 0, 255).astype(np.uint8)
+        for frame in (scene.frame0, scene.frame1)
+    ]
+    result = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
+    true, mine = things(scene), partners(result, scene)
+    for thing, label in enumerate(mine):
+        assert overlap(result.labels == label, true == thing) > 0.8
+
+
+def test_same_bits_twice(small):
+    first, second = interpreted(small, FAST), interpreted(small, FAST)
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_array_equal(first.inverse_depth, second.inverse_depth)
+
+
+def test_most_objects_is_a_limit(small):
+    result = interpreted(small, dataclasses.replace(FAST, max_objects=1))
+    assert len(result.motions) == 1
+    result = interpreted(small, dataclasses.replace(FAST, max_objects=2))
+    assert len(result.motions) <= 2
+
+
+def test_no_motion_and_no_texture(small):
+    result = tisfm.interpret(small.frame0, small.frame0, camera=small.camera, settings=FAST)
+    assert result.status == "no_motion"
+    assert not result.rho.any() and not result.motions.any() and not result.labels.any()
+    uniform = np.full(SIZE, 90, np.uint8)
+    result = tisfm.interpret(uniform, uniform, camera=small.camera, settings=FAST)
+    assert result.status == "no_texture" and np.isnan(result.depth).all()
+
+
+def test_a_pose_is_refused(small):
+    with pytest.raises(ValueError, match='motion="objects" leaves the motion free'):
+        tisfm.interpret(
+            small.frame0, small.frame1, camera=small.camera, settings=FAST, pose=np.eye(4)
+        )
+
+
+def test_smoothness_of_depth_is_a_setting(small):
+    smooth = dataclasses.replace(FAST, depth_smoothness=20.0)
+    assert np.any(interpreted(small, smooth).depth != interpreted(small, FAST).depth)
+
+
+def test_saved_and_loaded(result, tmp_path):
+    result.save(tmp_path / "pair.npz")
+    again = tisfm.Interpretation.load(tmp_path / "pair.npz")
+    np.testing.assert_array_equal(again.labels, result.labels)
+    np.testing.assert_array_equal(again.motions, result.motions)
+
+
+# --- Scales -----------------------------------------------------------------------------------
+
+
+def test_objects_on_a_floor_take_its_scale(result, blocks):
+    apart = depth_errors(result.depth, blocks.depth, mask=blocks.visible).abs_rel
+    together = interpreted(blocks, dataclasses.replace(OBJECTS, align_scales=True))
+    assert depth_errors(together.depth, blocks.depth, mask=blocks.visible).abs_rel < 0.25 * apart
+    np.testing.assert_array_equal(together.labels, result.labels)
+    # What moves a pixel stays: T and depth change together.
+    expected = together.motions[:, :3].T[:, together.labels] * together.inverse_depth
+    before = result.motions[:, :3].T[:, result.labels] * result.inverse_depth
+    np.testing.assert_allclose(expected, before, rtol=1e-4, atol=1e-9)
+
+
+def reading_of(inverse_depth, labels):
+    shape = labels.shape
+    nothing = np.zeros(shape, np.float32)
+    return Reading(
+        rho=np.zeros((6, *shape), np.float32),
+        flow=np.zeros((2, *shape), np.float32),
+        inverse_depth=inverse_depth.astype(np.float32),
+        inverse_depth_std=nothing + 1,
+        evidence=np.zeros((7, *shape), np.float32),
+        normalized=True,
+        freedom=1,
+        history=[],
+        status=tisfm.interpretation.Status("converged"),
+        motions=np.array([[1.0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]]),
+        labels=labels,
+    )
+
+
+def standing(*, floor_below=True):
+    """A box of inverse depth 4 on a floor of 2 at its foot."""
+    labels = np.zeros((40, 40), np.int32)
+    labels[10:30, 10:30] = 1
+    inverse_depth = np.where(labels == 1, 4.0, 2.0)
+    if not floor_below:
+        labels[30:, :] = -1
+    return inverse_depth, labels
+
+
+def test_scale_is_that_of_the_contact():
+    result = aligned(reading_of(*standing()), np.zeros((40, 40), bool))
+    np.testing.assert_allclose(result.inverse_depth, 2)
+    np.testing.assert_allclose(result.motions[1, :3], (0, 2, 0))
+    np.testing.assert_allclose(result.inverse_depth_std[15, 15], 0.5)
+
+
+def test_without_contact_scales_stay():
+    hidden = np.zeros((40, 40), bool)
+    hidden[30:, :] = True
+    inverse_depth, labels = standing()
+    result = aligned(reading_of(inverse_depth, labels), hidden)
+    np.testing.assert_allclose(result.inverse_depth, inverse_depth)
+    labels[25:, :] = np.where(labels[25:, :] == 1, 1, 0)
+    labels[30:, 10:30] = 1  # down to the border of the image
+    result = aligned(reading_of(inverse_depth, labels), np.zeros((40, 40), bool))
+    assert result.motions[1, 1] == 1
+
+
+# --- The parts --------------------------------------------------------------------------------
+
+
+def test_potts_labels_are_smooth_and_cut_at_edges():
+    from tisfm.motion.objects.potts import Potts
+
+    rng = np.random.default_rng(0)
+    true = np.zeros((60, 81), bool)
+    true[15:45, 20:60] = True
+    frame = np.where(true, 180, 60).astype(np.float32)
+    wrong = rng.random(true.shape) < 0.2
+    costs = np.stack([np.where(true ^ wrong, 4.0, 0.0), np.where(true ^ wrong, 0.0, 4.0)])
+    weight = np.full(true.shape, 0.5, np.float32)
+    labels = Potts(frame).assign(costs.astype(np.float32), weight)
+    assert labels.dtype == np.int32
+    assert overlap(labels == 1, true) > 0.98
+    # Where pixels have no say, neighbours decide, up to the edge of the image.
+    weight[:, 50:70] = 1e-3
+    assert overlap(Potts(frame).assign(costs.astype(np.float32), weight) == 1, true) > 0.95
+    one = Potts(frame).assign(costs[:1].astype(np.float32), weight)
+    assert not one.any()
+
+
+def test_specks_are_given_to_their_surroundings():
+    from tisfm.motion.objects.layers import without_specks
+
+    labels = np.zeros((30, 40), np.int32)
+    labels[:, 20:] = 1
+    clean = labels.copy()
+    labels[5:8, 5:8], labels[20:22, 30:33], labels[10, 10] = 1, 0, 2
+    found = without_specks(labels, 20)
+    clean[10, 10] = 2  # the largest part of a label stays, so that none is lost
+    np.testing.assert_array_equal(found, clean)
+    np.testing.assert_array_equal(without_specks(clean, 1), clean)
+
+
+def test_median_is_within_labels():
+    from tisfm.motion.rigid_depth import median_within
+
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(20, 23)).astype(np.float32)
+    labels = (np.arange(23) > 11).astype(np.float32) + np.zeros((20, 1), np.float32)
+    found = median_within(values + 100 * labels, labels)
+    padded = np.pad(values, 2, mode="edge")
+    own = np.pad(labels, 2, mode="edge")
+    for y in range(20):
+        for x in range(23):
+            alike = own[y : y + 5, x : x + 5] == labels[y, x]
+            expected = np.median(padded[y : y + 5, x : x + 5][alike])
+            assert found[y, x] - 100 * labels[y, x] == pytest.approx(expected, abs=1e-4)
+
+
+def test_candidates_of_an_exact_flow(small):
+    from tisfm.motion.objects.candidates import motion_candidates
+
+    true = things(small)
+    background = np.column_stack(rigid_motion(small.motions[0]))
+    motions, labels = motion_candidates(
+        small.flow.astype(np.float32),
+        np.ones(SIZE, np.float32),
+        small.camera,
+        small.frame0.astype(np.float32),
+        background,
+        0.005,
+        most=5,
+    )
+    assert len(motions) == 3
+    for thing in range(3):
+        assert max(overlap(labels == k, true == thing) for k in range(3)) > 0.9
+
+
+def test_parts_of_a_label_get_motions_of_their_own():
+    """A motion found in two blocks is that of neither."""
+    from tisfm.motion.objects.candidates import _Search
+
+    scene = three_blocks(*SIZE)
+    true = np.where(things(scene) < 3, things(scene), 0)
+    search = _Search(
+        scene.flow.astype(np.float32),
+        np.ones(SIZE, np.float32),
+        scene.camera,
+        scene.frame0.astype(np.float32),
+        100.0,  # px: any motion is tolerated
+    )
+    background, joint = (np.column_stack(rigid_motion(scene.motions[k])) for k in (0, 2))
+    search._labels = lambda motions, **options: np.minimum(true, 1)
+    found = search._split([background, joint], 5)
+    assert len(found) == 3
+    for label in (1, 2):
+        distances = [np.median(search._distance(motion)[true == label]) for motion in found[1:]]
+        assert min(distances) < 0.01 < max(distances)
+    assert len(search._split([background, joint], 2)) == 2
+
+
+def test_surfaces_are_continued_beyond_their_support(small):
+    """What tells layers apart: there, the depth is that of the neighbourhood, not of the data."""
+    from tisfm.frames import grey_pair
+    from tisfm.motion.rigid_depth import residual_under, rigid_depth
+    from tisfm.solver.image_pyramid import Pyramid
+
+    settings = tisfm.Settings()
+    grey0, grey1 = grey_pair(small.frame0, small.frame1)
+    pyramid = Pyramid(grey0, grey1, small.camera, settings)
+    background = things(small) == 0
+    motion = np.column_stack(rigid_motion(small.motions[0]))
+    solution = rigid_depth(
+        pyramid, settings, small.camera, motion[None], np.zeros(SIZE, np.int32),
+        refine="none", support=background,
+    )  # fmt: skip
+    residual, flow = residual_under(
+        pyramid, settings, small.camera, solution.motions[0], solution.inverse_depth
+    )
+    assert np.median(residual[~background]) > 10 * np.median(residual[background])
+    off = np.linalg.norm(np.moveaxis(flow, 0, -1) - small.flow, axis=-1)
+    assert np.median(off[background]) < 0.02

@@ -1,0 +1,6 @@
+"""The command line, ``tisfm``.
+
+Here: its arguments, the commands behind them, the files and the text that they leave, the demo
+and the paper's figures.
+May import: all of `tisfm`; nothing imports it.
+"""

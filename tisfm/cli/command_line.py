@@ -1,0 +1,327 @@
+"""The command line: ``tisfm demo``, ``tisfm run``, ``tisfm eval``, ``tisfm figures``."""
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
+
+from tisfm.camera import Camera
+from tisfm.datasets import Layout
+from tisfm.runtime import Arch
+from tisfm.settings import Motion, Preset, Settings
+from tisfm.version import __version__
+
+INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
+
+
+@dataclass(kw_only=True)
+class CameraOptions:
+    """The camera that took the frames."""
+
+    focal: float | Literal["guess"] | None = None
+    """Focal length, px. 'guess' takes the first image's EXIF data, or else its size. By default
+    the paper's 600 where motion is 'field', else the guess."""
+    center: tuple[float, float] | None = None
+    """Principal point (cx, cy), px. By default the centre of the image."""
+    distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
+    """OpenCV's coefficients of the lens, 4, 5, 8, 12 or 14 with commas between; removed first."""
+
+    def guess(self, motion: Motion) -> bool:
+        """Tell whether the focal length is to be guessed."""
+        return self.focal == "guess" or (self.focal is None and motion != "field")
+
+    def camera(self) -> Camera:
+        """Return the camera, with a focal length of 600 px if it is not given."""
+        focal = self.focal if isinstance(self.focal, float) else 600.0
+        distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
+        return Camera(focal=focal, center=self.center, distortion=distortion)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsOptions(Settings):
+    """What is minimised, and how. The defaults shown are those of --preset."""
+
+    def __post_init__(self) -> None:
+        """Check nothing: the parser would report it in words of its own."""
+
+    def settings(self) -> Settings:
+        """Return the settings, or raise as `Settings` does."""
+        return Settings(**asdict(self))
+
+
+@dataclass(kw_only=True)
+class Run:
+    """Interpret every pair of consecutive frames of a sequence.
+
+    SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
+    video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
+    near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
+    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera'
+    NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
+    tisfm.Interpretation.load.
+    """
+
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
+    """Two or more images, a folder, a quoted glob, or a video."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the results; made if need be."""
+    preset: Preset = "balanced"
+    """Settings to start from; the settings below show its values, and change them."""
+    step: int = 1
+    """Take every STEP-th frame, for slow motion."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
+    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
+    resume: bool = False
+    """Continue a run that was interrupted: skip the pairs it finished."""
+    figures: bool = True
+    """Draw NAME_figure.png (the slowest output)."""
+    ply: bool = False
+    """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores. Results do not depend on it."""
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.commands import run
+
+        if not self.source:
+            raise ValueError(
+                "SOURCE is missing: give two or more images, a folder, a quoted glob or a video, "
+                "as in: tisfm run FOLDER -o DIR"
+            )
+        return run(
+            self.source[0] if len(self.source) == 1 else self.source,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess(self.settings.motion),
+            settings=self.settings.settings(),
+            step=self.step,
+            poses=self.poses,
+            resume=self.resume,
+            figures=self.figures,
+            ply=self.ply,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+
+@dataclass(kw_only=True)
+class StatedCameraOptions:
+    """The camera, where the dataset does not state one or another is wanted."""
+
+    focal: float | None = None
+    """Focal length of every pair, px. By default what the dataset states, or else 600."""
+    center: tuple[float, float] | None = None
+    """Principal point (cx, cy) that goes with --focal, px. By default the centre of the image."""
+
+    def camera(self) -> Camera | None:
+        """Return the camera of every pair, or None for those that the dataset states."""
+        if self.focal is None:
+            if self.center is not None:
+                raise ValueError("center is given without focal: give --focal as well")
+            return None
+        return Camera(focal=self.focal, center=self.center)
+
+
+@dataclass(kw_only=True)
+class Eval:
+    """Compare with the true flow, depth and pose of benchmarks.
+
+    Interprets every pair found in the folders and prints tables of errors. Of the flow: end-point
+    (EPE) and angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more
+    (R1.0), and, where the dataset says what is occluded, EPE without it (noc) and how well it is
+    found (occ F1). Of the depth, after scaling by the median: abs-rel, SILog, and the share off by
+    a factor below 1.25. Of the pose, with --motion camera: the angles between the directions of
+    translation and between the rotations. Known layouts are those of Middlebury, KITTI 2012 and
+    2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, and stereo pairs with a disparity.
+
+    With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
+    (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
+    NAME_depth_error.png (recovered beside true depth, and the relative error), or both, as there
+    is a truth; and eval.json with versions, settings and every number.
+    """
+
+    folders: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="FOLDER [FOLDER ...]", help_behavior_hint="(required)"),
+    ]
+    """Folders of datasets, or folders above them."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
+    """Folder for pictures, flow and eval.json; made if need be. By default nothing is written."""
+    layout: Layout | None = None
+    """Layout of the folders; by default every one that is recognised."""
+    step: int | None = None
+    """Frames from the first to the second of a pair, in sequences with poses; by default 1 for New
+    Tsukuba and 3 for 7-Scenes."""
+    preset: Preset = "balanced"
+    """Settings to start from; the settings below show its values, and change them."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores. Errors do not depend on it."""
+    camera: OmitArgPrefixes[StatedCameraOptions] = field(default_factory=StatedCameraOptions)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.commands import evaluate
+
+        if not self.folders:
+            raise ValueError(
+                "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
+            )
+        return evaluate(
+            self.folders,
+            self.output,
+            layout=self.layout,
+            camera=self.camera.camera(),
+            settings=self.settings.settings(),
+            step=self.step,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+
+@dataclass(kw_only=True)
+class Demo:
+    """Render scenes whose truth is known, interpret them, and compare.
+
+    Two textured blocks move each on its own, in front of a background and on a floor, before a
+    camera that moves sideways: errors against the truth of the preset "paper", the default preset
+    and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
+    errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
+    scene and the paper's comparisons of settings, DIR/camera those for the second.
+    """
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")
+    """Folder for the results; made if need be."""
+    height: int = 240
+    """Height of the rendered frames, px."""
+    width: int = 320
+    """Width of the rendered frames, px."""
+    seed: int = 0
+    """Seed of the textures."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.demo import demo
+
+        return demo(
+            self.output, height=self.height, width=self.width, seed=self.seed, threads=self.threads
+        )
+
+
+@dataclass(kw_only=True)
+class Figures:
+    """Draw the paper's comparisons of settings (its Fig. 6 and 8) for two frames of yours.
+
+    Depth for λ = 1e8 and 1e9, with and without smoothing the frames first, and with the paper's
+    contrast, which is inert, beside the default one.
+    """
+
+    frames: Annotated[Positional[tuple[str, str]], arg(metavar="FRAME FRAME")]
+    """Two images."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the figures; made if need be."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores."""
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.commands import figures
+
+        return figures(
+            self.frames,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess("field"),
+            threads=self.threads,
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code.
+
+    Errors of the user's making are one line on standard error and exit code 1 (2 for a wrong
+    option); a traceback means a bug.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # Greek letters, where the encoding has none
+        sys.stdout.reconfigure(errors="replace")
+    if arguments == ["--version"]:
+        print(__version__)
+        return 0
+    try:
+        command = _parse(arguments)
+        return command()
+    except KeyboardInterrupt:
+        print("tisfm: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # what read our output, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except MemoryError:
+        print("tisfm: not enough memory: give smaller frames", file=sys.stderr)
+        return 1
+    except (OSError, TypeError, ValueError, RuntimeError) as error:
+        print(f"tisfm: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+
+
+def _numbers(text: str, name: str) -> tuple[float, ...]:
+    """Read numbers with commas or spaces between."""
+    try:
+        return tuple(map(float, text.replace(",", " ").split()))
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
+
+
+def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:
+    preset = _preset(arguments)
+    settings = SettingsOptions(**asdict(Settings.preset(preset)))
+    run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
+    evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=settings)
+    commands = (
+        Annotated[Run, subcommand("run", default=run, prefix_name=False)]
+        | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
+        | Annotated[Demo, subcommand("demo", prefix_name=False)]
+        | Annotated[Figures, subcommand("figures", prefix_name=False)]
+    )
+    return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
+
+
+def _preset(arguments: list[str]) -> Preset:
+    """Find the preset before the rest is parsed, so that help shows its values as defaults."""
+    preset: Preset = "balanced"
+    for index, argument in enumerate(arguments):
+        name, equals, value = argument.partition("=")
+        if name == "--preset":
+            given = value if equals else "".join(arguments[index + 1 : index + 2])
+            if given in get_args(Preset):  # else the parser refuses it
+                preset = given  # type: ignore[assignment]
+    return preset
+
+
+__doc_cli__ = (
+    "Dense structure and 3D motion from image sequences, on a CPU, without training. "
+    "Try `tisfm demo` first; `tisfm run --help` explains every setting."
+)

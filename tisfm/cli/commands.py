@@ -1,0 +1,219 @@
+"""What the commands do."""
+
+import os
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.outputs import RECORD, PairWriter
+from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
+from tisfm.datasets.trajectories import motion_between, read_poses
+from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
+from tisfm.evaluation.pairs import PairEvaluation
+from tisfm.evaluation.pairs import evaluate as evaluate_pairs
+from tisfm.evaluation.tables import evaluation_tables
+from tisfm.focal_guess import guess_focal
+from tisfm.horn_schunck import horn_schunck
+from tisfm.interpretation import Interpretation
+from tisfm.lens import undistort
+from tisfm.rigid import check_pose
+from tisfm.runtime import Arch
+from tisfm.sequence import FramePair, FrameSource, Source, with_poses
+from tisfm.settings import Settings
+
+
+def run(
+    source: Source,
+    output: Path,
+    *,
+    camera: Camera,
+    guess: bool = False,
+    settings: Settings,
+    step: int = 1,
+    poses: Path | None = None,
+    resume: bool = False,
+    figures: bool = True,
+    ply: bool = False,
+    arch: Arch | None = None,
+    threads: int | None = None,
+) -> int:
+    """Interpret every pair of a source and write the results; return the exit code.
+
+    With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
+    is a file of a pose for every frame, those between the steps included.
+    """
+    _refuse_mixing(source, output)
+    pairs = FrameSource(source, step=step)
+    motions = None if poses is None else _motions(poses, pairs, settings)
+    posed = with_poses(pairs, motions, title=f"the motions of {poses}")
+    runtime.start(arch, threads=threads)
+    if guess:
+        camera = _guessed(camera, pairs)
+    writer = PairWriter(
+        output, camera=camera, settings=settings, figures=figures, ply=ply, resume=resume
+    )
+    try:
+        total: int | None = len(pairs)
+    except TypeError:
+        total = None
+    seconds = []
+    with progress_bar() as progress:
+        task = progress.add_task("interpreting", total=total)
+        for pair in posed:
+            progress.update(task, description=pair.name0)
+            digest = pair.digest
+            if not writer.is_complete(pair.name0, digest):
+                begin = time.perf_counter()
+                result = pair.interpret(camera=camera, settings=settings)
+                seconds.append(time.perf_counter() - begin)
+                compared = figures and settings.motion == "field"
+                writer.write(
+                    pair.name0,
+                    result,
+                    digest=digest,
+                    pose=None if pair.pose is None else np.asarray(pair.pose),
+                    baseline_flow=_baseline(pair, camera, settings) if compared else None,
+                )
+            progress.advance(task)
+    statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
+    typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
+    number = len(writer.statuses)
+    tell(
+        f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {output}, settings "
+        f"and scales in {output / RECORD}."
+    )
+    for code, advice in writer.advice.items():
+        tell(f"{code}: {advice}")
+    return 0
+
+
+def evaluate(
+    folders: Sequence[str],
+    output: Path | None,
+    *,
+    layout: Layout | None = None,
+    camera: Camera | None = None,
+    settings: Settings,
+    step: int | None = None,
+    arch: Arch | None = None,
+    threads: int | None = None,
+) -> int:
+    """Interpret the pairs of datasets, print their errors, write all; return the exit code."""
+    pairs = dict.fromkeys(
+        pair for folder in folders for pair in find_pairs(folder, layout, step=step)
+    )
+    if step is not None and all(LAYOUTS[pair.layout].step is None for pair in pairs):
+        raise ValueError(
+            f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
+            "it out"
+        )
+    runtime.start(arch, threads=threads)
+    writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
+    with progress_bar() as progress:
+        task = progress.add_task("compiling", total=len(pairs))
+
+        def finish_pair(
+            evaluation: PairEvaluation, result: Interpretation | None, loaded: LoadedPair | None
+        ) -> None:
+            if writer is not None:
+                writer.write(evaluation, result, loaded)
+            progress.update(task, advance=1, description=evaluation.label)
+
+        evaluation = evaluate_pairs(pairs, camera=camera, settings=settings, on_pair=finish_pair)
+    if writer is not None:
+        writer.finish(evaluation)
+    for table in evaluation_tables(evaluation):
+        print_whole(table)
+    good = [pair for pair in evaluation.pairs if pair.fault is None]
+    if good:
+        counts = Counter(pair.status for pair in good)
+        number = len(good)
+        statuses = ", ".join(f"{count} {code}" for code, count in counts.items())
+        where = (
+            ""
+            if output is None
+            else (f" Pictures and flow in {output}, every number in {output / EVALUATION_RECORD}.")
+        )
+        tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
+    advice = {pair.status: pair.message for pair in reversed(good) if pair.status != "converged"}
+    for code, message in advice.items():
+        tell(f"{code}: {message}")
+    for pair in evaluation.faults:
+        tell(f"tisfm: {pair.label}: {pair.fault}")
+    return 1 if evaluation.faults else 0
+
+
+def figures(
+    frames: Sequence[str],
+    output: Path,
+    *,
+    camera: Camera,
+    guess: bool = False,
+    threads: int | None,
+) -> int:
+    """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
+    pairs = FrameSource(tuple(frames))
+    runtime.start(threads=threads)
+    if guess:
+        camera = _guessed(camera, pairs)
+    for pair in pairs:
+        written = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera)
+        tell("wrote " + ", ".join(map(str, written)))
+    return 0
+
+
+def _refuse_mixing(source: Source, output: Path) -> None:
+    """Refuse to write among the frames, where results would count as frames the next time."""
+    if isinstance(source, (str, os.PathLike)) and not os.path.isfile(source):
+        folder = Path(source) if os.path.isdir(source) else Path(source).parent
+        if folder.resolve() == output.resolve():
+            raise ValueError(
+                f"the results would lie among the frames in {output}, and count as frames the "
+                "next time: give another folder with -o"
+            )
+
+
+def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
+    """Return the motion of every pair, of a file with the pose of every frame."""
+    if settings.motion != "camera":
+        raise ValueError(
+            f"the poses of {path} are given, but motion '{settings.motion}' leaves the motion "
+            "free: give --motion camera"
+        )
+    poses = read_poses(path)
+    if pairs.count is not None and len(poses) != pairs.count:
+        raise ValueError(
+            f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
+            "of twelve numbers for every frame"
+        )
+    motions = [motion_between(*ends) for ends in pairwise(poses[:: pairs.step])]
+    for index, motion in enumerate(motions):
+        try:
+            check_pose(motion)
+        except ValueError as error:
+            first = index * pairs.step
+            raise ValueError(f"{path}, frames {first} and {first + pairs.step}: {error}") from None
+    return motions
+
+
+def _guessed(camera: Camera, pairs: FrameSource) -> Camera:
+    """Return the camera with a focal length guessed by the first frame, and say so."""
+    first = pairs.first_file
+    guess = guess_focal(next(iter(pairs)).frame0.shape if first is None else first)
+    tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
+    return replace(camera, focal=guess.focal)
+
+
+def _baseline(pair: FramePair, camera: Camera, settings: Settings) -> np.ndarray:
+    """Return Horn and Schunck's flow of the frames without distortion."""
+    frames = (undistort(frame, camera) for frame in (pair.frame0, pair.frame1))
+    return horn_schunck(*frames, settings=settings)

@@ -1,0 +1,171 @@
+"""The files that `tisfm eval` writes."""
+
+import json
+import os
+import platform
+import re
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.cli.outputs import make_folder
+from tisfm.datasets import LoadedPair
+from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
+from tisfm.formats import atomic_write, write_flo
+from tisfm.interpretation import Interpretation
+from tisfm.metrics import endpoint_error_map
+from tisfm.settings import Settings
+from tisfm.show import (
+    DEPTH_ERROR_RANGE,
+    ERROR_RANGE,
+    depth_error_figure,
+    error_figure,
+    flow_figure,
+    save_figure,
+)
+from tisfm.version import __version__
+
+EVALUATION_RECORD = "eval.json"
+_DPI = 250  # at which panels have all their pixels, up to a size
+_PACKAGES = ("numpy", "opencv-python-headless", "taichi")
+
+
+class EvaluationWriter:
+    """Writes evaluations of pairs into a folder, and everything about them into one record.
+
+    For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``; where the true flow is known,
+    ``DATASET/NAME_flow.png`` (recovered beside true flow) and ``DATASET/NAME_error.png`` (end-point
+    error, on one scale for all); where the true depth is known and one is recovered,
+    ``DATASET/NAME_depth_error.png`` (both on one scale, and the relative error). The record,
+    ``eval.json``, is written first, and renewed after every pair, so that it always holds the pairs
+    of this evaluation whose files are complete; its "complete" turns true at the end.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist.
+    camera : Camera or None
+        The camera given for every pair, if one was.
+    settings : Settings
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made or written to.
+    """
+
+    def __init__(self, folder: str | Path, *, camera: Camera | None, settings: Settings) -> None:
+        self.folder = make_folder(folder)
+        self._stems: set[str] = set()
+        self._record: dict[str, Any] = {
+            "version": __version__,
+            "versions": {
+                "python": platform.python_version(),
+                **{package: _version(package) for package in _PACKAGES},
+            },
+            "machine": platform.platform(),
+            "processor": platform.processor() or platform.machine(),
+            "cores": os.cpu_count(),
+            "arch": runtime.running_arch(),
+            "threads": runtime.threads(),
+            "camera": None if camera is None else asdict(camera),
+            "settings": asdict(settings),
+            "error_range_px": list(ERROR_RANGE),
+            "depth_error_range": list(DEPTH_ERROR_RANGE),
+            "complete": False,
+            "pairs": [],
+            "dataset_means": {},
+            "mean": None,
+        }
+        self._write_record()
+
+    def write(
+        self,
+        evaluation: PairEvaluation,
+        result: Interpretation | None,
+        loaded: LoadedPair | None,
+    ) -> None:
+        """Write all files of a pair, then the record.
+
+        Parameters
+        ----------
+        evaluation : PairEvaluation
+        result : Interpretation or None
+            Its interpretation; None for a pair with a fault, of which there is only the record.
+        loaded : LoadedPair or None
+            What its files hold; None for a pair with a fault.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
+        stem = None
+        if result is not None and loaded is not None:
+            stem = self._free_stem(evaluation)
+            make_folder((self.folder / stem).parent)
+            self._write_files(f"{self.folder / stem}", evaluation, result, loaded)
+        self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
+        self._write_record()
+
+    def _write_files(
+        self, path: str, evaluation: PairEvaluation, result: Interpretation, loaded: LoadedPair
+    ) -> None:
+        write_flo(f"{path}_flow.flo", result.flow)
+        if loaded.flow is not None and evaluation.errors is not None:
+            title = f"{evaluation.label}, EPE {evaluation.errors.endpoint:.3f} px"
+            figure = flow_figure(result.flow, loaded.flow, title=title)
+            save_figure(f"{path}_flow.png", figure, _DPI)
+            error = endpoint_error_map(result.flow, loaded.flow)
+            save_figure(f"{path}_error.png", error_figure(error, title=title), _DPI)
+        if loaded.depth is not None and evaluation.depth is not None:
+            title = f"{evaluation.label}, abs-rel {evaluation.depth.abs_rel:.3f}"
+            figure = depth_error_figure(result.depth, loaded.depth, title=title)
+            save_figure(f"{path}_depth_error.png", figure, _DPI)
+
+    def finish(self, evaluation: Evaluation) -> None:
+        """Add the means and medians to the record, and mark it as complete.
+
+        Parameters
+        ----------
+        evaluation : Evaluation
+            Of the pairs that were written.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        means = {**evaluation.dataset_means, "": evaluation.mean}
+        records = {name: None if mean is None else asdict(mean) for name, mean in means.items()}
+        self._record["mean"] = records.pop("")
+        self._record["dataset_means"] = records
+        self._record["complete"] = True
+        self._write_record()
+
+    def _free_stem(self, evaluation: PairEvaluation) -> str:
+        """Return the beginning of file names that no other pair has, within the folder."""
+        parts = (evaluation.pair.dataset, evaluation.pair.name)
+        stem = "/".join(re.sub(r"[^\w.+-]+", "_", part).lstrip(".") or "_" for part in parts)
+        number = 1
+        free = stem
+        while free.lower() in self._stems:
+            number += 1
+            free = f"{stem}_{number}"
+        self._stems.add(free.lower())
+        return free
+
+    def _write_record(self) -> None:
+        text = json.dumps(self._record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        with atomic_write(self.folder / EVALUATION_RECORD) as file:
+            file.write(text.encode("utf-8"))
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except ModuleNotFoundError:  # such as another build of OpenCV
+        return None

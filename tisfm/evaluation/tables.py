@@ -1,0 +1,238 @@
+"""The tables that `tisfm eval` prints."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from tisfm.evaluation.means import ErrorSummary, MeanErrors, mean_errors
+from tisfm.evaluation.pairs import Evaluation, PairEvaluation
+from tisfm.metrics import DepthErrors, OcclusionScores, PoseErrors
+
+_NOTHING = "–"
+_Row = PairEvaluation | MeanErrors
+
+# Heading, and the text of a row; some are columns only where a pair has such an error.
+_FLOW: dict[str, Callable[[_Row], str]] = {
+    "EPE, px": lambda row: f"{row.errors.endpoint:.3f}" if row.errors else _NOTHING,
+    "AAE, °": lambda row: f"{row.errors.angular:.2f}" if row.errors else _NOTHING,
+    "Fl, %": lambda row: f"{100 * row.errors.outliers:.2f}" if row.errors else _NOTHING,
+    "R1.0, %": lambda row: f"{100 * row.errors.over_one:.2f}" if row.errors else _NOTHING,
+    "EPE noc": lambda row: f"{row.visible.endpoint:.3f}" if row.visible else _NOTHING,
+    "EPE no sky": lambda row: f"{row.without_sky.endpoint:.3f}" if row.without_sky else _NOTHING,
+    "occ F1, %": lambda row: _f1(row.occlusion),
+}
+_DEPTH: dict[str, Callable[[DepthErrors], str]] = {
+    "abs-rel": lambda errors: f"{errors.abs_rel:.3f}",
+    "SILog": lambda errors: f"{errors.silog:.2f}",
+    "δ<1.25, %": lambda errors: f"{100 * errors.delta1:.1f}",
+    "depth, %": lambda errors: f"{100 * errors.density:.1f}",
+}
+_POSE: dict[str, Callable[[PoseErrors], str]] = {
+    "direction, °": lambda errors: (
+        _NOTHING if errors.direction is None else f"{errors.direction:.2f}"
+    ),
+    "rotation, °": lambda errors: f"{errors.rotation:.4f}",
+}
+
+
+_Errors = TypeVar("_Errors", DepthErrors, PoseErrors)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One row: its name, and a cell of every column but the time."""
+
+    name: str
+    cells: list[str]
+    seconds: float | None
+
+
+def evaluation_tables(evaluation: Evaluation) -> list[Table]:
+    """Lay out an evaluation as tables of flow, depth and pose, as far as there are truths.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+
+    Returns
+    -------
+    list of rich.table.Table
+        Of each, one row per pair; the mean, for depth and pose also the median, of each dataset
+        of more than one pair; and those of all if there is more than one dataset. Poses have a
+        table where one was compared, or where nothing else is known of a pair.
+    """
+    flows = [pair for pair in evaluation.pairs if pair.pair.knows_flow]
+    depths = [pair for pair in evaluation.pairs if pair.pair.knows_depth]
+    poses = [pair for pair in evaluation.pairs if pair.pair.knows_pose]
+    tables = []
+    if flows:
+        tables.append(_flow_table(flows))
+    if depths:
+        tables.append(_depth_table(depths))
+    if any(pair.pose or not pair.pair.knows_depth for pair in poses):
+        tables.append(_pose_table(poses))
+    return tables
+
+
+def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
+    columns = dict(_FLOW)
+    notes = [
+        "Fl: off by at least 3 px and 5 %; R1.0: by at least 1 px.",
+        "Means are over pairs.",
+        "Time of the interpretation alone, kernels compiled before.",
+    ]
+    if any(pair.visible for pair in pairs):
+        notes.insert(1, "noc: without what is occluded in the second frame.")
+    else:
+        del columns["EPE noc"]
+    if not any(pair.without_sky for pair in pairs):
+        del columns["EPE no sky"]
+    if any(pair.occlusion for pair in pairs):
+        notes.insert(-2, "occ F1: of our map of occlusion against the dataset's.")
+        notes[notes.index("Means are over pairs.")] = (
+            "Means are over pairs, but occ F1 is over the pixels of all of them."
+        )
+    else:
+        del columns["occ F1, %"]
+
+    def cells(row: _Row) -> list[str]:
+        return [text(row) for text in columns.values()]
+
+    def sums(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
+        means = mean_errors(among)
+        if means is None:
+            return []
+        return [_Line(f"{name}, mean of {means.flow_pairs}", cells(means), means.seconds)]
+
+    lines = [
+        _Line(f"{pair.label} (failed)" if pair.fault else pair.label, cells(pair), pair.seconds)
+        for pair in pairs
+    ]
+    return _table("Flow against the truth", notes, list(columns), pairs, lines, sums)
+
+
+def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
+    notes = [
+        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; SILog: 100 "
+        "times the deviation of log Z; δ<1.25: off by a factor below 1.25; depth: share of the "
+        "pixels of known depth that have one."
+    ]
+    if any(pair.without_depth for pair in pairs):
+        notes.append("Pairs without depth are counted, but in no mean or median.")
+    return _errors_table(
+        "Depth against the truth",
+        notes,
+        _DEPTH,
+        pairs,
+        of_pair=lambda pair: pair.depth,
+        of_all=lambda means: means.depth,
+    )
+
+
+def _pose_table(pairs: Sequence[PairEvaluation]) -> Table:
+    notes = [
+        "direction: angle between the translations, 180 if opposite; rotation: angle of what is "
+        "left between the rotations."
+    ]
+    if not any(pair.pose for pair in pairs):
+        notes.append("Only --motion camera recovers a pose.")
+    if any(pair.pose and pair.pose.direction is None for pair in pairs):
+        notes.append("Pairs without direction are in no mean or median of it.")
+    return _errors_table(
+        "Pose against the truth",
+        notes,
+        _POSE,
+        pairs,
+        of_pair=lambda pair: pair.pose,
+        of_all=lambda means: means.pose,
+    )
+
+
+def _errors_table(
+    title: str,
+    notes: Sequence[str],
+    columns: dict[str, Callable[[_Errors], str]],
+    pairs: Sequence[PairEvaluation],
+    *,
+    of_pair: Callable[[PairEvaluation], _Errors | None],
+    of_all: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
+) -> Table:
+    """Lay out a table with means, medians, and how many pairs have no such errors, and why."""
+
+    def cells(errors: _Errors | None) -> list[str]:
+        return [text(errors) if errors else _NOTHING for text in columns.values()]
+
+    def sums(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
+        means = mean_errors(among)
+        found = None if means is None else of_all(means)
+        lines = []
+        if found is not None and found.pairs:
+            seconds = [pair.seconds for pair in among if pair.seconds is not None]
+            for word, errors, time in (
+                ("mean", found.mean, np.mean(seconds)),
+                ("median", found.median, np.median(seconds)),
+            ):
+                lines.append(_Line(f"{name}, {word} of {found.pairs}", cells(errors), float(time)))
+        reasons = Counter(_lack(pair) for pair in among if pair.fault is None)
+        del reasons[""]
+        return lines + [
+            _Line(f"{name}, {reason}: {count}", cells(None), None)
+            for reason, count in reasons.items()
+        ]
+
+    lines = []
+    for pair in pairs:
+        reason = "failed" if pair.fault is not None else _lack(pair)
+        name = f"{pair.label} ({reason})" if reason else pair.label
+        lines.append(_Line(name, cells(of_pair(pair)), pair.seconds))
+    return _table(title, notes, list(columns), pairs, lines, sums)
+
+
+def _table(
+    title: str,
+    notes: Sequence[str],
+    headings: Sequence[str],
+    pairs: Sequence[PairEvaluation],
+    lines: Sequence[_Line],
+    sums: Callable[[str, Sequence[PairEvaluation]], list[_Line]],
+) -> Table:
+    """Lay out the lines of pairs, with sums of each dataset and of all below them."""
+    table = Table(title=title, caption=" ".join(notes))
+    table.add_column("", overflow="fold")
+    for heading in (*headings, "s"):
+        table.add_column(heading, justify="right", no_wrap=True)
+
+    def add(lines: Sequence[_Line], *, style: str | None = None) -> None:
+        for line in lines:
+            time = _NOTHING if line.seconds is None else f"{line.seconds:.2f}"
+            # Text, because in a plain string square brackets would be markup.
+            table.add_row(Text(line.name), *line.cells, time, style=style)
+
+    groups: dict[str, list[int]] = {}
+    for index, pair in enumerate(pairs):
+        groups.setdefault(pair.pair.dataset, []).append(index)
+    for name, members in groups.items():
+        add([lines[index] for index in members])
+        if len(members) > 1:
+            add(sums(name, [pairs[index] for index in members]), style="bold")
+        table.add_section()
+    if len(groups) > 1:
+        add(sums("all", pairs), style="bold")
+    return table
+
+
+def _lack(pair: PairEvaluation) -> str:
+    """Return why an interpretation has no depth, or nothing if it has one."""
+    if pair.little_parallax:
+        return "too little parallax"
+    return "no depth" if pair.without_depth else ""
+
+
+def _f1(scores: OcclusionScores | None) -> str:
+    """Return F1 in percent, where there is something to find."""
+    return f"{100 * scores.f1:.1f}" if scores is not None and scores.occluded else _NOTHING

@@ -1,0 +1,158 @@
+"""Errors of relative depth, after scaling by the median."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.metrics.known import counting, is_known
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthErrors:
+    """Errors of a depth map. All but `rmse` are without unit.
+
+    Attributes
+    ----------
+    abs_rel : float
+        Mean |d - d*| / d*.
+    rmse : float
+        Root mean square of d - d*, in the unit of the truth.
+    rmse_log : float
+        Root mean square of log d - log d*, natural logarithm.
+    delta1, delta2, delta3 : float
+        Share of pixels with max(d/d*, d*/d) below 1.25, 1.25² and 1.25³.
+    silog : float
+        100 · standard deviation of log d - log d*, which no scaling changes.
+    scale : float
+        The factor d was multiplied by before comparing: the median of d*/d, or 1.
+    density : float
+        Share of the pixels with known truth where the estimate is finite and positive; the errors
+        are over these.
+    """
+
+    abs_rel: float
+    rmse: float
+    rmse_log: float
+    delta1: float
+    delta2: float
+    delta3: float
+    silog: float
+    scale: float
+    density: float
+
+
+def depth_errors(
+    depth: ArrayLike,
+    truth: ArrayLike,
+    mask: ArrayLike | None = None,
+    align: str | None = "median",
+) -> DepthErrors:
+    """Compare a depth map with the truth.
+
+    Parameters
+    ----------
+    depth, truth : array_like, shape (H, W)
+        Estimated and true depth. Truth that is not positive is unknown.
+    mask : array_like, shape (H, W), optional
+        Nonzero where pixels count.
+    align : {"median", None}, default "median"
+        With "median", the estimate is first multiplied by the median of truth/estimate: one
+        camera's depth is relative. With None it is compared as it is.
+
+    Returns
+    -------
+    DepthErrors
+        Estimates that are not finite and positive lower the density and enter no error.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, `align` is unknown, or no pixel has both a known truth and a valid
+        estimate.
+
+    References
+    ----------
+    Eigen, Puhrsch and Fergus, Depth map prediction from a single image using a multi-scale deep
+    network, NIPS 2014, arXiv 1406.2283. `silog` is the root of its scale-invariant error, times 100
+    as in KITTI's benchmark (Uhrig et al., Sparsity invariant CNNs, 3DV 2017, arXiv 1708.06500).
+    """
+    d, true, valid, known, scale = _depths(depth, truth, mask, align)
+    d, true = d[valid], true[valid]
+    log_ratio = np.log(d) - np.log(true)
+    ratio = np.maximum(d / true, true / d)
+    delta1, delta2, delta3 = (float((ratio < 1.25**power).mean()) for power in (1, 2, 3))
+    return DepthErrors(
+        abs_rel=float((np.abs(d - true) / true).mean()),
+        rmse=float(np.sqrt(np.square(d - true).mean())),
+        rmse_log=float(np.sqrt(np.square(log_ratio).mean())),
+        delta1=delta1,
+        delta2=delta2,
+        delta3=delta3,
+        silog=float(100 * log_ratio.std()),
+        scale=scale,
+        density=float(np.count_nonzero(valid) / np.count_nonzero(known)),
+    )
+
+
+def depth_error_map(
+    depth: ArrayLike,
+    truth: ArrayLike,
+    mask: ArrayLike | None = None,
+    align: str | None = "median",
+) -> NDArray[np.float64]:
+    """Return the relative error of the depth, |d - d*| / d*, at each pixel.
+
+    Parameters
+    ----------
+    depth, truth, mask, align
+        As in `depth_errors`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
+        Error, without unit; NaN where the truth is unknown, the mask is zero or there is no valid
+        estimate.
+
+    Raises
+    ------
+    ValueError
+        As `depth_errors`.
+    """
+    d, true, valid, _, _ = _depths(depth, truth, mask, align)
+    error = np.full(valid.shape, np.nan)
+    error[valid] = np.abs(d[valid] - true[valid]) / true[valid]
+    return error
+
+
+def _depths(
+    depth: ArrayLike, truth: ArrayLike, mask: ArrayLike | None, align: str | None
+) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
+    """Check and align two depths.
+
+    Returns
+    -------
+    depth, truth : (H, W) float64
+        The former multiplied by `scale`.
+    valid, known : (H, W) bool
+        Where both are known, and where the truth is.
+    scale : float
+    """
+    if align not in ("median", None):
+        raise ValueError(f"align is {align!r}: expected 'median' or None")
+    estimate, true = np.asarray(depth, np.float64), np.asarray(truth, np.float64)
+    if estimate.shape != true.shape or true.ndim != 2:
+        raise ValueError(
+            f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
+        )
+    known = is_known(true) & (true > 0) & counting(mask, true.shape)
+    if not known.any():
+        raise ValueError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
+    valid = known & np.isfinite(estimate) & (estimate > 0)
+    if not valid.any():
+        raise ValueError(
+            f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
+            f"known: {np.count_nonzero(known)} pixels are"
+        )
+    scale = 1.0 if align is None else float(np.median(true[valid] / estimate[valid]))
+    return estimate * scale, true, valid, known, scale

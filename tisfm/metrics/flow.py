@@ -1,0 +1,224 @@
+"""Errors of flow, as the usual benchmarks define them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.metrics.known import counting, is_known
+
+
+def endpoint_error_map(
+    flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Return the length of the flow error at each pixel.
+
+    Parameters
+    ----------
+    flow, truth : array_like, shape (H, W, 2)
+        Estimated and true (u, v), px.
+    mask : array_like, shape (H, W), optional
+        Nonzero where pixels count.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
+        Error, px; NaN where the truth is unknown, the mask is zero or the flow is not finite.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or no pixel counts.
+    """
+    estimate, truth, counts = _flows(flow, truth, mask)
+    counts &= np.isfinite(estimate).all(axis=-1)
+    error = np.full(counts.shape, np.nan)
+    error[counts] = _length(estimate[counts] - truth[counts])
+    return error
+
+
+def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> float:
+    """Return the mean length of the flow error (EPE).
+
+    Parameters
+    ----------
+    flow, truth, mask
+        As in `endpoint_error_map`.
+
+    Returns
+    -------
+    float
+        Mean error, px.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, no pixel counts, or the flow is not finite where one does.
+
+    References
+    ----------
+    Baker et al., A database and evaluation methodology for optical flow, IJCV 92 (2011) 1-31,
+    doi 10.1007/s11263-010-0390-2.
+    """
+    estimate, known = _finite_pairs(flow, truth, mask)
+    return float(_length(estimate - known).mean())
+
+
+def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> float:
+    """Return the mean angle between the space-time directions (u, v, 1) (AAE).
+
+    Parameters
+    ----------
+    flow, truth, mask
+        As in `endpoint_error_map`.
+
+    Returns
+    -------
+    float
+        Mean angle, degrees.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, no pixel counts, or the flow is not finite where one does.
+
+    References
+    ----------
+    Barron, Fleet and Beauchemin, Performance of optical flow techniques, IJCV 12 (1994) 43-77,
+    doi 10.1007/BF01420984.
+    """
+    estimate, known = _finite_pairs(flow, truth, mask)
+    dot = (estimate * known).sum(axis=-1) + 1
+    # Of (u, v, 1) × (u*, v*, 1); an arc cosine would lose small angles to rounding.
+    turn = estimate[:, 0] * known[:, 1] - estimate[:, 1] * known[:, 0]
+    cross = np.hypot(_length(estimate - known), turn)
+    return float(np.degrees(np.arctan2(cross, dot)).mean())
+
+
+def outlier_rate(
+    flow: ArrayLike,
+    truth: ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    pixels: float = 3.0,
+    fraction: float = 0.05,
+) -> float:
+    """Return the share of pixels whose flow is plainly wrong (KITTI's Fl).
+
+    Parameters
+    ----------
+    flow, truth, mask
+        As in `endpoint_error_map`.
+    pixels : float, default 3
+        An outlier is off by at least this, px,
+    fraction : float, default 0.05
+        and by at least this fraction of the true displacement. A flow that is not finite is an
+        outlier too.
+
+    Returns
+    -------
+    float
+        Outliers among the pixels that count, in [0, 1].
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or no pixel counts.
+
+    References
+    ----------
+    Menze and Geiger, Object scene flow for autonomous vehicles, CVPR 2015,
+    doi 10.1109/CVPR.2015.7298925.
+    """
+    estimate, truth, counts = _flows(flow, truth, mask)
+    estimate, known = estimate[counts], truth[counts]
+    finite = np.isfinite(estimate).all(axis=-1)
+    error = _length(np.where(finite[:, None], estimate - known, 0))
+    wrong = (error >= pixels) & (error >= fraction * _length(known))
+    return float((wrong | ~finite).mean())
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowErrors:
+    """Errors of a flow.
+
+    Attributes
+    ----------
+    endpoint : float
+        Mean length of the error (EPE), px.
+    angular : float
+        Mean angle between the directions (u, v, 1) (AAE), degrees.
+    outliers : float
+        Share of pixels off by at least 3 px and 5 % (KITTI's Fl), in [0, 1].
+    over_one : float
+        Share of pixels off by at least 1 px (R1.0), in [0, 1].
+    pixels : int
+        Pixels that counted.
+    """
+
+    endpoint: float
+    angular: float
+    outliers: float
+    over_one: float
+    pixels: int
+
+
+def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> FlowErrors:
+    """Compare a flow with the truth.
+
+    Parameters
+    ----------
+    flow, truth, mask
+        As in `endpoint_error_map`.
+
+    Returns
+    -------
+    FlowErrors
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, no pixel counts, or the flow is not finite where one does.
+    """
+    estimate, known = _finite_pairs(flow, truth, mask)
+    # All of them at once below: a mask would be applied once for each.
+    estimate, known = estimate[None], known[None]
+    return FlowErrors(
+        endpoint=endpoint_error(estimate, known),
+        angular=angular_error(estimate, known),
+        outliers=outlier_rate(estimate, known),
+        over_one=outlier_rate(estimate, known, pixels=1.0, fraction=0.0),
+        pixels=known.shape[1],
+    )
+
+
+def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:
+    """Check a pair of flows; return them in float64 with the map of pixels that count."""
+    estimate, truth = np.asarray(flow, np.float64), np.asarray(truth, np.float64)
+    if estimate.shape != truth.shape or truth.ndim != 3 or truth.shape[-1] != 2:
+        raise ValueError(
+            f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "
+            "(H, W, 2)"
+        )
+    counts = is_known(truth).all(axis=-1) & counting(mask, truth.shape[:2])
+    if not counts.any():
+        raise ValueError(f"no pixel of the {truth.shape} truth is known and in the mask")
+    return estimate, truth, counts
+
+
+def _length(vectors: NDArray) -> NDArray[np.float64]:
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def _finite_pairs(
+    flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None
+) -> tuple[NDArray, NDArray]:
+    """Return estimate and truth at the pixels that count, (n, 2) each."""
+    estimate, truth, counts = _flows(flow, truth, mask)
+    missing = np.count_nonzero(~np.isfinite(estimate[counts]).all(axis=-1))
+    if missing:
+        raise ValueError(
+            f"flow is not finite at {missing} of the {np.count_nonzero(counts)} pixels that count: "
+            "expected finite flow there, or a mask without them"
+        )
+    return estimate[counts], truth[counts]

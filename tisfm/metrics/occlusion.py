@@ -1,0 +1,85 @@
+"""How well a map of occlusion agrees with the true one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tisfm.metrics.known import counting
+
+
+@dataclass(frozen=True, kw_only=True)
+class OcclusionScores:
+    """How well a map of occlusion agrees with the truth.
+
+    Attributes
+    ----------
+    precision : float
+        Share of the marked pixels that are occluded, in [0, 1]; 0 if none is marked.
+    recall : float
+        Share of the occluded pixels that are marked, in [0, 1]; 0 if none is occluded.
+    f1 : float
+        Their harmonic mean.
+    hits, marked, occluded : int
+        Pixels that are both, that are marked, and that are occluded: of several maps, they add up.
+    pixels : int
+        Pixels that counted.
+    """
+
+    precision: float
+    recall: float
+    f1: float
+    hits: int
+    marked: int
+    occluded: int
+    pixels: int
+
+    @classmethod
+    def from_counts(
+        cls, *, hits: int, marked: int, occluded: int, pixels: int
+    ) -> "OcclusionScores":
+        """Return the scores that follow from the counts."""
+        return cls(
+            precision=hits / max(marked, 1),
+            recall=hits / max(occluded, 1),
+            f1=2 * hits / max(marked + occluded, 1),
+            hits=hits,
+            marked=marked,
+            occluded=occluded,
+            pixels=pixels,
+        )
+
+
+def occlusion_scores(
+    occlusion: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None
+) -> OcclusionScores:
+    """Compare a map of occlusion with the truth.
+
+    Parameters
+    ----------
+    occlusion, truth : array_like, shape (H, W)
+        Nonzero where a pixel is, or is said to be, not visible in the other frame.
+    mask : array_like, shape (H, W), optional
+        Nonzero where pixels count.
+
+    Returns
+    -------
+    OcclusionScores
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or no pixel counts.
+    """
+    found, true = np.asarray(occlusion, bool), np.asarray(truth, bool)
+    if found.shape != true.shape or found.ndim != 2:
+        raise ValueError(
+            f"occlusion is {found.shape} and truth is {true.shape}: both must be (H, W)"
+        )
+    counts = counting(mask, found.shape)
+    if not counts.any():
+        raise ValueError("no pixel counts: the mask leaves none")
+    hits, marked, occluded = (int((m & counts).sum()) for m in (found & true, found, true))
+    return OcclusionScores.from_counts(
+        hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())
+    )

@@ -1,0 +1,73 @@
+"""Where objects touch the background, their depths agree: scales aligned at contacts."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tisfm.motion.field import Reading
+
+APART = 3  # px from the boundary, on both sides, where depths are read
+FEWEST = 8  # columns that a contact needs
+LOWEST = 0.5  # of an object's rows: what touches the floor is its lower half
+
+
+def aligned(reading: Reading, hidden: np.ndarray) -> Reading:
+    """Bring objects to the scale of the background below them, where they stand on it.
+
+    From motion alone every object has a scale of its own. In each column of an object the lowest
+    pixel is taken, if the background lies below it, in the lower half of the object's rows; there
+    both are taken to be equally far away. The median of the ratio over columns is the object's
+    scale. Objects that show no such contact, and all where the background shows no depth, keep
+    their own.
+
+    Parameters
+    ----------
+    reading : Reading
+        With motions, labels and inverse depth; the background is label 0.
+    hidden : (H, W) bool
+        Where depth is not to be read.
+
+    Returns
+    -------
+    Reading
+        Inverse depth and its deviation in the background's unit; an object's T likewise, so that
+        its length is no longer 1.
+    """
+    motions, labels = reading.motions, reading.labels
+    if motions is None or labels is None or reading.inverse_depth_std is None:
+        return reading
+    scales = np.ones(len(motions))
+    for label in range(1, len(motions)):
+        scale = _contact(reading.inverse_depth, labels, hidden, label)
+        if scale is not None and motions[label, :3].any():
+            scales[label] = scale
+    twists = motions.copy()
+    twists[:, :3] /= scales[:, None]
+    per_pixel = scales.astype(np.float32)[labels]
+    return replace(
+        reading,
+        motions=twists,
+        inverse_depth=reading.inverse_depth * per_pixel,
+        inverse_depth_std=reading.inverse_depth_std * per_pixel,
+    )
+
+
+def _contact(
+    inverse_depth: np.ndarray, labels: np.ndarray, hidden: np.ndarray, label: int
+) -> float | None:
+    """Return the background's inverse depth over the object's where they touch, or None."""
+    height = len(labels)
+    mine = labels == label
+    columns = np.flatnonzero(mine.any(axis=0))
+    if not len(columns):
+        return None
+    rows = np.flatnonzero(mine.any(axis=1))
+    lowest = height - 1 - mine[::-1].argmax(axis=0)[columns]
+    above, below = lowest - APART, lowest + APART
+    seen = (lowest >= rows[0] + LOWEST * (rows[-1] - rows[0])) & (below < height) & (above >= 0)
+    columns, above, below = columns[seen], above[seen], below[seen]
+    touches = (labels[below, columns] == 0) & mine[above, columns]
+    touches &= ~hidden[below, columns] & ~hidden[above, columns]
+    ratio = inverse_depth[below, columns] / np.where(touches, inverse_depth[above, columns], 1)
+    ratio = ratio[touches & (ratio > 0) & np.isfinite(ratio)]
+    return float(np.median(ratio)) if len(ratio) >= FEWEST else None

@@ -1,0 +1,92 @@
+"""Several rigid motions, a label per pixel, and depth of each object: ``motion="objects"``."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.camera import first_motion, only_turned
+from tisfm.motion.field import Reading
+from tisfm.motion.objects.candidates import motion_candidates
+from tisfm.motion.objects.contacts import aligned
+from tisfm.motion.objects.layers import Layering, without_specks
+from tisfm.motion.rigid_depth import rigid_depth
+from tisfm.motion.rigid_estimate import with_depth
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import Pyramid
+
+# Things show less parallax than a scene does, so that their depth has more noise: it takes more of
+# its neighbours' to even that out.
+SMOOTHER = 4 / 3
+
+
+def objects_reading(
+    pyramid: Pyramid,
+    camera: Camera,
+    settings: Settings,
+    grey0: np.ndarray,
+) -> Reading:
+    """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
+
+    The largest motion, the background's, is fitted to the flow field. Others are fitted to what it
+    leaves unexplained (`candidates`). The images decide which of them are needed, and where their
+    boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
+    is added (`floating`). Depth and motions then are estimated jointly, as for one motion
+    (`tisfm.motion.rigid_depth`).
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    camera : Camera
+        A pinhole, of the finest level.
+    settings : Settings
+    grey0 : (H, W) float32
+        Grey levels of frame 0 on the 8-bit scale.
+    """
+    # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
+    settings = replace(
+        settings,
+        finest_level=0,
+        warps=max(settings.warps, 2),
+        outer_iterations=max(settings.outer_iterations, 10),
+        sweeps=max(settings.sweeps, 8),
+    )
+    start = first_motion(pyramid, camera, settings)
+    if start.status in ("no_texture", "no_motion") and not start.flow.any():
+        return only_turned(pyramid, camera, settings, start, start.status)
+    hidden = pyramid.occlusion(np.moveaxis(start.flow, -1, 0))
+    motions, labels = motion_candidates(
+        start.flow,
+        np.where(hidden, 0, start.trust),
+        camera,
+        grey0,
+        start.matrix,
+        start.residual,
+        most=settings.max_objects,
+    )
+    layering = Layering(pyramid, settings, camera, grey0)
+    layers = layering.fitted(motions, labels, hidden)
+    if len(motions) > 1:
+        layers = layering.pruned(layers)
+        motions = layering.refitted(layers, start.flow, start.trust)
+        layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
+    layers = layering.with_floating(layers, most=settings.max_objects)
+    motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
+    if len(motions) == 1 and start.status is not None:
+        return only_turned(pyramid, camera, settings, start, start.status)
+    order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    labels = rank[labels]
+    solution = rigid_depth(
+        pyramid,
+        replace(settings, depth_smoothness=SMOOTHER * settings.depth_smoothness),
+        camera,
+        np.stack([motions[k] for k in order]),
+        labels,
+    )
+    reading = with_depth(
+        solution, labels, camera, settings, unseen=int(rank[0]) if start.status else None
+    )
+    reading = replace(reading, history=start.history + reading.history)
+    return aligned(reading, hidden) if settings.align_scales else reading

@@ -1,0 +1,300 @@
+"""Layers: which of several rigid motions a pixel has, by the images themselves.
+
+A layer's surface is fitted where it is labelled and continued smoothly beyond. There, images tell
+it from its neighbours: the surface that fits is the one a pixel lies on.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.egomotion import camera_motion
+from tisfm.motion.objects.candidates import smallest_object
+from tisfm.motion.objects.floating import floating
+from tisfm.motion.objects.potts import Potts
+from tisfm.motion.rigid_depth import RigidSolution, residual_under, rigid_depth
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import Pyramid
+from tisfm.visibility.confidence import QUIET, QUIET_GREY
+from tisfm.visibility.occlusion import leaves_image
+
+WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
+TOLERATED = 3.0  # of the median residual: a unit of cost
+TRUNCATED = 16.0  # units: more is no worse
+UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
+MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
+HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
+GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
+PIXEL_GAIN = 0.2  # units, of each of its pixels: what spreads over a background is worth less
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layers:
+    """A labelling of the image.
+
+    Attributes
+    ----------
+    motions : list of (3, 4) array
+    labels : (H, W) int32
+    hidden : (H, W) bool
+        What is not visible in frame 1.
+    costs : (K, H, W) float32
+        Of each layer, in units.
+    reach : (K, H, W) bool
+        Where a motion may be.
+    floats : (H, W) int32
+        Parts of what has the first motion that cannot be at rest under it (`floating`), numbered
+        from 1.
+    """
+
+    motions: list[np.ndarray]
+    labels: np.ndarray
+    hidden: np.ndarray
+    costs: np.ndarray
+    reach: np.ndarray
+    floats: np.ndarray
+
+
+class Layering:
+    """Labels of a pair of frames, and what they are worth.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+    grey0 : (H, W) float32
+        Grey levels of frame 0.
+    """
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        settings: Settings,
+        camera: Camera,
+        grey0: np.ndarray,
+    ) -> None:
+        self._pyramid, self._camera = pyramid, camera
+        # Surfaces need not be exact to tell layers apart.
+        self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
+        self._potts = Potts(grey0)
+        self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
+        self.smallest = smallest_object(grey0.size)
+
+    def fitted(
+        self,
+        motions: list[np.ndarray],
+        labels: np.ndarray,
+        hidden: np.ndarray,
+        *,
+        reach: np.ndarray | None = None,
+        rounds: int = 2,
+    ) -> Layers:
+        """Return the layers after fitting surfaces and labels to each other in turns.
+
+        Parameters
+        ----------
+        motions : list of (3, 4) array
+        labels : (H, W) int32
+        hidden : (H, W) bool
+        reach : (K, H, W) bool, optional
+            Where a motion may be, by default everywhere.
+        rounds : int
+            Of one motion alone, the first is all there is to do.
+        """
+        if reach is None:
+            reach = np.ones((len(motions), *labels.shape), bool)
+        for _ in range(rounds if len(motions) > 1 else 1):
+            residuals, flows = [], []
+            for label, motion in reversed(list(enumerate(motions))):
+                surface = self._continued(motion, _core(labels == label) & ~hidden)
+                residual, flow = self._residual(surface)
+                residuals.append(cv2.blur(residual, (WINDOW, WINDOW)))
+                flows.append(flow)
+            background = surface
+            flows.reverse()
+            stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
+            usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
+            costs = np.minimum(stacked / (TOLERATED * max(usual, self._quiet**2)), TRUNCATED)
+            # Where a layer leaves the image, the others have to decide.
+            gone = np.stack([leaves_image(flow) for flow in flows])
+            known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
+            costs = np.where(gone, known, costs).astype(np.float32)
+            costs[~reach] = UNREACHED
+            for _ in range(2):
+                composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
+                hidden = self._pyramid.occlusion(composed)
+                weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
+                labels = self._potts.assign(costs, weight)
+        return Layers(
+            motions=motions,
+            labels=labels,
+            hidden=hidden,
+            costs=costs,
+            reach=reach,
+            floats=self._floating(background) * (labels == 0),
+        )
+
+    def with_floating(self, layers: Layers, *, most: int) -> Layers:
+        """Return layers and more of them, up to so many, for what floats before the background.
+
+        It moves along the background's epipolar lines: its motion may be the same to start with,
+        only the surfaces are apart. As that motion would explain much of the background, too, it
+        may be nowhere else.
+        """
+        parts = range(1, 1 + min(most - len(layers.motions), int(layers.floats.max())))
+        if not parts:
+            return layers
+        labels = layers.labels.copy()
+        margin = 1 + 2 * round(MARGIN * max(labels.shape))
+        window = np.ones((margin, margin), np.uint8)
+        reach = list(layers.reach)
+        for part in parts:
+            mine = layers.floats == part
+            labels[mine] = len(reach)
+            reach.append(cv2.dilate(mine.astype(np.uint8), window) > 0)
+        motions = layers.motions + [layers.motions[0]] * len(parts)
+        return self.pruned(self.fitted(motions, labels, layers.hidden, reach=np.stack(reach)))
+
+    def pruned(self, layers: Layers) -> Layers:
+        """Return the layers without those whose motion the others can do as well without.
+
+        Those that are too small go first. Then every layer but the first is taken away in turn,
+        and the one that is missed least goes, until all that are left are needed. The least goes
+        first because a thing may have lost its pixels to a motion that is not needed itself. What
+        was needed once stays so: fewer others are left to do its work.
+        """
+        needed = {0}
+        while len(needed) < len(layers.motions):
+            areas = np.bincount(layers.labels.ravel(), minlength=len(layers.motions))
+            doubtful = [label for label in range(len(areas)) if label not in needed]
+            least = min(doubtful, key=lambda label: areas[label])
+            if areas[least] < self.smallest:
+                layers = self._without(layers, least)
+            else:
+                trials = {label: self._without(layers, label) for label in doubtful}
+                worths = {
+                    label: self._worth(layers, label, trial) for label, trial in trials.items()
+                }
+                needed |= {label for label in doubtful if worths[label] >= 1}
+                least = min(doubtful, key=lambda label: worths[label])
+                if least in needed:
+                    break
+                layers = trials[least]
+            needed = {label - (label > least) for label in needed}
+        return layers
+
+    def _without(self, layers: Layers, label: int) -> Layers:
+        """Return the layers without one of them, the others fitted anew."""
+        rest = [k for k in range(len(layers.motions)) if k != label]
+        weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
+        return self.fitted(
+            [layers.motions[k] for k in rest],
+            self._potts.assign(layers.costs[rest], weight),
+            layers.hidden,
+            reach=layers.reach[rest],
+            rounds=1,
+        )
+
+    def _worth(self, layers: Layers, label: int, without: Layers) -> float:
+        """Return what a layer spares on its own pixels, 1 or more if it is needed.
+
+        For one added because it floats, the background is not fitted anew where it would have to
+        float: it is continued from around.
+        """
+        mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
+        rival = _own_cost(without)
+        if not layers.reach[label].all():
+            rival = np.where(without.floats > 0, layers.costs[0], rival)
+        gain = float((rival - _own_cost(layers))[mine].sum())
+        return gain / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+
+    def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
+        """Return the motions fitted to a flow field within their layers, (3, 4) each.
+
+        What floats before the background has no say in its motion.
+        A motion without translation, and one whose layer has too few pixels to trust, stays.
+        """
+        motions = []
+        for label, motion in enumerate(layers.motions):
+            mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
+            try:
+                near = layers.motions[0][:, :3] if label else None
+                found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
+            except ValueError:
+                motions.append(motion)
+                continue
+            still = not motion[:, 3].any()
+            motions.append(
+                motion if still else np.column_stack([found.rotation, found.translation])
+            )
+        return motions
+
+    def _continued(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
+        """Return a surface fitted on its support, and continued everywhere."""
+        return rigid_depth(
+            self._pyramid,
+            self._settings,
+            self._camera,
+            motion[None],
+            np.zeros(support.shape, np.int32),
+            refine="none",
+            support=support,
+        )
+
+    def _residual(self, surface: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
+        """Return residual and flow of a surface, on its support and beyond."""
+        return residual_under(
+            self._pyramid,
+            self._settings,
+            self._camera,
+            surface.motions[0],
+            surface.inverse_depth,
+        )
+
+    def _floating(self, surface: RigidSolution) -> np.ndarray:
+        """Return the numbered parts of a surface that float."""
+        if not surface.motions[0, :, 3].any():
+            return np.zeros(surface.inverse_depth.shape, np.int32)
+        deviation = surface.deviation()
+        return floating(surface.inverse_depth, deviation, self.smallest)
+
+
+def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
+    """Return the labels with small connected parts given to what is nearest.
+
+    A label of which nothing would be left stays.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+    smallest : int
+        Fewest pixels of a part.
+    """
+    kept = np.zeros(labels.shape, bool)
+    for label in np.unique(labels):
+        parts = cv2.connectedComponents((labels == label).astype(np.uint8), connectivity=4)[1]
+        areas = np.bincount(parts.ravel())
+        large = areas >= smallest
+        large[0] = False
+        if not large.any():
+            large[1 + int(np.argmax(areas[1:]))] = True
+        kept |= large[parts]
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~kept).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    label_of = np.zeros(int(nearest.max()) + 1, labels.dtype)
+    label_of[nearest[kept]] = labels[kept]
+    return np.where(kept, labels, label_of[nearest])
+
+
+def _core(mask: np.ndarray) -> np.ndarray:
+    """Return a mask without its rim, or all of it where little else would be left."""
+    core = cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+    return core if core.sum() >= 64 else mask
+
+
+def _own_cost(layers: Layers) -> np.ndarray:
+    return np.take_along_axis(layers.costs, layers.labels[None], axis=0)[0]

@@ -1,0 +1,277 @@
+"""Inverse depth to start from, of one rigid motion: triangulated, or found by a plane sweep."""
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.layout.lanes import aligned_empty, aligned_zeros
+from tisfm.kernels.rigid.epipolar import NEAREST
+from tisfm.kernels.rigid.plane_sweep import matching_cost
+from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
+from tisfm.runtime import lanes
+from tisfm.solver.image_pyramid import Pyramid
+from tisfm.solver.smoothness import mean_step
+
+PULL = 0.05  # weight of a pixel's surroundings where its epipolar line is as well seen as theirs
+AROUND, MEDIAN = 7, 5  # px: windows of means and medians
+# px of parallax between near and far from which a plane sweep finds what coarse to fine cannot:
+# things that are smaller than they move.
+RANGE = 20.0
+COARSE = 2**15  # pixels of the level on which the range of depths is found
+LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
+COMMON = (1, 99)  # percentiles: what is nearer or further is rare
+REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
+ENTRIES = 2**25  # of costs, pixels times hypotheses: the sweep is of a level that needs no more
+# Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
+# by more than so many, and its derivatives by more than a quarter of that, are no worse.
+COST = 2.4
+# And what it costs to be more than `NEAR` px/frame from a guess that nobody trusts, and how much
+# more from one that is certain. Where nothing is to be compared, it has to do.
+NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.05), np.float32(0.3)
+STEP, JUMP = 0.3, 5.0  # of a change of depth along a path
+EDGE = 1.2  # steps between neighbours at which a jump costs half
+FAINTEST = 0.01  # grey levels: the least mean step
+HIDDEN = 0.02  # what the cost of a pixel that is not seen in frame 1 counts for
+BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
+
+
+def depth_start(
+    pyramid: Pyramid,
+    camera: Camera,
+    motion: np.ndarray,
+    level: int,
+    flow: np.ndarray,
+    trust: np.ndarray,
+) -> tuple[int, np.ndarray]:
+    """Return a level of the pyramid, and the inverse depth to start from there.
+
+    That is the flow field's, triangulated, where little parallax leaves it near the truth, and
+    elsewhere that of a plane sweep, which the field only supports.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    camera : Camera
+        Of the finest level.
+    motion : (3, 4) array
+        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+    level : int
+    flow : (h, w, 2) float32
+        A flow field of this level, px/frame of it.
+    trust : (h, w) float32
+        Its confidence.
+
+    Returns
+    -------
+    level : int
+        That of the flow, or a finer one.
+    inverse_depth : (H, W) float32
+        D, px/frame of that level.
+    """
+    size = pyramid.frames0[0].shape
+    depth = triangulated(flow, motion, camera.scaled(pyramid.scale(level), *size))
+    sweep = _Sweep(pyramid, camera, motion, level, depth, trust)
+    low, high = sweep.range()
+    if high - low < RANGE:
+        return level, depth
+    low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
+    for finer in range(level + 1):
+        entries = (high - low) * pyramid.scale(finer) * pyramid.frames0[finer].size
+        if entries <= ENTRIES:
+            break
+    return finer, sweep.run(finer, low, high)
+
+
+class _Sweep:
+    """A plane sweep, on any level of a pyramid, led by a depth that is known roughly."""
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        camera: Camera,
+        motion: np.ndarray,
+        level: int,
+        guess: np.ndarray,
+        trust: np.ndarray,
+    ) -> None:
+        self._pyramid, self._camera, self._motion = pyramid, camera, motion
+        self._level, self._guess, self._trust = level, guess, trust
+
+    def range(self) -> tuple[float, float]:
+        """Return the least and the largest D that are not rare, px/frame of the finest level."""
+        frames = self._pyramid.frames0
+        coarse = next(
+            (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
+        )
+        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scale(self._level)
+        side = max(frames[0].shape)
+        depth = self.run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
+        low, high = np.percentile(depth, COMMON) / self._pyramid.scale(coarse)
+        return low, high
+
+    def run(self, level: int, low: float, high: float) -> np.ndarray:
+        """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
+        pyramid = self._pyramid
+        frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+        scale, width_height = pyramid.scale(level), frame0.shape[::-1]
+        guess = cv2.resize(self._guess, width_height) * np.float32(
+            scale / pyramid.scale(self._level)
+        )
+        return swept(
+            frame0,
+            frame1,
+            self._motion,
+            self._camera.scaled(scale, *pyramid.frames0[0].shape),
+            np.arange(low * scale, high * scale + 1),
+            guess,
+            cv2.resize(self._trust, width_height),
+        )
+
+
+def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the inverse depth whose epipolar point is nearest to a flow, at every pixel.
+
+    Near the epipole, where depth moves pixels by little, it is that of the surroundings.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) float32
+        px/frame.
+    motion : (3, 4) array
+        R and t.
+    camera : Camera
+        Of the flow's level.
+
+    Returns
+    -------
+    (H, W) float32
+        D = f·d, px/frame.
+    """
+    height, width = flow.shape[:2]
+    flow = np.nan_to_num(flow.astype(np.float32), nan=0, posinf=0, neginf=0)  # where it diverged
+    x, y = _rays(height, width, camera)
+    rotation, translation = motion[:, :3].astype(np.float32), motion[:, 3].astype(np.float32)
+    p1, p2, p3 = (row[0] * x + row[1] * y + row[2] for row in rotation)
+    x = x + flow[..., 0] / np.float32(camera.focal)
+    y = y + flow[..., 1] / np.float32(camera.focal)
+    # x p₃ = p₁ and y p₃ = p₂, p = R x̂ + d t, are linear in d.
+    along_x, along_y = translation[0] - x * translation[2], translation[1] - y * translation[2]
+    pulled = (x * p3 - p1) * along_x + (y * p3 - p2) * along_y
+    square = along_x**2 + along_y**2
+    window = (AROUND, AROUND)
+    pulled += PULL * cv2.blur(pulled, window)
+    square += PULL * cv2.blur(square, window) + np.float32(1e-9)
+    return cv2.medianBlur(np.float32(camera.focal) * (pulled / square), MEDIAN)
+
+
+def swept(
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    motion: np.ndarray,
+    camera: Camera,
+    hypotheses: np.ndarray,
+    guess: np.ndarray,
+    trust: np.ndarray,
+) -> np.ndarray:
+    """Return the best of some inverse depths at every pixel, along paths that seldom jump.
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) float32
+        Grey levels.
+    motion : (3, 4) array
+        R and t.
+    camera : Camera
+        Of the frames' level.
+    hypotheses : (N,) array
+        D, px/frame, evenly spaced and positive; at least 2.
+    guess, trust : (H, W) float32
+        Inverse depth that is likely, and how likely, in [0, 1].
+
+    Returns
+    -------
+    (H, W) float32
+        D, finer than the hypotheses are apart.
+
+    References
+    ----------
+    Collins, "A space-sweep approach to true multi-image matching", CVPR 1996; Hirschmüller,
+    "Stereo processing by semiglobal matching and mutual information", PAMI 2008,
+    doi 10.1109/TPAMI.2007.1166.
+    """
+    height, width = frame0.shape
+    count, wide = len(hypotheses), lanes()
+    padded = -(-count // wide) * wide
+    unit = max(mean_step(frame0), FAINTEST)
+    cost = aligned_empty((height, width, padded))
+    cost[..., count:] = FORBIDDEN
+    matching_cost(
+        _features(frame0, unit),
+        _features(frame1, unit),
+        guess,
+        DOUBTED + TRUSTED * trust,
+        motion.astype(np.float32),
+        cost,
+        center=camera.center_for(height, width),
+        focal=camera.focal,
+        first=float(hypotheses[0]),
+        step=float(hypotheses[1] - hypotheses[0]),
+        count=count,
+        near=NEAR,
+    )
+    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
+    cost[_hidden(depth, motion, camera)] *= HIDDEN
+    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
+    return cv2.medianBlur(depth, MEDIAN)
+
+
+def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray, wide: int) -> np.ndarray:
+    height, width, padded = cost.shape
+    shape = (height, width, padded // wide, wide) if wide > 1 else cost.shape
+    total = aligned_empty(cost.shape)
+    aggregate(cost.reshape(shape), guide, total.reshape(shape), step=STEP, jump=JUMP, edge=EDGE)
+    best = np.empty((height, width), np.float32)
+    cheapest(total, best, count=len(hypotheses))
+    spacing = hypotheses[1] - hypotheses[0]
+    return np.float32(hypotheses[0]) + np.float32(spacing) * best
+
+
+def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return which pixels leave the image or lie behind others in frame 1, (H, W) bool."""
+    height, width = depth.shape
+    x, y = _rays(height, width, camera)
+    moved = np.stack(np.broadcast_arrays(x, y, np.float32(1)))
+    moved = np.einsum("ij,jhw->ihw", motion[:, :3].astype(np.float32), moved)
+    moved += depth * (motion[:, 3] / camera.focal).astype(np.float32)[:, None, None]
+    cx, cy = camera.center_for(height, width)
+    nearness = 1 / np.maximum(moved[2], np.float32(NEAREST))
+    columns = np.rint(cx + camera.focal * moved[0] * nearness)
+    rows = np.rint(cy + camera.focal * moved[1] * nearness)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    columns, rows = columns[inside].astype(np.int32), rows[inside].astype(np.int32)
+    after = depth * nearness  # D of frame 1
+    nearest: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
+    np.maximum.at(nearest, (rows, columns), after[inside])
+    # Rounding leaves gaps in a surface that is stretched.
+    around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
+    hidden: np.ndarray = ~inside
+    hidden[inside] = around[rows, columns] > after[inside] + BEHIND
+    return hidden
+
+
+def _features(frame: np.ndarray, unit: float) -> np.ndarray:
+    """Return brightness and four times its derivatives, as multiples of what costs most."""
+    features = aligned_zeros((*frame.shape, 4))
+    largest = COST * unit
+    features[..., 0] = frame / np.float32(largest)
+    for k, order in enumerate(((1, 0), (0, 1))):
+        features[..., 1 + k] = cv2.Sobel(frame, cv2.CV_32F, *order, scale=4 / 8 / largest)
+    return features
+
+
+def _rays(height: int, width: int, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return x̂, (W,), and ŷ, (H, 1), float32."""
+    cx, cy = camera.center_for(height, width)
+    x = (np.arange(width) - cx) / camera.focal
+    y = (np.arange(height)[:, None] - cy) / camera.focal
+    return x.astype(np.float32), y.astype(np.float32)

@@ -1,0 +1,420 @@
+"""Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from tisfm.camera import Camera
+from tisfm.kernels.layout.images import image_to_lanes, multiply
+from tisfm.kernels.layout.lanes import on_host
+from tisfm.kernels.layout.launch import Replay
+from tisfm.kernels.rigid.epipolar import along, displacement
+from tisfm.kernels.rigid.motion_system import motion_system
+from tisfm.motion.egomotion import spin_prior
+from tisfm.settings import Settings
+from tisfm.solver.half_quadratic import Iteration
+from tisfm.solver.image_pyramid import Pyramid
+from tisfm.solver.unknowns import Field, LaneData
+from tisfm.visibility.confidence import ROUNDING, median
+
+REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
+HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
+MEDIAN = 5  # px, a window for depth after each linearisation
+QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
+WARPS = 3  # linearisations on the last level for one of the field's
+OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
+WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
+TINY = 1e-12
+# Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
+# then lie within one. Neither errors of the motion nor of the model are in it.
+CALIBRATION = 0.75
+SUREST = np.float32(0.001)  # px: the least deviation
+SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
+
+Refinement = Literal["none", "translation", "motion"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidSolution:
+    """What coarse to fine leaves.
+
+    Attributes
+    ----------
+    motions : (K, 3, 4) float64
+        R and t of each motion; t of a length such that D is in px/frame, as an average.
+    inverse_depth : (H, W) float32
+        D = f·d, signed.
+    evidence : (7, h, w) float32
+        Of `tisfm.kernels.solve.data_precision`, on the level that it ended on.
+    density : float
+        Sampling density of that level over the finest's.
+    history : list of (level, warp, Iteration)
+    converged : bool
+    """
+
+    motions: np.ndarray
+    inverse_depth: np.ndarray
+    evidence: np.ndarray
+    density: float
+    history: list[tuple[int, int, Iteration]]
+    converged: bool
+
+    def deviation(self) -> np.ndarray:
+        """Return the standard deviation of D, (H, W) float32.
+
+        That of a linear problem with constant coefficients, where data of precision A at every
+        pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
+        nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
+        pixel's edges weigh, and the unit is the residual there.
+        """
+        window, evidence = (WINDOW, WINDOW), self.evidence
+        precision = cv2.blur(evidence[0], window)
+        precision += TINY
+        residual = cv2.blur(evidence[3], window)
+        # Where nothing is seen, nothing is violated either.
+        seen = evidence[0] > ROUNDING * evidence[0].max()
+        usual = median(evidence[3][seen]) if seen.any() else 0.0
+        np.maximum(residual, usual, out=residual)
+        spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
+        precision *= spread
+        np.reciprocal(precision, out=precision)
+        np.log1p(precision, out=precision)
+        precision *= spread
+        precision *= residual
+        np.sqrt(precision, out=precision)
+        precision *= np.float32(CALIBRATION)
+        deviation = np.maximum(precision, SUREST, out=precision)
+        height, width = self.inverse_depth.shape
+        if deviation.shape == (height, width):
+            return deviation
+        return cv2.resize(deviation, (width, height)) / np.float32(self.density)
+
+
+def rigid_depth(
+    pyramid: Pyramid,
+    settings: Settings,
+    camera: Camera,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    *,
+    refine: Refinement = "motion",
+    support: np.ndarray | None = None,
+    start: tuple[int, np.ndarray] | None = None,
+) -> RigidSolution:
+    """Estimate the inverse depth of every pixel, from coarse to fine.
+
+    The data are those of `coarse_to_fine`, weighted as `settings.depth_brightness`,
+    `settings.gradient` and `settings.depth_normalization` say and seen along epipolar lines only;
+    displacements are exact. The unknown is in px/frame, whatever the motion, because translations
+    are given a length by which D moves a pixel, on average, by D px/frame. An edge between two
+    labels carries no smoothness.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+        Of the finest level.
+    motions : (K, 3, 4) array
+        R and t of each motion.
+    labels : (H, W) int array
+        Which motion a pixel has.
+    refine : {"none", "translation", "motion"}
+        What of the motions is refined on the finer levels, jointly with depth.
+    support : (H, W) bool array, optional
+        Where the data count, by default everywhere; elsewhere depth is continued smoothly.
+    start : (int, (h, w) float32), optional
+        The level to start on and D there, for motions of the length that `scaled_translations`
+        gives them; by default the coarsest level, and zero.
+    """
+    motions = scaled_translations(motions, labels, camera)
+    history: list[tuple[int, int, Iteration]] = []
+    coarse: Field | None = None
+    noise = np.zeros(len(motions))
+    coarsest, depth = (pyramid.levels - 1, None) if start is None else start
+    warps = [settings.warps * WARPS] + coarsest * [
+        settings.coarse_warps if start is None else settings.warps
+    ]
+    last = min(pyramid.last(settings), coarsest)
+    for level in reversed(range(last, coarsest + 1)):
+        field = pyramid.field(level, 1, coarse)
+        if level == coarsest and depth is not None:
+            field.set_images(depth[None])
+        focal = camera.focal * pyramid.scale(level)
+        state = _Level(pyramid, level, field, labels, focal, settings, support, count=len(motions))
+        for warp in range(warps[level - last]):
+            restricted = state.linearise(motions)
+            state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
+            iterations, converged = state.minimiser.minimise(restricted)
+            history += [(level, warp, iteration) for iteration in iterations]
+            state.despeckle()
+            noise = state.noise(motions)
+            if refine != "none" and (level == last or pyramid.scale(level) >= REFINED):
+                unknowns = 6 if refine == "motion" else 3
+                motions = state.refined(motions, unknowns, noise)
+        coarse = field
+    state.minimiser.renew(restricted)  # depth was despeckled
+    return RigidSolution(
+        motions=motions,
+        inverse_depth=pyramid.images(field, last)[0],
+        evidence=state.minimiser.evidence(),
+        density=pyramid.scale(last),
+        history=history,
+        converged=converged,
+    )
+
+
+def residual_under(
+    pyramid: Pyramid,
+    settings: Settings,
+    camera: Camera,
+    motion: np.ndarray,
+    inverse_depth: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how badly one motion and depth meet the images, and their flow.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    settings : Settings
+    camera : Camera
+        Of the finest level.
+    motion : (3, 4) array
+        R and t, of the length that `inverse_depth` is for.
+    inverse_depth : (H, W) float32
+        D.
+
+    Returns
+    -------
+    residual : (H, W) float32
+        Squared, px²; 0 where the flow leaves the image.
+    flow : (2, H, W) float32
+    """
+    field = pyramid.field(0, 1, None)
+    field.set_images(inverse_depth[None])
+    labels = np.zeros(inverse_depth.shape, np.int32)
+    state = _Level(pyramid, 0, field, labels, camera.focal, settings, count=1)
+    restricted = state.linearise(motion[None])
+    state.minimiser.renew(restricted)
+    return state.minimiser.residual(), field.to_images(state.flow)
+
+
+class _Level:
+    """One level of the pyramid: depth, labels and data."""
+
+    def __init__(
+        self,
+        pyramid: Pyramid,
+        level: int,
+        field: Field,
+        labels: np.ndarray,
+        focal: float,
+        settings: Settings,
+        support: np.ndarray | None = None,
+        *,
+        count: int,
+    ) -> None:
+        self._field, self._focal = field, focal
+        grid = field.grid
+        size = (grid.width, grid.height)
+        resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+        self._labels = grid.allocate(1)
+        if count > 1:
+            image_to_lanes(grid, resized, self._labels)
+        self._label_image = resized
+        self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
+        inside = grid.inside()[0, self._rows, 1:-1]
+        sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        self._samples = [np.flatnonzero(sample == label) for label in range(count)]
+        if labels.any():
+            multiply(grid, _within(field, resized), field.edges)
+        counted: np.ndarray | None = None
+        if support is not None:
+            counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        elif labels.any() and pyramid.scale(level) >= REFINED:
+            # Stencils that reach over a boundary see two motions.
+            counted = (~_mixed(resized)).astype(np.float32)
+        self._support: LaneData | None = None
+        if counted is not None:
+            self._support = grid.allocate(1)
+            image_to_lanes(grid, np.sqrt(counted), self._support)  # of what is squared
+        self._data_term = pyramid.data_term(level, grid, settings, depth=True)
+        self.minimiser = pyramid.minimiser(
+            field,
+            self._data_term,
+            settings,
+            alpha=settings.depth_smoothness,
+            contrast=settings.contrast_for(focal),
+            stiffness=(1.0,),
+        )
+        self.flow, self._direction = (grid.allocate(2, zeros=False) for _ in range(2))
+        self._restricted = grid.allocate(3 * self._data_term.constraints)
+        self._terms: LaneData | None = None
+        self._motions = np.zeros((count, 3, 4), np.float32)
+        self._linearise = Replay(self._linearisation(), on_device=grid.on_device)
+
+    def _linearisation(self) -> Callable[[], LaneData]:
+        """Return what is launched again and again, without a reference to this object."""
+        field, data_term, support = self._field, self._data_term, self._support
+        flow, direction, restricted = self.flow, self._direction, self._restricted
+        labels, motions, focal = self._labels, self._motions, self._focal
+        x_hat, y_hat, depth = field.x_hat, field.y_hat, field.rho
+
+        def linearise() -> LaneData:
+            displacement(
+                field.grid, depth, labels, x_hat, y_hat, flow, direction,
+                motions=motions, focal=focal,
+            )  # fmt: skip
+            terms = data_term.linearise(flow)
+            along(field.grid, terms, flow, direction, depth, restricted)
+            if support is not None:
+                multiply(field.grid, support, restricted)
+            return terms
+
+        return linearise
+
+    def linearise(self, motions: np.ndarray) -> LaneData:
+        """Return the data about the current depth, restricted to epipolar lines."""
+        self._motions[...] = motions
+        self._terms = self._linearise()
+        return self._restricted
+
+    def despeckle(self) -> None:
+        """Replace depth by its median over a small window: single pixels go their own way."""
+        depth = self._field.images()[0]
+        alone = len(self._motions) == 1
+        medians = (
+            cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
+        )
+        image_to_lanes(self._field.grid, medians, self._field.rho)
+
+    def noise(self, motions: np.ndarray) -> np.ndarray:
+        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
+
+        Of a sample of rows, and with the weights that the last iteration solved for.
+        """
+        depth = on_host(self._field.rho)[0, self._rows, 1:-1]
+        tensor = on_host(self.minimiser.tensor)[:, self._rows, 1:-1]
+        residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
+        noise = np.zeros(len(motions))
+        for label, motion in enumerate(motions):
+            mine = residual.ravel()[self._samples[label]]
+            if mine.size and motion[:, 3].any():
+                noise[label] = np.sqrt(max(median(mine), 0))
+        return noise
+
+    def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
+        """Return the motions after a step of Gauss–Newton on the last linearisation."""
+        field = self._field
+        motions = motions.copy()
+        current = motions.astype(np.float32)
+        for label, motion in enumerate(motions):
+            matrix, vector = motion_system(
+                field.grid,
+                self._terms,
+                field.rho,
+                self._labels,
+                self.minimiser.weights,
+                field.x_hat,
+                field.y_hat,
+                motions=current,
+                label=label,
+                focal=self._focal,
+                scales=self._data_term.scales,
+                alpha=HELD * self.minimiser.alpha,
+                tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
+            )
+            if label > 0:  # objects hardly spin relative to the background
+                stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
+                matrix[3:, 3:] += stiffness * np.eye(3)
+                vector[3:] -= stiffness * offset
+            motions[label] = _stepped(motion, matrix, vector, unknowns)
+        return motions
+
+
+def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the motions with translations of a length that makes |∂(u, v)/∂D| 1 on average.
+
+    That is the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the pixels of each label. A
+    translation of zero stays.
+    """
+    height, width = labels.shape
+    cx, cy = camera.center_for(height, width)
+    stride = max(1, int((height * width / SAMPLES) ** 0.5))
+    x = (np.arange(0, width, stride) - cx) / camera.focal
+    y = (np.arange(0, height, stride)[:, None] - cy) / camera.focal
+    seen = labels[::stride, ::stride]
+    scaled = np.array(motions, np.float64)
+    for label, motion in enumerate(scaled):
+        t1, t2, t3 = motion[:, 3]
+        square = (t1 - x * t3) ** 2 + (t2 - y * t3) ** 2
+        mine = seen == label
+        length = float(np.sqrt(square[mine].mean() if mine.any() else square.mean()))
+        if length > 0:
+            motion[:, 3] /= length
+    return scaled
+
+
+def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the median of a window around every pixel, of the pixels of its own label only.
+
+    Parameters
+    ----------
+    values : (H, W) float32
+    labels : (H, W) float32
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    medians = cv2.medianBlur(values, MEDIAN)
+    mixed = _mixed(labels)
+    if mixed.any():
+        own, around = (
+            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[mixed]
+            for image in (labels, values)
+        )
+        alike = own == labels[mixed][:, None, None]
+        around = np.where(alike, around, np.nan).reshape(len(around), -1)
+        medians[mixed] = np.nanmedian(around, axis=1)
+    return medians
+
+
+def _mixed(labels: np.ndarray) -> np.ndarray:
+    """Return where a window around a pixel holds more than one label, (H, W) bool."""
+    window = np.ones((MEDIAN, MEDIAN), np.uint8)
+    return cv2.erode(labels, window) != cv2.dilate(labels, window)
+
+
+def _stepped(
+    motion: np.ndarray, matrix: np.ndarray, vector: np.ndarray, unknowns: int
+) -> np.ndarray:
+    """Return a motion after the step that its normal equations ask for, ‖t‖ kept."""
+    translation = motion[:, 3]
+    length = np.linalg.norm(translation)
+    if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
+        return motion
+    # Along t the scale changes, which nothing tells: hold it.
+    along_t = np.concatenate([translation / length, np.zeros(3)])
+    matrix = matrix + (np.trace(matrix) + 1e-30) * (np.outer(along_t, along_t) + 1e-9 * np.eye(6))
+    step = np.zeros(6)
+    step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
+    turn = cv2.Rodrigues(step[3:])[0]
+    moved = turn @ translation + step[:3]
+    return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
+
+
+def _within(field: Field, labels: np.ndarray) -> LaneData:
+    """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
+    grid = field.grid
+    same = np.zeros((2, *labels.shape), np.float32)
+    same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
+    same[1, :-1] = labels[1:] == labels[:-1]
+    out = grid.allocate(2)
+    for component, edges in enumerate(same):
+        image_to_lanes(grid, edges, out, component=component)
+    return out

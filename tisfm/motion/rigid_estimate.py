@@ -1,0 +1,150 @@
+"""What rigid motions and depth leave of a pair: twists, inverse depth, ρ̂."""
+
+import numpy as np
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.interpretation import Status
+from tisfm.kernels.layout.lanes import aligned_empty
+from tisfm.kernels.model.readout import rigid_fields
+from tisfm.motion.field import Reading, ended
+from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.rigid import rigid_twist
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import Iteration, Pyramid
+
+
+def with_depth(
+    solution: RigidSolution,
+    labels: np.ndarray,
+    camera: Camera,
+    settings: Settings,
+    *,
+    unit: float | None = None,
+    unseen: int | None = None,
+) -> Reading:
+    """Bring a solution to ‖T‖ = 1 and depth in that unit.
+
+    Parameters
+    ----------
+    solution : RigidSolution
+    labels : (H, W) int32
+        Which of its motions a pixel has.
+    camera : Camera
+    settings : Settings
+    unit : float, optional
+        ‖t‖ of a given motion, in whose unit depth then is.
+    unseen : int, optional
+        The label whose parallax is too little to return its depth.
+    """
+    twists = np.empty((len(solution.motions), 6))
+    for_twist = np.empty(len(twists), np.float32)  # d over D, for ‖T‖ = 1
+    for_output = np.empty(len(twists), np.float32)
+    for label, motion in enumerate(solution.motions):
+        length = float(np.linalg.norm(motion[:, 3]))
+        if length == 0:
+            twists[label] = rigid_twist(motion[:, :3], np.zeros(3))
+            for_twist[label] = for_output[label] = 0
+            continue
+        twist = rigid_twist(motion[:, :3], motion[:, 3] / length)
+        speed = float(np.linalg.norm(twist[:3]))  # ‖T‖ of ‖t‖ = 1
+        twists[label] = [*(twist[:3] / speed), *twist[3:]]
+        for_twist[label] = length * speed / camera.focal
+        for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
+    if unseen is not None:
+        for_twist[unseen] = for_output[unseen] = 0
+    factor = for_output[labels] if len(for_output) > 1 else for_output[0]
+    deviation = solution.deviation()
+    deviation *= factor
+    np.copyto(deviation, np.inf, where=factor == 0)
+    flow, rho = _fields(solution.inverse_depth, labels, solution.motions, twists, for_twist, camera)
+    return Reading(
+        rho=rho,
+        flow=flow,
+        inverse_depth=solution.inverse_depth * factor,
+        inverse_depth_std=deviation,
+        evidence=solution.evidence,
+        normalized=settings.depth_normalization is not None,
+        freedom=1,
+        history=solution.history,
+        status=ended(solution.history, solution.converged, settings),
+        motions=twists,
+        labels=labels,
+    )
+
+
+def without_depth(
+    pyramid: Pyramid,
+    camera: Camera,
+    settings: Settings,
+    *,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    status: Status,
+    history: list[tuple[int, int, Iteration]],
+) -> Reading:
+    """Return the flow of a rotation, without depth; the translation is only reported."""
+    height, width = pyramid.frames0[0].shape
+    field = pyramid.field(0, 2, None)
+    data_term = pyramid.data_term(0, field.grid, settings)
+    minimiser = pyramid.minimiser(
+        field,
+        data_term,
+        settings,
+        alpha=settings.alpha,
+        contrast=settings.contrast_for(camera.focal),
+        stiffness=(1.0, 1.0),
+    )
+    twists = rigid_twist(rotation, translation)[None]
+    if twists[0, :3].any():
+        twists[0, :3] /= np.linalg.norm(twists[0, :3])
+    nothing, labels = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
+    motion = np.column_stack([rotation, np.zeros(3)])
+    flow, rho = _fields(nothing, labels, motion[None], twists, np.zeros(1), camera)
+    field.set_images(flow)
+    minimiser.renew(data_term.linearise(field.flow(field.grid.allocate(2))))
+    return Reading(
+        rho=rho,
+        flow=flow,
+        inverse_depth=nothing,
+        inverse_depth_std=np.full_like(nothing, np.inf),
+        evidence=minimiser.evidence(),
+        normalized=settings.normalization is not None,
+        freedom=2,
+        history=history,
+        status=status,
+        motions=twists,
+        labels=labels,
+    )
+
+
+def _fields(
+    inverse_depth: np.ndarray,
+    labels: np.ndarray,
+    motions: np.ndarray,
+    twists: np.ndarray,
+    for_twist: np.ndarray,
+    camera: Camera,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flow of motions, (2, H, W), and the ρ̂ of their twists, (6, H, W).
+
+    `for_twist` takes each motion's inverse depth to that of its twist.
+    """
+    height, width = inverse_depth.shape
+    cx, cy = camera.center_for(height, width)
+    flow, rho = (aligned_empty((n, height, width)) for n in (2, 6))
+    scaled = camera.focal * twists
+    scaled[:, :3] *= for_twist[:, None]
+    rigid_fields(
+        inverse_depth,
+        labels,
+        ((np.arange(width) - cx) / camera.focal).astype(np.float32),
+        ((np.arange(height) - cy) / camera.focal).astype(np.float32),
+        flow,
+        rho,
+        motions=motions,
+        twists=scaled,
+        focal=camera.focal,
+        by_pixel=runtime.on_gpu(),
+    )
+    return flow, rho

@@ -1,0 +1,88 @@
+"""Frames as cubic splines: what their values between pixels are read from."""
+
+import math
+
+import cv2
+import numpy as np
+
+from tisfm import runtime
+
+_POLE = math.sqrt(3) - 2
+_REACH = 12  # px: what lies farther has a weight below 1e-7, less than float32 resolves
+# The inverse of the filter (1, 4, 1)/6, by which coefficients give values at pixels.
+_INVERSE = math.sqrt(3) * _POLE ** np.abs(np.arange(-_REACH, _REACH + 1))
+
+
+def spline_coefficients(image: np.ndarray) -> np.ndarray:
+    """Return the coefficients of the cubic B-spline through all pixels of an image.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Mirrored at the centres of its border pixels.
+
+    Returns
+    -------
+    (H, W) float32
+
+    References
+    ----------
+    Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing
+    Magazine 16 (1999) 22–38, doi 10.1109/79.799930.
+    """
+    return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
+
+
+def spline_taps(image: np.ndarray) -> np.ndarray:
+    """Return the coefficients of an image's spline as the kernels take them, four at once.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+
+    Returns
+    -------
+    ((H + 3)·W, 4) float32
+        Row r·W + x holds the coefficients of columns x − 1 to x + 2 in row r − 1: those of a
+        sample between rows y and y + 1 and columns x and x + 1 are in r = y to y + 3. Beyond the
+        border they are mirrored at the centres of its pixels. Aligned.
+    """
+    from tisfm.kernels.layout.lanes import aligned_empty
+
+    height, width = image.shape
+    coefficients = cv2.copyMakeBorder(
+        spline_coefficients(image), 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101
+    )
+    taps = aligned_empty(((height + 3) * width, 4))
+    shifted = [coefficients[:, k : k + width] for k in range(4)]
+    cv2.merge(shifted, taps.reshape(height + 3, width, 4))
+    return taps
+
+
+def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) -> np.ndarray:
+    """Return an image sampled where a flow leads, by its cubic spline; beyond, it repeats.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    flow : (2, H, W) float32
+        (u, v), px; finite.
+    taps : ((H + 3)·W, 4) float32, optional
+        Its `spline_taps`, if they are at hand.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    grid = runtime.lane_grid(*image.shape)  # before kernels are imported: it starts Taichi
+    from tisfm.kernels.data.warp import warp
+    from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
+    from tisfm.kernels.layout.lanes import aligned_empty
+
+    motion, inside, warped = (grid.allocate(n, zeros=False) for n in (2, 1, 1))
+    for component, values in enumerate(flow):
+        image_to_lanes(grid, values, motion, component=component)
+    warp(grid, image, spline_taps(image) if taps is None else taps, motion, warped, inside)
+    out = aligned_empty(image.shape)
+    lanes_to_images(grid, warped, out[None])
+    return out

@@ -1,0 +1,43 @@
+"""Where the image has edges, motion may have them: the image-driven factor of the smoothness."""
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.data.image_edges import image_edges
+from tisfm.kernels.layout.lanes import LaneGrid
+from tisfm.solver.unknowns import LaneData
+
+FAINTEST = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
+
+
+def mean_step(frame: np.ndarray) -> float:
+    """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast."""
+    height, width = frame.shape
+    count = height * (width - 1) + (height - 1) * width
+    total = cv2.norm(frame[:, 1:], frame[:, :-1], cv2.NORM_L1) if width > 1 else 0.0
+    total += cv2.norm(frame[1:], frame[:-1], cv2.NORM_L1) if height > 1 else 0.0
+    return total / max(count, 1)
+
+
+def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> LaneData:
+    """Return g = c/(1 + κ|ΔI|/m) of every edge, m the mean of |ΔI|, c such that the mean of g is 1.
+
+    It depends on the contrast of an edge relative to those of the whole frame alone, and leaves
+    the smoothness, on average, as strong as it is without.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    frame : (H, W) float32
+        Grey levels.
+    strength : float
+        κ; 0 for g = 1.
+
+    Returns
+    -------
+    lane array, 2 components
+        Eastern and southern edges; 0 across the border.
+    """
+    out = grid.allocate(2)
+    image_edges(grid, frame, out, rate=strength / max(mean_step(frame), FAINTEST))
+    return out
