@@ -1,27 +1,23 @@
 """The processes that run other libraries' methods, and the environment they need."""
 
-import contextlib
 import json
 import os
 import subprocess
 import sys
-import threading
 import venv
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
 
 import cv2
 import numpy as np
 
 from bench.shared.contest import Call, MethodFailure
 from bench.shared.sequences import FlowPair
+from bench.shared.worker import LAST_WORDS, Worker, WorkerDied
 
 WORKER = Path(__file__).with_name("peer_worker.py")
 PACKAGES = ("opencv-contrib-python-headless", "scikit-image", "numpy")
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-LAST_WORDS = 3  # lines of a dead worker's messages
 
 
 def prepare(folder: Path) -> Path:
@@ -97,73 +93,29 @@ class Peer:
         self, name: str, *, python: Path, threads: int, folder: Path, timeout: float = 900.0
     ) -> None:
         self.name = name
-        self._command: Sequence[str | Path] = [python, WORKER, "serve", name, str(threads)]
-        self._environment = os.environ | dict.fromkeys(POOLS, str(threads))
-        self._folder, self._timeout = folder, timeout
-        self._messages = folder / f"{_file_name(name)}.txt"
-        self._process: subprocess.Popen[str] | None = None
+        self._folder = folder
+        self._worker = Worker(
+            [python, WORKER, "serve", name, str(threads)],
+            environment=os.environ | dict.fromkeys(POOLS, str(threads)),
+            messages=folder / f"{_file_name(name)}.txt",
+            timeout=timeout,
+        )
 
     def run(self, pair: FlowPair) -> Call:
         """Return the flow of a pair, or raise `MethodFailure`; frames are given in grey."""
         flow = self._folder / f"{_file_name(self.name)}.npy"
         frames = [_stored_grey(self._folder, pair, index) for index in (0, 1)]
-        if self._process is None:
-            self._start()
-        answer = self._ask({"frames": [str(path) for path in frames], "flow": str(flow)})
+        try:
+            answer = self._worker.ask({"frames": [str(path) for path in frames], "flow": str(flow)})
+        except WorkerDied as death:
+            raise MethodFailure(str(death)) from None
         if "error" in answer:
             raise MethodFailure(answer["error"])
         return Call(flow=np.load(flow), seconds=answer["seconds"], cpu=answer["cpu"])
 
     def close(self) -> None:
         """End the worker."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            process.wait()
-            for pipe in (process.stdin, process.stdout):
-                _close(pipe)
-
-    def _start(self) -> None:
-        with self._messages.open("w", encoding="utf-8") as messages:
-            self._process = subprocess.Popen(
-                self._command,
-                env=self._environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=messages,
-                text=True,
-                encoding="utf-8",
-            )
-        self._ask(None)
-
-    def _ask(self, request: dict[str, Any] | None) -> dict[str, Any]:
-        process = self._process
-        assert process is not None and process.stdin is not None and process.stdout is not None
-        alarm = threading.Timer(self._timeout, process.kill)
-        alarm.start()
-        try:
-            if request is not None:
-                process.stdin.write(json.dumps(request) + "\n")
-                process.stdin.flush()
-            line = process.stdout.readline()
-        except OSError:  # the pipe is broken
-            line = ""
-        finally:
-            late = not alarm.is_alive()
-            alarm.cancel()
-        if not line:
-            reason = self._end_of(process, late)
-            self.close()
-            raise MethodFailure(reason)
-        return json.loads(line)
-
-    def _end_of(self, process: "subprocess.Popen[str]", late: bool) -> str:
-        if late:
-            return f"its process was ended after {self._timeout:g} s without an answer"
-        code = process.wait()
-        words = self._messages.read_text(encoding="utf-8", errors="replace").strip()
-        last = " ".join(words.splitlines()[-LAST_WORDS:])
-        return f"its process died with status {code}" + (f": {last}" if last else "")
+        self._worker.close()
 
 
 def _stored_grey(folder: Path, pair: FlowPair, index: int) -> Path:
@@ -178,9 +130,3 @@ def _stored_grey(folder: Path, pair: FlowPair, index: int) -> Path:
 
 def _file_name(name: str) -> str:
     return name.replace(" ", "-")
-
-
-def _close(pipe: IO[str] | None) -> None:
-    if pipe is not None:
-        with contextlib.suppress(OSError):  # what was left in it cannot be written any more
-            pipe.close()

@@ -82,12 +82,26 @@ def test_bars(given, met):
     assert f"- {held[0]}" in scaling.report(large(**given))
 
 
-def test_the_bar_of_the_fast_preset_is_at_the_size_of_the_peer():
+def test_the_fast_preset_stands_beside_the_peer_at_its_size_without_a_bar():
     run = large("fast")
-    assert [bar.bound for bar in scaling_bars.bars(run)] == [2.2, 1.15, 3.0]
+    assert [bar.bound for bar in scaling_bars.bars(run)] == [None, 1.15, 3.0]
     for entry in run["runs"]:
         entry["peer"]["times"] = [0.01] * 3
-    assert not next(scaling_bars.bars(run)).met
+    beside = next(scaling_bars.bars(run))
+    assert beside.value == pytest.approx(MIDDLE * 400e-9 / 0.01)
+    assert str(beside).startswith("also")
+
+
+def test_growth_is_that_of_the_same_rounds():
+    run = large()
+    slow = {"480x640": (1, 3, 3), "1080x1920": (1, 3, 1)}  # a machine that was busy for a while
+    for entry in run["runs"]:
+        for size, factors in slow.items():
+            entry["times"][size] = [
+                t * factor for t, factor in zip(entry["times"][size], factors, strict=True)
+            ]
+    (growth,) = (bar for bar in scaling_bars.bars(run) if "growth" in bar.name)
+    assert growth.value == pytest.approx(1)
 
 
 def test_calls_take_turns_and_quick_ones_are_doubled(monkeypatch):

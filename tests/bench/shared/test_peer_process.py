@@ -34,8 +34,8 @@ def test_a_worker_gives_flow_and_starts_again_after_it_died(dis):
     first, second = scene_pairs(96, 128)
     expected = dis.run(first).flow
     assert score(expected, first, dis.name).epe < 1
-    dis._process.kill()
-    dis._process.wait()
+    dis._worker._process.kill()
+    dis._worker._process.wait()
     with pytest.raises(MethodFailure, match="its process died with status"):
         dis.run(second)
     np.testing.assert_array_equal(dis.run(first).flow, expected)
