@@ -16,7 +16,7 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
 )
 from tisfm.kernels.model.edges import component_table, weight_sets
-from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.solve.relaxation import BAND, relax_at
 
 
