@@ -14,7 +14,7 @@ from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 LARGEST = 1e15  # grey levels: squares of derivatives have to be numbers of float32
@@ -85,53 +85,54 @@ def interpret(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.motion.camera import camera_reading
-    from tisfm.motion.field import field_reading, history_of
-    from tisfm.motion.objects.estimation import objects_reading
-    from tisfm.solver.image_pyramid import Pyramid
+    from tisfm.motion.camera import camera_estimate
+    from tisfm.motion.estimate import history_of
+    from tisfm.motion.field import field_estimate
+    from tisfm.motion.objects.estimation import objects_estimate
+    from tisfm.motion.problems import pyramid_of
 
+    runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
     lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         camera = camera.pinhole()
-    pyramid = Pyramid(grey0, grey1, camera, settings)
     overflow = overflown(grey0, grey1)
+    pyramid = pyramid_of(grey0, grey1, camera, settings)
     if settings.motion == "field":
         del grey0, grey1  # the pyramid has its own
-        reading = field_reading(pyramid, settings)
+        estimate = field_estimate(pyramid, settings)
     elif settings.motion == "camera":
-        reading = camera_reading(pyramid, camera, settings, known)
+        estimate = camera_estimate(pyramid, settings, known)
     else:
-        reading = objects_reading(pyramid, camera, settings, grey0)
-    flow = reading.flow
+        estimate = objects_estimate(pyramid, settings, grey0)
+    flow, deviation = estimate.flow, estimate.inverse_depth_std
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
-        level = 0 if settings.motion == "objects" else pyramid.last(settings)
-        unseen = pyramid.occlusion(flow, leaves, level=level)
+        unseen = occlusion_in(pyramid, flow, settings, leaves=leaves, level=estimate.level)
         if lens is not None:
             unseen |= lens.missing(flow)
-        if reading.inverse_depth_std is not None:
-            reading.inverse_depth_std[unseen] = np.inf
+        if deviation is not None:
+            deviation[unseen] = np.inf
         trust = confidence(
-            reading.evidence, unseen, normalized=reading.normalized, freedom=reading.freedom
+            estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
         )
-    status = reading.status
+    status = estimate.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = overflow or diverged(flow, leaves) or status
     return Interpretation(
-        rho=reading.rho,
+        rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
-        inverse_depth=reading.inverse_depth,
-        inverse_depth_std=reading.inverse_depth_std,
+        inverse_depth=estimate.inverse_depth,
+        inverse_depth_std=deviation,
         confidence=trust,
         occlusion=unseen,
-        motions=reading.motions,
-        labels=reading.labels,
+        motions=estimate.motions,
+        labels=estimate.labels,
         frame=frame,
         camera=camera,
         settings=settings,
         status=status,
-        history=history_of(reading.history),
+        history=history_of(estimate.history),
         version=__version__,
     )
 

@@ -22,14 +22,13 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.kernels.layout.lanes import LaneGrid
-from tisfm.kernels.solve.relaxation import sweep
-from tisfm.kernels.solve.weight_update import advance
+from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.settings import PAPER_SMOOTHNESS
-from tisfm.solver.data_term import DataTerm
+from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.sampling import spline_taps
-from tisfm.solver.smoothness import image_edges_in_lanes
-from tisfm.solver.unknowns import Field
+from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
+from tisfm.solver.unknowns import Unknowns
 
 SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))
 ALPHA = PAPER_SMOOTHNESS
@@ -50,6 +49,9 @@ LEVELS = 4 / 3
 CYCLE = LEVELS * 3.5
 SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
 PLANE = 2.5  # conjugate gradients beside the cycle: 35 words for the scalars, 36 for the step
+
+
+CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")
 
 
 @dataclass(frozen=True)
@@ -88,61 +90,42 @@ class System:
             cv2.resize(grey, (width, height), interpolation=how)
             for grey in grey_pair(pair.frame0, pair.frame1)
         )
-        self.grid = LaneGrid(height, width, runtime.lanes())
-        self.field = Field(self.grid, Camera(FOCAL * width), 6)
-        term = DataTerm(
-            self.grid,
-            frame0,
-            frame1,
-            spline_taps(frame1),
-            scheme="cube",
-            brightness=1.0,
-            gradient=0.0,
-            normalization=None,
-            contrast=math.inf,
+        grid = LaneGrid(height, width, runtime.lanes())
+        self.unknowns = Unknowns(grid, Camera(FOCAL * width), 6)
+        self.unknowns.edges = image_edges_in_lanes(grid, frame0, IMAGE_EDGES)
+        term = DataTerm(grid, frame0, frame1, spline_taps(frame1), CONSTANCY, mean_step(frame0))
+        self.system = LinearSystem(
+            grid=grid,
+            tensor=grid.allocate(6),
+            weights=grid.allocate(2),
+            x_hat=self.unknowns.x_hat,
+            y_hat=self.unknowns.y_hat,
+            alpha=ALPHA,
+            stiffness=(1.0,) * 6,
         )
-        self.tensor = self.grid.allocate(6)
-        self._terms = term.linearise(self.grid.allocate(2), self.tensor)
-        self.edges = image_edges_in_lanes(self.grid, frame0, IMAGE_EDGES)
-        self.weights = self.grid.allocate(2)
-        self._previous = self.grid.allocate(6)
+        term.bind_linearise(grid.allocate(2), self.system.tensor)()
+        self._update = self.system.bind_weight_update(
+            self.unknowns.rho,
+            grid.allocate(6),
+            term.constraints,
+            self.unknowns.edges,
+            contrast=math.inf,
+            scales=term.scales,
+        )
         self.energy()  # leaves the weights, g
 
     def energy(self) -> float:
         """Return the energy of ρ̂ as it is."""
-        return advance(
-            self.grid,
-            self._terms,
-            self.edges,
-            self.field.x_hat,
-            self.field.y_hat,
-            self.field.rho,
-            self.weights,
-            self.tensor,
-            self._previous,
-            alpha=ALPHA,
-            contrast=math.inf,
-            scales=(math.inf,),
-        ).energy
+        return self._update().energy
 
     def sweep(self, relaxation: float, sweeps: int = 1) -> None:
         """Sweep over ρ̂."""
-        sweep(
-            self.grid,
-            self.tensor,
-            self.weights,
-            self.field.x_hat,
-            self.field.y_hat,
-            self.field.rho,
-            alpha=ALPHA,
-            relaxation=relaxation,
-            sweeps=sweeps,
-        )
+        self.system.sweep(self.unknowns.rho, relaxation=relaxation, sweeps=sweeps)
 
     def multigrid(self) -> Multigrid:
         """Return multigrid, its systems set up."""
-        multigrid = Multigrid(self.field, solver="cholesky", sets=1)
-        multigrid.set_system(self.tensor, self.weights, ALPHA)
+        multigrid = Multigrid(self.unknowns, self.system, solver="cholesky")
+        multigrid.coarsen()
         return multigrid
 
 
@@ -158,7 +141,6 @@ def sweeps_of(system: System, relaxation: float) -> Iterator[tuple[float, float]
 def cycles_of(system: System, *, conjugate: bool) -> Iterator[tuple[float, float]]:
     """Yield work and energy."""
     multigrid = system.multigrid()
-    multigrid.restart()
     for count in range(1, CYCLES + 1):
         if conjugate:
             multigrid.descend()
@@ -188,7 +170,7 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
     least = system.energy()
     found: dict[str, list[tuple[float, float]]] = {}
     for name, method in methods().items():
-        system.field.rho[...] = 0
+        system.unknowns.rho[...] = 0
         found[name] = list(method(system))
         least = min(least, *(energy for _, energy in found[name]))
     return [
@@ -207,12 +189,11 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     """Return times as multiples of that of a sweep in the same turn, medians."""
     system = System(pair, size)
     multigrid = system.multigrid()
-    multigrid.restart()
     steps: dict[str, Callable[[], object]] = {
         "sweep": lambda: system.sweep(1.0),
         "V-cycle": multigrid.cycle,
         "V-cycle + CG": multigrid.descend,
-        "set-up": lambda: multigrid.set_system(system.tensor, system.weights, ALPHA),
+        "set-up": multigrid.coarsen,
     }
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for turn in range(TURNS + 1):

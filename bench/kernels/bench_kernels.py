@@ -29,9 +29,9 @@ TOLERANCES = {
     "restrict_residual": 1e-5,
     "sweep": 1e-4,
     "sweep_unfused": 1e-4,
-    "evidence": 1e-4,
+    "data_precision": 1e-4,
     "share_of_data": 1e-5,  # of determinants, which are such differences
-    "advance": 1e-4,
+    "update": 1e-4,
     "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,
 }
@@ -109,7 +109,7 @@ PLAIN = (
     "cheapest",
     "rigid_fields",
 )
-PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "evidence")
+PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "data_precision")
 MULTIGRID = ("relayout", "correct", "descend")
 MULTIGRID_PER_EDGES = ("coarsen_system", "restrict_residual", "plane")
 CASES = [
@@ -124,8 +124,8 @@ CASES = [
     ),
     Case("sweep", DEPTH, scheme="line", solver="closed_form"),
     Case("sweep_unfused", 6, scheme="joint", solver="closed_form"),
-    *(Case("advance", components, scheme=scheme) for components in MODELS for scheme in EDGES),
-    Case("advance", DEPTH, scheme="line"),
+    *(Case("update", components, scheme=scheme) for components in MODELS for scheme in EDGES),
+    Case("update", DEPTH, scheme="line"),
     *(Case(kernel, 6) for kernel in MULTIGRID),
     *(Case(kernel, 6, scheme=scheme) for kernel in MULTIGRID_PER_EDGES for scheme in EDGES),
 ]

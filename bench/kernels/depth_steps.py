@@ -5,10 +5,9 @@ import numpy as np
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED, Problem
 from tisfm import reference
-from tisfm.kernels.layout.lanes import aligned_zeros
+from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
 from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global
-from tisfm.solver.unknowns import LaneData
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs
@@ -34,16 +33,14 @@ class DepthOperations(TaichiSide):
 
     def motion_system(self) -> Timed:
         p = self.problem
-        inverse_depth, labels, *tables = self._geometry()
+        inverse_depth, labels, *_ = self._geometry()
         arguments = (
-            self.grid,
+            self.system_of(p.weights(1), 1),
             self.lay(p.constraints),
             inverse_depth,
             labels,
-            self.lay(p.weights(1)),
-            *tables,
         )
-        options = {"label": 0, "scales": SCALES, "alpha": HELD, "tolerated": TOLERATED}
+        options = {"label": 0, "scales": SCALES, "held": HELD, "tolerated": TOLERATED}
         options |= self._motions()
         return (
             lambda: motion_system.motion_system(*arguments, **options),
@@ -104,8 +101,9 @@ class DepthOperations(TaichiSide):
         )
 
     def _geometry(self) -> tuple[LaneData, ...]:
-        p, field = self.problem, self.field
-        return self.lay(p.inverse_depth), self.lay(p.labels[None]), field.x_hat, field.y_hat
+        p, unknowns = self.problem, self.unknowns
+        tables = unknowns.x_hat, unknowns.y_hat
+        return self.lay(p.inverse_depth), self.lay(p.labels[None]), *tables
 
     def _motions(self) -> dict:
         p = self.problem

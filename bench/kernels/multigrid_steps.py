@@ -5,29 +5,24 @@ import numpy as np
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import ALPHA, STEPS
 from tisfm import reference
-from tisfm.kernels.layout.lanes import aligned_zeros
+from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.solve import coarsening, line_search
-from tisfm.solver.unknowns import LaneData
 
 
 class MultigridOperations(TaichiSide):
     """The kernels, by their wrappers."""
 
     def coarsen_system(self) -> Timed:
-        tensor, weights = self.system()
-        out = [self._halved(array.shape[0]) for array in (tensor, weights)]
+        system = self.system()
+        out = [self._halved(array.shape[0]) for array in (system.tensor, system.weights)]
         return (
-            lambda: coarsening.coarsen_system(self.grid, tensor, weights, *out),
+            lambda: system.coarsen(*out),
             lambda _: np.concatenate([self._read_halved(array) for array in out]),
         )
 
     def restrict_residual(self) -> Timed:
-        field, out = self.field, self._halved(self.n)
-        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho, out)
-        return (
-            lambda: coarsening.restrict_residual(*arguments, alpha=ALPHA),
-            lambda _: self._read_halved(out),
-        )
+        system, rho, out = self.system(), self.unknowns.rho, self._halved(self.n)
+        return lambda: system.restrict(rho, out), lambda _: self._read_halved(out)
 
     def relayout(self) -> Timed:
         coarse = coarsening.coarse_grid(self.grid)
@@ -35,16 +30,15 @@ class MultigridOperations(TaichiSide):
         return lambda: coarsening.relayout(coarse, array, out), lambda _: self._read_halved(out)
 
     def correct(self) -> Timed:
-        grid, rho = self.grid, self.field.rho
+        grid, rho = self.grid, self.unknowns.rho
         coarse = self._lay_halved(self.problem.parents[: self.n])
         across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
         return lambda: coarsening.correct(grid, coarse, across, rho), lambda _: self.read(rho)
 
     def plane(self) -> Timed:
-        field, directions = self.field, self._directions()
-        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, *directions)
+        arrays, directions = self.system().arrays, self._directions()
         return (
-            lambda: line_search.plane(*arguments, alpha=ALPHA),
+            lambda: line_search.plane(self.grid, arrays, *directions),
             lambda found: np.concatenate([found[0][np.triu_indices(2)], found[1]])[:, None],
         )
 
@@ -57,7 +51,7 @@ class MultigridOperations(TaichiSide):
 
     def _directions(self) -> tuple[LaneData, LaneData, LaneData]:
         p = self.problem
-        return self.field.rho, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
+        return self.unknowns.rho, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
 
     def _halved(self, components: int) -> LaneData:
         return self.grid.place(aligned_zeros(coarsening.halved_shape(self.grid, components)))

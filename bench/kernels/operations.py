@@ -1,14 +1,11 @@
 """The Taichi side: kernels, by their wrappers, on the arrays they would meet in the driver."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from bench.kernels.references import mask_moments
 from bench.kernels.sides import TaichiSide, Timed
 from bench.kernels.unfused import sweep_unfused
 from bench.shared.problems import (
-    ALPHA,
     CONSTRAINTS,
     CONTRAST,
     RATE,
@@ -22,7 +19,7 @@ from tisfm.kernels.data import constraints, derivatives, forward_splatting, imag
 from tisfm.kernels.layout import images
 from tisfm.kernels.layout.lanes import aligned_zeros
 from tisfm.kernels.model import flow, readout
-from tisfm.kernels.solve import data_precision, prolongation, relaxation, weight_update
+from tisfm.kernels.solve import data_precision, prolongation, weight_update
 from tisfm.solver.sampling import spline_taps
 
 
@@ -39,7 +36,7 @@ class FieldOperations(TaichiSide):
 
     def lanes_to_images(self) -> Timed:
         out = np.empty((self.n, self.problem.height, self.problem.width), np.float32)
-        return lambda: images.lanes_to_images(self.grid, self.field.rho, out), lambda _: out
+        return lambda: images.lanes_to_images(self.grid, self.unknowns.rho, out), lambda _: out
 
     def derivatives(self) -> Timed:
         frames = [self.grid.allocate(1, halo=images.IMAGE_HALO) for _ in range(2)]
@@ -53,9 +50,9 @@ class FieldOperations(TaichiSide):
         )
 
     def flow(self) -> Timed:
-        field, out = self.field, self.grid.allocate(2)
+        unknowns, out = self.unknowns, self.grid.allocate(2)
         return (
-            lambda: flow.flow(self.grid, field.rho, field.x_hat, field.y_hat, out),
+            lambda: flow.flow(self.grid, unknowns.rho, unknowns.x_hat, unknowns.y_hat, out),
             lambda _: self.read(out),
         )
 
@@ -102,56 +99,52 @@ class FieldOperations(TaichiSide):
         return lambda: images.multiply(self.grid, factor, out), lambda _: self.read(out)
 
     def sweep(self) -> Timed:
-        return self._swept(relaxation.sweep)
+        system, rho = self.system(), self.unknowns.rho
+        options = {"relaxation": RELAXATION, "solver": self.solver}
+        return lambda: system.sweep(rho, **options), lambda _: self.read(rho)
 
     def sweep_unfused(self) -> Timed:
-        # With one lane there is no other.
-        return self._swept(relaxation.sweep if self.grid.lanes == 1 else sweep_unfused)
+        if self.grid.lanes == 1:  # there is no other
+            return self.sweep()
+        system, rho = self.system(), self.unknowns.rho
+        options = {"relaxation": RELAXATION, "solver": self.solver}
+        return lambda: sweep_unfused(system, rho, **options), lambda _: self.read(rho)
 
-    def _swept(self, sweep: Callable[..., None]) -> Timed:
-        field = self.field
-        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho)
-        options = {"alpha": ALPHA, "relaxation": RELAXATION, "solver": self.solver}
-        return lambda: sweep(*arguments, **options), lambda _: self.read(field.rho)
-
-    def advance(self) -> Timed:
-        field, p = self.field, self.problem
-        tensor, weights = self.system()
-        previous = self.lay(p.previous[: self.n])
-        tables = (field.edges, field.x_hat, field.y_hat)
-        arguments = (
-            self.grid,
-            self.lay(p.constraints),
-            *tables,
-            field.rho,
-            weights,
-            tensor,
-            previous,
-        )
+    def update(self) -> Timed:
+        unknowns, p, system = self.unknowns, self.problem, self.system()
         line = self.scheme == "line"
-        options = {"alpha": ALPHA, "contrast": CONTRAST, "scales": SCALES, "along_line": line}
+        run = system.bind_weight_update(
+            unknowns.rho,
+            self.lay(p.previous[: self.n]),
+            self.lay(p.constraints),
+            unknowns.edges,
+            contrast=CONTRAST,
+            scales=SCALES,
+            along_line=line,
+        )
         written = list(weight_update.LINE) if line else slice(None)
         return (
-            lambda: weight_update.advance(*arguments, **options),
-            lambda _: np.concatenate([self.read(tensor)[written], self.read(weights)]),
+            run,
+            lambda _: np.concatenate(
+                [self.read(system.tensor)[written], self.read(system.weights)]
+            ),
         )
 
     def prolong(self) -> Timed:
-        field = self.field
+        rho = self.unknowns.rho
         coarse = self.problem.coarse[: self.n].astype(np.float32)
         return (
-            lambda: prolongation.prolong(self.grid, coarse, field.rho, ratio=RATIO),
-            lambda _: self.read(field.rho),
+            lambda: prolongation.prolong(self.grid, coarse, rho, ratio=RATIO),
+            lambda _: self.read(rho),
         )
 
-    def evidence(self) -> Timed:
-        field, out = self.field, self.grid.allocate(7)
-        arguments = (self.grid, *self.system(), field.x_hat, field.y_hat, field.rho, out)
-        return lambda: data_precision.evidence(*arguments, alpha=ALPHA), lambda _: self.read(out)
+    def data_precision(self) -> Timed:
+        system, rho, out = self.system(), self.unknowns.rho, self.grid.allocate(7)
+        return lambda: system.precision(rho, out), lambda _: self.read(out)
 
     def share_of_data(self) -> Timed:
         p = self.problem
-        given, out = p.evidence.astype(np.float32), np.empty((p.height, p.width), np.float32)
+        given, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
         options = {"tolerated": TOLERATED, "freedom": 2}
         return lambda: data_precision.share_of_data(given, out, **options), lambda _: out[None]
 

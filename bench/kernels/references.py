@@ -81,7 +81,7 @@ class FieldReferences(NumpySide):
 
     sweep_unfused = sweep
 
-    def advance(self) -> Run:
+    def update(self) -> Run:
         joint = self.scheme == "joint"
         smoothness, terms = SMOOTHNESS[joint], self.problem.terms
         before = self.weights(), self.problem.tensor
@@ -110,7 +110,7 @@ class FieldReferences(NumpySide):
         coarse, shape = p.coarse[: self.n], (p.height, p.width)
         return lambda: reference.prolong(coarse, shape, RATIO)
 
-    def evidence(self) -> Run:
+    def data_precision(self) -> Run:
         n, motion = self.n, self.motion
         tensor, weights = self.problem.tensor, self.problem.weights(n)
 
@@ -128,10 +128,10 @@ class FieldReferences(NumpySide):
         return run
 
     def share_of_data(self) -> Run:
-        evidence = self.problem.evidence
+        precision = self.problem.precision
 
         def run() -> np.ndarray:
-            j11, j12, j22, residual, m11, m12, m22 = evidence
+            j11, j12, j22, residual, m11, m12, m22 = precision
             trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
             product = np.maximum(j11 * j22 - j12**2, 0) * np.maximum(m11 * m22 - m12**2, 0)
             share = 1 - (1 + 0.5 * trace) / (1 + trace + product)  # ½ tr[J M (I + J M)⁻¹]

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.shared.problems import Problem
-from tisfm.kernels.layout.lanes import LaneGrid, aligned_zeros, on_host
-from tisfm.solver.unknowns import Field, LaneData
+from bench.shared.problems import ALPHA, Problem
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros, on_host
+from tisfm.kernels.solve.linear_system import LinearSystem
+from tisfm.solver.unknowns import Unknowns
 
 Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
 Run = Callable[[], np.ndarray]
@@ -33,16 +34,28 @@ class TaichiSide:
     ) -> None:
         self.problem, self.n, self.scheme, self.solver = problem, components, scheme, solver
         self.grid = LaneGrid(problem.height, problem.width, lanes, on_device=on_device)
-        self.field = Field(self.grid, problem.camera, components)
-        self.field.rho = self.lay(problem.rho[:components])
+        self.unknowns = Unknowns(self.grid, problem.camera, components)
+        self.unknowns.rho = self.lay(problem.rho[:components])
 
-    def system(self) -> tuple[LaneData, LaneData]:
-        """Return the motion tensor and the weights of edges, in lanes."""
+    def system(self) -> LinearSystem:
+        """Return the linear system of the problem, in lanes."""
         weights = self.problem.weights(self.n, joint=self.scheme == "joint")
         sets = weights.reshape(2, self.n, *weights.shape[1:])
         if self.scheme == "joint":
             sets = sets[:, :1]
-        return self.lay(self.problem.tensor), self.lay(np.concatenate(sets))
+        return self.system_of(np.concatenate(sets), self.n)
+
+    def system_of(self, weights: np.ndarray, components: int) -> LinearSystem:
+        """Return the linear system of so many unknowns and these weights, (2n or 2, H, W)."""
+        return LinearSystem(
+            grid=self.grid,
+            tensor=self.lay(self.problem.tensor),
+            weights=self.lay(weights),
+            x_hat=self.unknowns.x_hat,
+            y_hat=self.unknowns.y_hat,
+            alpha=ALPHA,
+            stiffness=(1.0,) * components,
+        )
 
     def lay(self, stack: np.ndarray, strip: int = 0) -> LaneData:
         """Lay (k, H, W) into a new lane array, halo columns included, without a kernel.

@@ -51,13 +51,13 @@ TRAFFIC = {
     # Each of red and black: tensor, b, ρ̂ | ρ̂. Of its own color alone: tensor | ρ̂.
     "sweep_unfused joint": Traffic(read=(14, 2), written=(0, 2), spared=(5, 1)),
     # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
-    "advance separate": Traffic(read=(17, 4), written=(6, 3)),
-    "advance joint": Traffic(read=(19, 2), written=(8, 1)),
+    "update separate": Traffic(read=(17, 4), written=(6, 3)),
+    "update joint": Traffic(read=(19, 2), written=(8, 1)),
     # Of the tensor, J11, j1 and J_tt alone.
-    "advance line": Traffic(read=(18, 0), written=(6, 0)),
+    "update line": Traffic(read=(18, 0), written=(6, 0)),
     "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
-    "evidence": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
-    "share_of_data": Traffic(read=(7, 0), written=(1, 0)),  # evidence | share
+    "data_precision": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
+    "share_of_data": Traffic(read=(7, 0), written=(1, 0)),  # precision | share
     "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
     "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
     "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints

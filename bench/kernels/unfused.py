@@ -6,44 +6,34 @@ It shows whether relaxing a pixel keeps up with memory where nothing is left in 
 
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
     SMALL,
     LaneArray,
-    LaneGrid,
+    LaneData,
+    first_row,
     lane_kernel,
     planes_of,
     refresh_halo,
 )
-from tisfm.kernels.model.edges import component_table, weight_sets
-from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.kernels.solve.relaxation import BAND, relax_at
 
 
-def sweep_unfused(
-    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, *, alpha, relaxation: float, solver: str
-) -> None:
-    """Sweep red everywhere and then black; arguments are those of `relaxation.sweeper`.
+def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, solver: str) -> None:
+    """Sweep red everywhere and then black, as `LinearSystem.sweep` does.
 
     For vectors of lanes: with one lane the library itself sweeps so.
     """
-    components = rho.shape[0]
-    grid.check(tensor, 6, "tensor")
-    sets = weight_sets(grid, weights, components)
-    grid.check(rho, components, "rho")
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
+    grid = system.grid
     if grid.lanes == 1:
         raise ValueError("the grid has 1 lane: expected 8 or 16")
     _sweep_unfused[grid.lanes](
-        tensor,
-        weights,
-        x_hat,
-        y_hat,
-        component_table(alpha, components),
+        *system.arrays,
         relaxation,
-        components,
-        sets,
+        system.components,
+        system.sets,
         solver == "closed_form",
         max(1, grid.height // BAND),
         rho,
@@ -73,7 +63,9 @@ def _sweep_unfused(
                 stride = rho.shape[2] & SMALL
                 planes = ti.static(planes_of(rho, max(6, 2 * sets)))
                 band = task // CHUNK
-                for row in range(band * height // bands, (band + 1) * height // bands):
+                for row in range(
+                    first_row(band, height, bands), first_row(band + 1, height, bands)
+                ):
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(

@@ -15,8 +15,9 @@ from bench.shared.agreement import check_quantile
 from bench.shared.problems import Problem, problem_at
 from tisfm import reference, runtime
 from tisfm.kernels.layout.lanes import LaneGrid
+from tisfm.motion.problems import flow_problem, pyramid_of, warps_of
 from tisfm.settings import Settings
-from tisfm.solver import image_pyramid
+from tisfm.solver import coarse_to_fine, image_pyramid
 
 REFERENCE_SIZE = (240, 320)  # the reference takes minutes beyond
 
@@ -49,7 +50,8 @@ each_solver = pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
 def reference_run(problem: Problem, settings: Settings):
     """Return the reference's call, which gives ρ̂, (components, H, W)."""
     size = (problem.height, problem.width)
-    factor, levels = settings.pyramid_factor, image_pyramid.level_count(*size, settings)
+    factor = settings.pyramid_factor
+    levels = image_pyramid.level_count(*size, factor, settings.pyramid_levels)
     pyramids = [
         image_pyramid.gaussian_pyramid(
             image_pyramid.smooth(frame.astype(np.float32), settings.presmoothing), factor, levels
@@ -64,19 +66,17 @@ def reference_run(problem: Problem, settings: Settings):
 
 
 def taichi_run(problem: Problem, settings: Settings):
-    """Return the driver's call, which gives a `Field`."""
+    """Return the driver's call, which gives the `Unknowns`."""
     frames = [frame.astype(np.float32) for frame in problem.frames]
-    contrast = settings.contrast_for(problem.camera.focal)
+    task = flow_problem(settings, problem.camera.focal)
 
     def run():
-        solution = image_pyramid.coarse_to_fine(
-            image_pyramid.Pyramid(*frames, problem.camera, settings),
-            settings,
-            components=settings.components,
-            contrast=contrast,
+        pyramid = pyramid_of(*frames, problem.camera, settings)
+        solution = coarse_to_fine.coarse_to_fine(
+            pyramid, task, warps=warps_of(pyramid, settings, 0)
         )
         ti.sync()
-        return solution.field
+        return solution.unknowns
 
     return run
 
@@ -116,7 +116,7 @@ def bench_pair_numpy(problem, preset, model, measure, full_reference):
 def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatch):
     on_device = runtime.on_gpu()
     monkeypatch.setattr(
-        image_pyramid, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
+        coarse_to_fine, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
     )
     pair = PAIRS[preset]
     settings = replace(pair.settings, model=model, solver=solver)

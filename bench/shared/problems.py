@@ -101,7 +101,7 @@ class Problem:
         return reference.tensors_of([constraints[:1], constraints[1:]])
 
     @cached_property
-    def evidence(self) -> np.ndarray:
+    def precision(self) -> np.ndarray:
         """J of windows, squared residual and M, random, (7, H, W): data precision."""
         a, b = np.random.default_rng(2).normal(size=(2, 2, self.height, self.width))
         covariance = np.stack([a[0] ** 2, a[0] * a[1], a[1] ** 2])

@@ -3,13 +3,17 @@
 import taichi as ti
 
 from tisfm.kernels.layout.images import IMAGE_HALO
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
+from tisfm.kernels.layout.launch import Launch, operation
 
 DERIVATIVE_HALO = 2  # second derivatives look two pixels to each side
 SCHEMES = ("cube", "five_tap")
 
 
-def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
+@operation
+def derivatives(
+    grid: LaneGrid, frame0: LaneData, frame1: LaneData, out: LaneData, *, scheme: str
+) -> Launch:
     """Compute (I_x, I_y, I_t).
 
     Parameters
@@ -32,7 +36,7 @@ def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
     if scheme not in SCHEMES:
         raise ValueError(f"scheme is {scheme!r}: expected one of {SCHEMES}")
     kernel = _cube if scheme == "cube" else _five_tap
-    kernel[grid.lanes](frame0, frame1, grid.serial, out)
+    return kernel[grid.lanes].bind(frame0, frame1, grid.serial, out)
 
 
 @lane_kernel

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,14 +14,8 @@ from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
 from tisfm.scenes import bare_patches, static_scene, two_blocks
-from tisfm.solver.image_pyramid import (
-    COARSEST_SIDE,
-    Pyramid,
-    coarse_to_fine,
-    gaussian_pyramid,
-    level_count,
-    smooth,
-)
+from tisfm.solver.coarse_to_fine import coarse_to_fine
+from tisfm.solver.image_pyramid import COARSEST_SIDE, gaussian_pyramid, level_count, smooth
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +42,12 @@ def moving_noise(height, width, motion, *, seed=0):
     return window.copy(), moved.copy()
 
 
-def solve(frame0, frame1, settings, camera, components=None):
-    frames = frame0.astype(np.float32), frame1.astype(np.float32)
-    return coarse_to_fine(
-        Pyramid(*frames, camera, settings),
-        settings,
-        components=components or settings.components,
-        contrast=settings.contrast_for(camera.focal),
-    )
+def solve(frame0, frame1, settings, camera):
+    from tisfm.motion.problems import flow_problem, pyramid_of, warps_of
+
+    pyramid = pyramid_of(frame0.astype(np.float32), frame1.astype(np.float32), camera, settings)
+    problem = flow_problem(settings, camera.focal)
+    return coarse_to_fine(pyramid, problem, warps=warps_of(pyramid, settings, 0))
 
 
 def test_a_change_of_brightness_and_contrast_hardly_moves_the_flow():
@@ -123,7 +114,7 @@ def test_recorded_energy_is_the_references(blocks):
     tensor = reference.brightness_tensor(
         reference.derivatives(*frames, "cube"), zero, np.ones(shape)
     )
-    rho = solution.field.images().astype(np.float64)
+    rho = solution.unknowns.images().astype(np.float64)
     smoothness = reference.Smoothness(contrast=blocks.camera.focal)
     expected = reference.energy(tensor, motion, rho, settings.alpha, smoothness)
     assert solution.history[-1][2].energy == pytest.approx(expected, rel=2e-6)
@@ -144,8 +135,8 @@ def test_the_whole_pair_agrees_with_the_reference(model, preset, solver):
     flow = np.moveaxis(
         tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings).flow, -1, 0
     )
-    levels = level_count(50, 67, settings)
     factor = settings.pyramid_factor
+    levels = level_count(50, 67, factor, settings.pyramid_levels)
     pyramids = [
         gaussian_pyramid(smooth(f.astype(np.float32), settings.presmoothing), factor, levels)
         for f in (pair.frame0, pair.frame1)
@@ -475,12 +466,12 @@ def test_confidence_is_the_share_of_the_data(make_problem):
 
     j = np.array([[50.0, 20.0], [20.0, 30.0]])
     m = np.array([[0.02, 0.005], [0.005, 0.01]])
-    evidence = np.zeros((7, 40, 40), np.float32)
+    precision = np.zeros((7, 40, 40), np.float32)
     for k, value in enumerate((j[0, 0], j[0, 1], j[1, 1], 0.0, m[0, 0], m[0, 1], m[1, 1])):
-        evidence[k] = value
+        precision[k] = value
     window = 15 * 15 * j @ m
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
-    result = confidence(evidence, np.zeros((40, 40), bool), normalized=True)
+    result = confidence(precision, np.zeros((40, 40), bool), normalized=True)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
 
 
@@ -554,15 +545,13 @@ def test_pyramid_levels_lie_where_they_say(factor):
 
 
 def test_level_count():
-    settings = tisfm.Settings(pyramid_factor=0.5)
-    assert level_count(12, 12, settings) == 1
-    assert level_count(64, 2000, settings) == 3
-    assert level_count(64, 64, replace(settings, pyramid_levels=2)) == 2
-    assert level_count(64, 64, replace(settings, pyramid_levels=50)) == 3
+    assert level_count(12, 12, 0.5) == 1
+    assert level_count(64, 2000, 0.5) == 3
+    assert level_count(64, 64, 0.5, 2) == 2
+    assert level_count(64, 64, 0.5, 50) == 3
     for factor in (0.5, 0.6, 0.7, 0.8, 0.95):
-        settings = tisfm.Settings(pyramid_factor=factor)
         image = np.zeros((480, 640), np.float32)
-        coarsest = gaussian_pyramid(image, factor, level_count(480, 640, settings))[-1]
+        coarsest = gaussian_pyramid(image, factor, level_count(480, 640, factor))[-1]
         assert min(coarsest.shape) >= COARSEST_SIDE - 1
         assert min(coarsest.shape) * factor < COARSEST_SIDE + 1
 

@@ -9,7 +9,7 @@ from tisfm.kernels.rigid.epipolar import NEAREST
 from tisfm.kernels.rigid.plane_sweep import matching_cost
 from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
 from tisfm.runtime import lanes
-from tisfm.solver.image_pyramid import Pyramid
+from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 
 PULL = 0.05  # weight of a pixel's surroundings where its epipolar line is as well seen as theirs
@@ -36,8 +36,7 @@ BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
 
 
 def depth_start(
-    pyramid: Pyramid,
-    camera: Camera,
+    pyramid: ImagePyramid,
     motion: np.ndarray,
     level: int,
     flow: np.ndarray,
@@ -50,9 +49,7 @@ def depth_start(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        Of the finest level.
+    pyramid : ImagePyramid
     motion : (3, 4) array
         R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
     level : int
@@ -68,9 +65,8 @@ def depth_start(
     inverse_depth : (H, W) float32
         D, px/frame of that level.
     """
-    size = pyramid.frames0[0].shape
-    depth = triangulated(flow, motion, camera.scaled(pyramid.scale(level), *size))
-    sweep = _Sweep(pyramid, camera, motion, level, depth, trust)
+    depth = triangulated(flow, motion, pyramid.camera(level))
+    sweep = _Sweep(pyramid, motion, level, depth, trust)
     low, high = sweep.range()
     if high - low < RANGE:
         return level, depth
@@ -87,14 +83,13 @@ class _Sweep:
 
     def __init__(
         self,
-        pyramid: Pyramid,
-        camera: Camera,
+        pyramid: ImagePyramid,
         motion: np.ndarray,
         level: int,
         guess: np.ndarray,
         trust: np.ndarray,
     ) -> None:
-        self._pyramid, self._camera, self._motion = pyramid, camera, motion
+        self._pyramid, self._motion = pyramid, motion
         self._level, self._guess, self._trust = level, guess, trust
 
     def range(self) -> tuple[float, float]:
@@ -121,7 +116,7 @@ class _Sweep:
             frame0,
             frame1,
             self._motion,
-            self._camera.scaled(scale, *pyramid.frames0[0].shape),
+            pyramid.camera(level),
             np.arange(low * scale, high * scale + 1),
             guess,
             cv2.resize(self._trust, width_height),

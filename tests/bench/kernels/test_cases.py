@@ -26,7 +26,7 @@ def test_every_kernel_has_its_traffic():
 
 
 def test_every_public_kernel_is_timed():
-    """But what is a part of another: `sweeper` of `sweep`, `advancer` of `advance`."""
+    """But what is a part of another."""
     timed = {case.kernel for case in bench_kernels.CASES}
     for info in pkgutil.walk_packages(kernels.__path__, "tisfm.kernels."):
         source = Path(find_spec(info.name).origin).read_text(encoding="utf-8")
@@ -63,12 +63,8 @@ def test_what_is_timed_agrees_with_the_reference(lanes, on_device):
 def test_two_passes_need_more_lanes_than_one():
     problem = Problem(5, 6)
     side = bench_kernels.Operations(problem, 1, 6, scheme="joint")
-    field = side.field
     with pytest.raises(ValueError, match="1 lane: expected 8 or 16"):
-        sweep_unfused(
-            side.grid, *side.system(), field.x_hat, field.y_hat, field.rho,
-            alpha=1.0, relaxation=1.0, solver="cholesky",
-        )  # fmt: skip
+        sweep_unfused(side.system(), side.unknowns.rho, relaxation=1.0, solver="cholesky")
 
 
 def test_a_pass_for_one_color_spares_lines_of_the_other():
