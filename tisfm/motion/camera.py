@@ -8,7 +8,12 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.interpretation import Status
 from tisfm.motion.agreement import mismatch, unrelated
-from tisfm.motion.egomotion import CameraMotion, camera_motion, distance_from_rays
+from tisfm.motion.egomotion import (
+    CameraMotion,
+    TooFewPixels,
+    camera_motion,
+    distance_from_rays,
+)
 from tisfm.motion.field import Reading, unmoved
 from tisfm.motion.plane_sweep import depth_start
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
@@ -181,7 +186,7 @@ def first_motion(
     coarse = camera.scaled(scale, *pyramid.frames0[0].shape)
     try:
         found = camera_motion(flow, trust, coarse)
-    except ValueError as error:
+    except TooFewPixels as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(still, status=Status("no_texture", message))
     apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import camera_motion, triangulate
+from tisfm.motion.egomotion import TooFewPixels, camera_motion, triangulate
 from tisfm.motion.objects.potts import Potts
 
 PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
@@ -158,7 +158,7 @@ class _Search:
     def _fit(self, mine: np.ndarray) -> np.ndarray | None:
         try:
             found = camera_motion(self._flow, self._trust * mine, self._camera)
-        except ValueError:  # too few are trusted
+        except TooFewPixels:
             return None
         # Nothing seen from frame to frame spins faster: such a fit is one of noise.
         spin = np.linalg.norm(cv2.Rodrigues(found.rotation)[0])
