@@ -12,8 +12,8 @@ CORRELATED = 0.5
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
-TINY = 1e-12
-LEAST = 0.02  # px: distances from the best that are no smaller in real frames
+LEAST_DISTANCE = 0.02  # px: distances from the best that are no smaller in real frames
+FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
 
 
 def unrelated(
@@ -38,7 +38,7 @@ def unrelated(
     moved = _moved(frame1, flow)
     mean0, mean1 = _mean(frame0), _mean(moved)
     product = _variance(frame0, mean0) * _variance(moved, mean1)
-    alike = (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, TINY))
+    alike = (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
     order = np.argsort(alike, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
     median = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
@@ -64,7 +64,7 @@ def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status
     inverse : float, optional
         The same for the inverse of the pose; not for a rotation alone.
     """
-    tolerated = OFF * max(best, LEAST)
+    tolerated = OFF * max(best, LEAST_DISTANCE)
     if off <= tolerated:
         return None
     if inverse is not None and inverse <= tolerated:

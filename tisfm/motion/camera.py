@@ -10,7 +10,7 @@ from tisfm.interpretation import Status
 from tisfm.motion.agreement import mismatch, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
-    TooFewPixels,
+    TooFewPixelsError,
     camera_motion,
     distance_from_rays,
 )
@@ -186,7 +186,7 @@ def first_motion(
     coarse = camera.scaled(scale, *pyramid.frames0[0].shape)
     try:
         found = camera_motion(flow, trust, coarse)
-    except TooFewPixels as error:
+    except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(still, status=Status("no_texture", message))
     apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)

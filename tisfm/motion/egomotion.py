@@ -14,6 +14,7 @@ THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essent
 FEW = 1000  # of the samples, by which the best of several starts is found
 STARTING, ITERATIONS = 6, 30  # at most, for each start and for the best of them
 SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
+NEAREST = 0.05  # least depth after the motion over depth before, as the kernels take it
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
@@ -21,7 +22,7 @@ FEWEST = 8  # confident samples, at least: essential matrices are drawn from 5, 
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 
-class TooFewPixels(ValueError):
+class TooFewPixelsError(ValueError):
     """Too few pixels of a flow field are trusted to fit a motion to them."""
 
 
@@ -89,7 +90,7 @@ def camera_motion(
 
     Raises
     ------
-    TooFewPixels
+    TooFewPixelsError
         A ValueError: if too few pixels are trusted.
     ValueError
         If the camera has distortion.
@@ -155,7 +156,7 @@ def distance_from_rays(
 
     Raises
     ------
-    TooFewPixels
+    TooFewPixelsError
         A ValueError: if too few pixels are trusted.
     """
     rays = _correspondences(flow, confidence, camera)
@@ -282,7 +283,7 @@ def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -
     taken = (trust > 0) & np.isfinite(moved).all(axis=1)
     confident = int((trust[taken] > CONFIDENT).sum())
     if confident < FEWEST:
-        raise TooFewPixels(
+        raise TooFewPixelsError(
             f"only {confident} of {trust.size} sampled pixels have a confidence above "
             f"{CONFIDENT}: the camera's motion needs at least {FEWEST}"
         )
@@ -384,7 +385,7 @@ def _nearest(rays: _Rays, rotation: np.ndarray, translation: np.ndarray) -> _Nea
     """Return the points of the epipolar lines of a pose."""
     turned = rotation @ rays.before
     inverse_depth = _inverse_depth(turned, rays.after, translation)
-    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], 0.05)
+    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], NEAREST)
     x = (turned[0] + inverse_depth * translation[0]) * nearness
     y = (turned[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]

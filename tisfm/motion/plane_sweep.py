@@ -21,8 +21,8 @@ COARSE = 2**15  # pixels of the level on which the range of depths is found
 LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
 COMMON = (1, 99)  # percentiles: what is nearer or further is rare
 REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
-# Of costs, pixels times hypotheses: the sweep is of a level that needs no more. Where there is none,
-# as in frames that are long and narrow, the largest parallax is not looked for.
+# Of costs, pixels times hypotheses: the sweep is of a level that needs no more. Where there is
+# none, as in frames that are long and narrow, the largest parallax is not looked for.
 ENTRIES = 2**25
 # Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
 # by more than so many, and its derivatives by more than a quarter of that, are no worse.

@@ -12,7 +12,7 @@ from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
-from tisfm.settings import Settings
+from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import Pyramid
 
 # Things show less parallax than a scene does, so that their depth has more noise: it takes more of
@@ -80,7 +80,10 @@ def objects_reading(
     labels = rank[labels]
     solution = rigid_depth(
         pyramid,
-        replace(settings, depth_smoothness=SMOOTHER * settings.depth_smoothness),
+        replace(
+            settings,
+            depth_smoothness=min(SMOOTHER * settings.depth_smoothness, MOST_SMOOTHNESS),
+        ),
         camera,
         np.stack([motions[k] for k in order]),
         labels,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import TooFewPixels, camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.floating import floating
 from tisfm.motion.objects.potts import Potts
@@ -223,7 +223,7 @@ class Layering:
             try:
                 near = layers.motions[0][:, :3] if label else None
                 found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
-            except TooFewPixels:
+            except TooFewPixelsError:
                 motions.append(motion)
                 continue
             still = not motion[:, 3].any()
