@@ -182,8 +182,8 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     if len(matrix) == 3:
         return KnownPose(rotation=rotation, translation=None)
     translation = matrix[:3, 3].copy()
-    length = math.hypot(*translation)  # which neither overflows nor underflows
-    if length != 0 and not _SHORTEST <= length <= _LONGEST:
+    length = math.hypot(*translation)  # whose squares do not overflow
+    if translation.any() and not _SHORTEST <= length <= _LONGEST:
         raise ValueError(
             f"pose translates by {length:.1e}: expected 0 if it only turns, or a length of "
             f"{_SHORTEST:g} to {_LONGEST:g}, for single precision to hold depth in its unit; give "

@@ -33,7 +33,7 @@ def unrelated(
         Its confidence; not all 0.
     """
     # Brightness may be on any scale, and squares lose digits far from 0.
-    mean, unit = frame0.mean(), frame0.std()
+    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
     moved = _moved(frame1, flow)
     mean0, mean1 = _mean(frame0), _mean(moved)
