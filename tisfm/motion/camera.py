@@ -7,7 +7,12 @@ import numpy as np
 
 from tisfm.interpretation import Status
 from tisfm.motion.agreement import mismatch, unrelated
-from tisfm.motion.egomotion import CameraMotion, camera_motion, distance_from_rays
+from tisfm.motion.egomotion import (
+    CameraMotion,
+    TooFewPixelsError,
+    camera_motion,
+    distance_from_rays,
+)
 from tisfm.motion.estimate import Estimate, unmoved
 from tisfm.motion.plane_sweep import depth_start
 from tisfm.motion.problems import flow_problem, last_level, warps_of
@@ -173,7 +178,7 @@ def first_motion(
     coarse = pyramid.camera(level)
     try:
         found = camera_motion(flow, trust, coarse)
-    except ValueError as error:
+    except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(still, status=Status("no_texture", message))
     apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)

@@ -21,7 +21,9 @@ COARSE = 2**15  # pixels of the level on which the range of depths is found
 LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
 COMMON = (1, 99)  # percentiles: what is nearer or further is rare
 REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
-ENTRIES = 2**25  # of costs, pixels times hypotheses: the sweep is of a level that needs no more
+# Of costs, pixels times hypotheses: the sweep is of a level that needs no more. Where there is
+# none, as in frames that are long and narrow, the largest parallax is not looked for.
+ENTRIES = 2**25
 # Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
 # by more than so many, and its derivatives by more than a quarter of that, are no worse.
 COST = 2.4
@@ -112,12 +114,14 @@ class _Sweep:
         guess = cv2.resize(self._guess, width_height) * np.float32(
             scale / pyramid.scale(self._level)
         )
+        hypotheses = np.arange(low * scale, high * scale + 1)
+        hypotheses = hypotheses[: max(2, ENTRIES // frame0.size)]
         return swept(
             frame0,
             frame1,
             self._motion,
             pyramid.camera(level),
-            np.arange(low * scale, high * scale + 1),
+            hypotheses,
             guess,
             cv2.resize(self._trust, width_height),
         )

@@ -42,7 +42,7 @@ def confidence(
     Returns
     -------
     (H, W) float32
-        In [0, 1]; 0 where occluded.
+        In [0, 1]; 0 where occluded, and where the motion diverged so far that there is no number.
     """
     runtime.start()  # before kernels are imported
     from tisfm.kernels.solve.data_precision import share_of_data
@@ -59,6 +59,7 @@ def confidence(
     share_of_data(precision, share, tolerated=tolerated, freedom=freedom)
     if share.shape != occlusion.shape:
         share = cv2.resize(share, occlusion.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    np.nan_to_num(share, copy=False, nan=0)
     share[occlusion] = 0
     return np.clip(share, 0, 1, out=share)
 

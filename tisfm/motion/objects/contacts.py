@@ -68,6 +68,10 @@ def _contact(
     columns, above, below = columns[seen], above[seen], below[seen]
     touches = (labels[below, columns] == 0) & mine[above, columns]
     touches &= ~hidden[below, columns] & ~hidden[above, columns]
-    ratio = inverse_depth[below, columns] / np.where(touches, inverse_depth[above, columns], 1)
-    ratio = ratio[touches & (ratio > 0) & np.isfinite(ratio)]
+    columns, above, below = columns[touches], above[touches], below[touches]
+    # In double precision no quotient overflows.
+    standing, ground = (inverse_depth[rows, columns].astype(float) for rows in (above, below))
+    known = (standing != 0) & np.isfinite(standing) & np.isfinite(ground)
+    ratio = ground[known] / standing[known]
+    ratio = ratio[ratio > 0]
     return float(np.median(ratio)) if len(ratio) >= FEWEST else None

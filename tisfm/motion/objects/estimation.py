@@ -11,7 +11,7 @@ from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
-from tisfm.settings import Settings
+from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.occlusion import occlusion_in
 
@@ -74,7 +74,10 @@ def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarra
     labels = rank[labels]
     solution = rigid_depth(
         pyramid,
-        replace(settings, depth_smoothness=SMOOTHER * settings.depth_smoothness),
+        replace(
+            settings,
+            depth_smoothness=min(SMOOTHER * settings.depth_smoothness, MOST_SMOOTHNESS),
+        ),
         np.stack([motions[k] for k in order]),
         labels,
     )

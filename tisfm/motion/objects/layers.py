@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tisfm.motion.egomotion import camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.floating import floating
 from tisfm.motion.objects.potts import Potts
@@ -219,10 +219,9 @@ class Layering:
             mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
-                found = camera_motion(
-                    flow, np.where(mine, trust, 0), self._pyramid.camera(), near=near
-                )
-            except ValueError:
+                camera = self._pyramid.camera()
+                found = camera_motion(flow, np.where(mine, trust, 0), camera, near=near)
+            except TooFewPixelsError:
                 motions.append(motion)
                 continue
             still = not motion[:, 3].any()
