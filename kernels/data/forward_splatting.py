@@ -3,14 +3,16 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import CHUNK, check_array
+from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
 BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
 BLOCK = 64  # pixels of a row that a thread takes at a time
 
 
-def splat(flow, residual, claims, *, any_order: bool = False) -> None:
+def splat(
+    flow: np.ndarray, residual: np.ndarray, claims: np.ndarray, *, any_order: bool = False
+) -> None:
     """Add every pixel, bilinearly, to the four pixels of frame 1 around the place it goes to.
 
     Parameters
@@ -41,7 +43,15 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     _splat(flow, residual, bands, reach, claims)
 
 
-def defeated(flow, residual, claims, out, *, density: float, apart: float) -> None:
+def defeated(
+    flow: np.ndarray,
+    residual: np.ndarray,
+    claims: np.ndarray,
+    out: np.ndarray,
+    *,
+    density: float,
+    apart: float,
+) -> None:
     """Mark the pixels that share their place in frame 1 with others that fit better.
 
     Parameters
@@ -66,7 +76,7 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
     _defeated(flow, residual, claims, density, apart, out)
 
 
-def _check(flow, residual, claims) -> None:
+def _check(flow: np.ndarray, residual: np.ndarray, claims: np.ndarray) -> None:
     size = residual.shape
     check_array(residual, size[:2], "residual", aligned=False)
     check_array(flow, (2, *size), "flow", aligned=False)
@@ -89,7 +99,7 @@ def _splat(
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
             band = task // CHUNK
-            first, last = band * height // bands, (band + 1) * height // bands
+            first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             for y, x in ti.ndrange((first, last), width):
                 claims[y, x] = _Claims(0.0)
             for y in range(ti.max(0, first - reach), ti.min(height, last + reach)):

@@ -1,20 +1,22 @@
 """How strong the smoothness of every edge is, by the image's own steps."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
     LaneArray,
+    LaneData,
     LaneGrid,
     SumArray,
     lane_count,
     lane_kernel,
 )
-from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 
 LEAST = 1e-12  # of the mean of g, which divides
 
 
-def image_edges(grid: LaneGrid, image, out, *, rate: float) -> None:
+def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float) -> None:
     """Compute g = c/(1 + rate·|ΔI|) of every edge, c such that the mean of g is 1.
 
     Parameters

@@ -44,7 +44,7 @@ class Buffers:
         block = self._block(size)
         start = -block.ctypes.data % ALIGNMENT
         # Of a memoryview: views of it have this array as their base, and none behind it.
-        array = np.frombuffer(memoryview(block), np.float32, count, start)
+        array = np.frombuffer(block.data, np.float32, count, start)
         if LEAST <= size <= GREATEST:
             key = id(array)
 

@@ -8,7 +8,7 @@ import pytest
 import tisfm
 from tests.rendered import static_scene, three_blocks, two_blocks
 from tisfm.metrics import depth_errors, pose_errors
-from tisfm.motion.field import Reading
+from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.contacts import aligned
 from tisfm.reference import flow as flow_of
 from tisfm.reference import motion_matrix
@@ -208,15 +208,16 @@ def test_objects_on_a_floor_take_its_scale(result, blocks):
     np.testing.assert_allclose(expected, before, rtol=1e-4, atol=1e-9)
 
 
-def reading_of(inverse_depth, labels):
+def estimate_of(inverse_depth, labels):
     shape = labels.shape
     nothing = np.zeros(shape, np.float32)
-    return Reading(
+    return Estimate(
         rho=np.zeros((6, *shape), np.float32),
         flow=np.zeros((2, *shape), np.float32),
         inverse_depth=inverse_depth.astype(np.float32),
         inverse_depth_std=nothing + 1,
-        evidence=np.zeros((7, *shape), np.float32),
+        precision=np.zeros((7, *shape), np.float32),
+        level=0,
         normalized=True,
         freedom=1,
         history=[],
@@ -237,7 +238,7 @@ def standing(*, floor_below=True):
 
 
 def test_scale_is_that_of_the_contact():
-    result = aligned(reading_of(*standing()), np.zeros((40, 40), bool))
+    result = aligned(estimate_of(*standing()), np.zeros((40, 40), bool))
     np.testing.assert_allclose(result.inverse_depth, 2)
     np.testing.assert_allclose(result.motions[1, :3], (0, 2, 0))
     np.testing.assert_allclose(result.inverse_depth_std[15, 15], 0.5)
@@ -247,11 +248,11 @@ def test_without_contact_scales_stay():
     hidden = np.zeros((40, 40), bool)
     hidden[30:, :] = True
     inverse_depth, labels = standing()
-    result = aligned(reading_of(inverse_depth, labels), hidden)
+    result = aligned(estimate_of(inverse_depth, labels), hidden)
     np.testing.assert_allclose(result.inverse_depth, inverse_depth)
     labels[25:, :] = np.where(labels[25:, :] == 1, 1, 0)
     labels[30:, 10:30] = 1  # down to the border of the image
-    result = aligned(reading_of(inverse_depth, labels), np.zeros((40, 40), bool))
+    result = aligned(estimate_of(inverse_depth, labels), np.zeros((40, 40), bool))
     assert result.motions[1, 1] == 1
 
 
@@ -352,21 +353,19 @@ def test_parts_of_a_label_get_motions_of_their_own():
 def test_surfaces_are_continued_beyond_their_support(small):
     """What tells layers apart: there, the depth is that of the neighbourhood, not of the data."""
     from tisfm.frames import grey_pair
+    from tisfm.motion.problems import pyramid_of
     from tisfm.motion.rigid_depth import residual_under, rigid_depth
-    from tisfm.solver.image_pyramid import Pyramid
 
     settings = tisfm.Settings()
     grey0, grey1 = grey_pair(small.frame0, small.frame1)
-    pyramid = Pyramid(grey0, grey1, small.camera, settings)
+    pyramid = pyramid_of(grey0, grey1, small.camera, settings)
     background = things(small) == 0
     motion = np.column_stack(rigid_motion(small.motions[0]))
     solution = rigid_depth(
-        pyramid, settings, small.camera, motion[None], np.zeros(SIZE, np.int32),
+        pyramid, settings, motion[None], np.zeros(SIZE, np.int32),
         refine="none", support=background,
     )  # fmt: skip
-    residual, flow = residual_under(
-        pyramid, settings, small.camera, solution.motions[0], solution.inverse_depth
-    )
+    residual, flow = residual_under(pyramid, settings, solution.motions[0], solution.inverse_depth)
     assert np.median(residual[~background]) > 10 * np.median(residual[background])
     off = np.linalg.norm(np.moveaxis(flow, 0, -1) - small.flow, axis=-1)
     assert np.median(off[background]) < 0.02

@@ -7,13 +7,9 @@ import tisfm
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
 from tisfm import reference
-from tisfm.solver.image_pyramid import (
-    Pyramid,
-    coarse_to_fine,
-    gaussian_pyramid,
-    level_count,
-    smooth,
-)
+from tisfm.motion.problems import flow_problem, pyramid_of, warps_of
+from tisfm.solver.coarse_to_fine import coarse_to_fine
+from tisfm.solver.image_pyramid import gaussian_pyramid, level_count, smooth
 
 
 @pytest.fixture(scope="module")
@@ -21,14 +17,10 @@ def blocks():
     return two_blocks(90, 122, seed=1)
 
 
-def solve(frame0, frame1, settings, camera, components=None):
-    frames = frame0.astype(np.float32), frame1.astype(np.float32)
-    return coarse_to_fine(
-        Pyramid(*frames, camera, settings),
-        settings,
-        components=components or settings.components,
-        contrast=settings.contrast_for(camera.focal),
-    )
+def solve(frame0, frame1, settings, camera):
+    pyramid = pyramid_of(frame0.astype(np.float32), frame1.astype(np.float32), camera, settings)
+    problem = flow_problem(settings, camera.focal)
+    return coarse_to_fine(pyramid, problem, warps=warps_of(pyramid, settings, 0))
 
 
 @pairwise(
@@ -83,7 +75,7 @@ def test_recorded_energy_is_the_references(blocks):
     tensor = reference.brightness_tensor(
         reference.derivatives(*frames, "cube"), zero, np.ones(shape)
     )
-    rho = solution.field.images().astype(np.float64)
+    rho = solution.unknowns.images().astype(np.float64)
     smoothness = reference.Smoothness(contrast=blocks.camera.focal)
     expected = reference.energy(tensor, motion, rho, settings.alpha, smoothness)
     assert solution.history[-1][2].energy == pytest.approx(expected, rel=2e-6)
@@ -103,8 +95,8 @@ def test_the_whole_pair_agrees_with_the_reference(model, preset, solver):
     flow = np.moveaxis(
         tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings).flow, -1, 0
     )
-    levels = level_count(50, 67, settings)
     factor = settings.pyramid_factor
+    levels = level_count(50, 67, factor, settings.pyramid_levels)
     pyramids = [
         gaussian_pyramid(smooth(f.astype(np.float32), settings.presmoothing), factor, levels)
         for f in (pair.frame0, pair.frame1)

@@ -1,11 +1,8 @@
 """Image pyramids: where levels lie, how many there are, and smoothing."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-import tisfm
 from tisfm.solver.image_pyramid import (
     COARSEST_SIDE,
     gaussian_pyramid,
@@ -27,15 +24,13 @@ def test_pyramid_levels_lie_where_they_say(factor):
 
 
 def test_level_count():
-    settings = tisfm.Settings(pyramid_factor=0.5)
-    assert level_count(12, 12, settings) == 1
-    assert level_count(64, 2000, settings) == 3
-    assert level_count(64, 64, replace(settings, pyramid_levels=2)) == 2
-    assert level_count(64, 64, replace(settings, pyramid_levels=50)) == 3
+    assert level_count(12, 12, 0.5) == 1
+    assert level_count(64, 2000, 0.5) == 3
+    assert level_count(64, 64, 0.5, 2) == 2
+    assert level_count(64, 64, 0.5, 50) == 3
     for factor in (0.5, 0.6, 0.7, 0.8, 0.95):
-        settings = tisfm.Settings(pyramid_factor=factor)
         image = np.zeros((480, 640), np.float32)
-        coarsest = gaussian_pyramid(image, factor, level_count(480, 640, settings))[-1]
+        coarsest = gaussian_pyramid(image, factor, level_count(480, 640, factor))[-1]
         assert min(coarsest.shape) >= COARSEST_SIDE - 1
         assert min(coarsest.shape) * factor < COARSEST_SIDE + 1
 

@@ -50,12 +50,12 @@ def test_confidence_is_the_share_of_the_data(make_problem):
 
     j = np.array([[50.0, 20.0], [20.0, 30.0]])
     m = np.array([[0.02, 0.005], [0.005, 0.01]])
-    evidence = np.zeros((7, 40, 40), np.float32)
+    precision = np.zeros((7, 40, 40), np.float32)
     for k, value in enumerate((j[0, 0], j[0, 1], j[1, 1], 0.0, m[0, 0], m[0, 1], m[1, 1])):
-        evidence[k] = value
+        precision[k] = value
     window = 15 * 15 * j @ m
     expected = 0.5 * np.trace(window @ np.linalg.inv(np.eye(2) + window))
-    result = confidence(evidence, np.zeros((40, 40), bool), normalized=True)
+    result = confidence(precision, np.zeros((40, 40), bool), normalized=True)
     np.testing.assert_allclose(result, expected, rtol=1e-5)
 
 

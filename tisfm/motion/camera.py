@@ -5,17 +5,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.camera import Camera
 from tisfm.interpretation import Status
 from tisfm.motion.agreement import mismatch, unrelated
-from tisfm.motion.egomotion import CameraMotion, camera_motion, distance_from_rays
-from tisfm.motion.field import Reading, unmoved
+from tisfm.motion.egomotion import (
+    CameraMotion,
+    TooFewPixelsError,
+    camera_motion,
+    distance_from_rays,
+)
+from tisfm.motion.estimate import Estimate, unmoved
 from tisfm.motion.plane_sweep import depth_start
+from tisfm.motion.problems import flow_problem, last_level, warps_of
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
-from tisfm.solver.image_pyramid import Iteration, Pyramid, coarse_to_fine
+from tisfm.solver.coarse_to_fine import Records, coarse_to_fine
+from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image
 
@@ -29,9 +35,7 @@ FINEST = 0.005  # px of the level: no flow is better than that
 STILL = 0.1  # px: median flow of a camera that stands still
 
 
-def camera_reading(
-    pyramid: Pyramid, camera: Camera, settings: Settings, pose: KnownPose | None
-) -> Reading:
+def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose | None) -> Estimate:
     """Find one rigid motion and the inverse depth of every pixel, both from the images directly.
 
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
@@ -39,20 +43,18 @@ def camera_reading(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        A pinhole, of the finest level.
+    pyramid : ImagePyramid
     settings : Settings
     pose : KnownPose or None
         What is known of the motion.
     """
-    shape = pyramid.frames0[0].shape
-    labels = np.zeros(shape, np.int32)
+    camera, level = pyramid.camera(), last_level(pyramid, settings)
+    labels = np.zeros(pyramid.shape, np.int32)
     if pose is not None and pose.translation is not None and not pose.translation.any():
         return without_depth(
             pyramid,
-            camera,
             settings,
+            level=level,
             rotation=pose.rotation,
             translation=pose.translation,
             status=Status(
@@ -61,9 +63,9 @@ def camera_reading(
             ),
             history=[],
         )
-    start = first_motion(pyramid, camera, settings, pose=pose, pixels=START)
+    start = first_motion(pyramid, settings, pose=pose, pixels=START)
     if start.status is not None:
-        return only_turned(pyramid, camera, settings, start, start.status)
+        return only_turned(pyramid, settings, start, start.status, level=level)
     motions = scaled_translations(start.matrix[None], labels, camera)
     refine: Refinement = "motion"
     unit = None
@@ -73,14 +75,13 @@ def camera_reading(
     solution = rigid_depth(
         pyramid,
         settings,
-        camera,
         motions,
         labels,
         refine=refine,
-        start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
+        start=depth_start(pyramid, motions[0], start.level, start.flow, start.trust),
     )
-    reading = with_depth(solution, labels, camera, settings, unit=unit)
-    return reading if start.doubt is None else replace(reading, status=start.doubt)
+    estimate = replace(with_depth(solution, labels, camera, settings, unit=unit), level=level)
+    return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +112,7 @@ class FirstMotion:
     residual: float
     status: Status | None
     doubt: Status | None
-    history: list[tuple[int, int, Iteration]]
+    history: Records
     flow: np.ndarray
     trust: np.ndarray
     level: int
@@ -123,8 +124,7 @@ class FirstMotion:
 
 
 def first_motion(
-    pyramid: Pyramid,
-    camera: Camera,
+    pyramid: ImagePyramid,
     settings: Settings,
     *,
     pose: KnownPose | None = None,
@@ -136,9 +136,7 @@ def first_motion(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        Of the finest level.
+    pyramid : ImagePyramid
     settings : Settings
     pose : KnownPose, optional
         What is known of the motion; its translation, if any, is not 0.
@@ -147,18 +145,17 @@ def first_motion(
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     level = max(large, default=0)
+    settings = replace(settings, warps=max(settings.warps, WARPS))
     solution = coarse_to_fine(
         pyramid,
-        replace(settings, warps=max(settings.warps, WARPS)),
-        components=settings.components,
-        contrast=settings.contrast_for(camera.focal),
-        finest=level,
+        flow_problem(settings, pyramid.camera().focal),
+        warps=warps_of(pyramid, settings, level),
+        last=level,
     )
-    field = solution.field
-    flow = field.to_images(field.flow(field.grid.allocate(2)))
+    flow = solution.unknowns.flow()
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
         trust = confidence(
-            solution.minimiser.evidence(),
+            solution.unknowns.precision(solution.system),
             leaves_image(flow),
             normalized=settings.normalization is not None,
         )
@@ -178,10 +175,10 @@ def first_motion(
     if still.status is not None:
         return still
     scale = pyramid.scale(level)
-    coarse = camera.scaled(scale, *pyramid.frames0[0].shape)
+    coarse = pyramid.camera(level)
     try:
         found = camera_motion(flow, trust, coarse)
-    except ValueError as error:
+    except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(still, status=Status("no_texture", message))
     apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)
@@ -218,13 +215,13 @@ def first_motion(
 
 
 def only_turned(
-    pyramid: Pyramid, camera: Camera, settings: Settings, start: FirstMotion, status: Status
-) -> Reading:
+    pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
+) -> Estimate:
     """Return what is left of a first motion whose depth is not to be seen, and why."""
     return without_depth(
         pyramid,
-        camera,
         settings,
+        level=level,
         rotation=start.rotation,
         translation=start.translation,
         status=status,

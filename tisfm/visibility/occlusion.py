@@ -1,11 +1,16 @@
 """Which pixels of frame 0 are not visible in frame 1."""
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from tisfm import runtime
 from tisfm.settings import Settings
-from tisfm.solver.sampling import sample
+from tisfm.solver.sampling import enlarged, reduced, sample
+
+if TYPE_CHECKING:
+    from tisfm.solver.image_pyramid import ImagePyramid
 
 DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
 # px/frame from the mean of all that go to a place, the pixel itself included: two pixels that move
@@ -78,6 +83,32 @@ def occlusion(
     return hidden.astype(bool) | leaves
 
 
+def occlusion_in(
+    pyramid: "ImagePyramid",
+    flow: np.ndarray,
+    settings: Settings,
+    *,
+    leaves: np.ndarray | None = None,
+    level: int = 0,
+) -> np.ndarray:
+    """Find which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
+
+    As `occlusion` does; the frames of `level` tell how well the flow meets them, where its pixels
+    are whole numbers of others.
+    """
+    if pyramid.factor != 0.5:
+        level = 0
+    return occlusion(
+        pyramid.frames0[level],
+        pyramid.frames1[level],
+        flow,
+        settings,
+        factor=2**level,
+        taps1=pyramid.taps1(level),
+        leaves=leaves,
+    )
+
+
 def leaves_image(flow: np.ndarray) -> np.ndarray:
     """Return where a flow, (2, H, W), ends outside the image; (H, W) bool, True for NaN."""
     height, width = flow.shape[1:]
@@ -101,8 +132,6 @@ def _residual_of(
     """Return the residual of every pixel of the flow, (H, W), judged by the frames' pixels."""
     if factor == 1:
         return _residual(frame0, sample(frame1, flow, taps1), settings)
-    from tisfm.solver.resampling import enlarged, reduced
-
     coarse = reduced(flow, factor, *frame0.shape) / np.float32(factor)
     residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
     return enlarged(residual[None], factor, *flow.shape[1:])[0]
