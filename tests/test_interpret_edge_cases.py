@@ -254,7 +254,7 @@ def test_settings_at_their_bounds_overflow_nowhere(changes, motion, solver):
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("empty", [0.0, 1e-45, np.inf, np.nan])
 def test_objects_without_depth_have_no_contact(empty):
-    from tisfm.motion.field import Reading
+    from tisfm.motion.estimate import Estimate
     from tisfm.motion.objects.contacts import aligned
 
     labels = np.zeros((40, 40), np.int32)
@@ -262,8 +262,8 @@ def test_objects_without_depth_have_no_contact(empty):
     depth = np.full((40, 40), 0.5, np.float32)
     depth[labels == 1] = 0.25
     depth[10:25, 10:20] = empty  # in half of the columns
-    nothing = {name: None for name in (f.name for f in dataclasses.fields(Reading))}
-    reading = Reading(
+    nothing = {name: None for name in (f.name for f in dataclasses.fields(Estimate))}
+    reading = Estimate(
         **{
             **nothing,
             "inverse_depth": depth,
