@@ -263,7 +263,7 @@ def test_objects_without_depth_have_no_contact(empty):
     depth[labels == 1] = 0.25
     depth[10:25, 10:20] = empty  # in half of the columns
     nothing = {name: None for name in (f.name for f in dataclasses.fields(Estimate))}
-    reading = Estimate(
+    estimate = Estimate(
         **{
             **nothing,
             "inverse_depth": depth,
@@ -275,6 +275,6 @@ def test_objects_without_depth_have_no_contact(empty):
     hidden = np.zeros((40, 40), bool)
     if empty == np.float32(1e-45):
         hidden[:, :20] = True  # it is a depth, far off: not to be read here
-    scaled = aligned(reading, hidden)
+    scaled = aligned(estimate, hidden)
     np.testing.assert_allclose(scaled.motions[1, :3], [0, 0.5, 0])
     np.testing.assert_allclose(scaled.inverse_depth[15, 25], 0.5)

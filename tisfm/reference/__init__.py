@@ -36,6 +36,7 @@ from tisfm.reference.energies import (
     half_quadratic_energy,
 )
 from tisfm.reference.epipolar import along, displacement, motion_system
+from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
     warp,
@@ -63,7 +64,6 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
-from tisfm.reference.uniqueness import claims, defeated
 
 __all__ = [
     "Minimisation",
@@ -72,7 +72,6 @@ __all__ = [
     "along",
     "aubert",
     "brightness_tensor",
-    "claims",
     "coarse_to_fine",
     "constancy_constraints",
     "constancy_tensors",
@@ -97,6 +96,7 @@ __all__ = [
     "robust_energy",
     "robust_tensor",
     "smoothness_energy",
+    "splat",
     "sweep_lexicographic",
     "sweep_red_black",
     "tensors_of",
