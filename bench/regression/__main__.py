@@ -55,7 +55,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--threads", type=int, default=2, metavar="N")
     parser.add_argument("--rounds", type=int, default=20, metavar="N", help="of every timing")
     parser.add_argument("--quick", action="store_true", help="small scenes, no data, three rounds")
-    parser.add_argument("--output", default="regression", metavar="NAME", help="in bench/results")
+    parser.add_argument("--output", metavar="NAME", help="name of the file in bench/results")
     options = parser.parse_args(arguments)
     check_counts(parser, options)
     for folder in (options.before, options.after):
@@ -176,7 +176,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"bench.regression: {error}", file=sys.stderr)
         return 2
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{options.output}.md").write_text(markdown(found), encoding="utf-8")
+    name = options.output or ("smoke-regression" if options.quick else "regression")
+    (RESULTS / f"{name}.md").write_text(markdown(found), encoding="utf-8")
     print(markdown(found))
     return 1 if any(out_of_bounds(found)) else 0
 

@@ -125,7 +125,7 @@ def run(before, monkeypatch, tmp_path):
     words = ["--quick", "--only", "answers", "--preset", "fast", "--motion", "field"]
     words += ["--pairs", "two_blocks", "--threads", str(os.cpu_count())]
     code = regression.main(["--before", str(before), *words])
-    return code, (tmp_path / "regression.md").read_text(encoding="utf-8")
+    return code, (tmp_path / "smoke-regression.md").read_text(encoding="utf-8")
 
 
 def test_the_same_checkout_gives_the_same_bits(tmp_path, monkeypatch):
