@@ -171,6 +171,29 @@ def test_every_setting_has_its_unit_and_values(name):
     assert any(line.startswith(f"- `{name}`: ") for line in lines)
 
 
+@pytest.mark.parametrize("name", [field.name for field in fields(tisfm.Settings)])
+def test_ranges_of_settings_are_those_that_are_accepted(name):
+    lines = (DOCS / "settings.md").read_text(encoding="utf-8").splitlines()
+    unit, text = next(cells(line)[1:3] for line in lines if line.startswith(f"| `{name}` |"))
+    bounds = re.search(r"([\d.e-]+) to ([\d.e-]+)$", text)
+    if bounds is None:
+        assert name in ("relaxation", "tolerance") or not re.search(r"\d", text)
+        return
+    least, most = map(float, bounds.groups())
+    whole = unit in ("count", "level")
+    outside = (least - 1, most + 1) if whole else (least - 0.01 * (least or 1), 1.01 * most)
+
+    def settings(value):
+        value = int(value) if whole else value
+        return tisfm.Settings(**{name: (value,) * 6 if name == "stiffness" else value})
+
+    for value in (least, most):
+        settings(value)
+    for value in outside:
+        with pytest.raises(ValueError, match=name):
+            settings(value)
+
+
 def test_the_presets_of_the_method_are_those_of_the_code():
     lines = (DOCS / "method.md").read_text(encoding="utf-8").splitlines()
     header = next(cells(line) for line in lines if line.startswith("| | `pyramid_factor`"))
