@@ -11,6 +11,8 @@ from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.settings import Settings, check_settings
 
+__all__ = ["horn_schunck"]
+
 
 def horn_schunck(
     frame0: npt.ArrayLike,

@@ -9,6 +9,8 @@ from tisfm.frames import check_frame
 from tisfm.solver.sampling import sample
 from tisfm.visibility.occlusion import FAR, leaves_image
 
+__all__ = ["undistort"]
+
 LEAST_SEEN = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera
 RADII = 4096  # at which the radial part of the model is looked at
 

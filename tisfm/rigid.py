@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import Floats, finite
 
+__all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
+
 _ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
 # Of ‖t‖, in its own unit: depth and its deviation then are numbers of float32, with digits to spare
 # for scenes of any size and images of any parallax.

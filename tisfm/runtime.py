@@ -16,6 +16,8 @@ from tisfm.cores import bind_newest, thread_ids
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid
 
+__all__ = ["start"]
+
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import static_scene
 from tisfm.scenes.ready import STATIC_KINDS
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.metrics import depth_errors
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture, static_scene
+from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture
 
 SIZES = [(5, 1), (1, 7), (7, 9), (24, 33)]
 TWIST = (0.9, 0.2, 0.4, 0.01, -0.02, 0.03)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene, two_blocks
 from tisfm.metrics import endpoint_error_map
-from tisfm.scenes import Scene, static_scene, two_blocks
+from tisfm.scenes import Scene
 from tisfm.scenes.geometry import Box, Plane
 from tisfm.scenes.texture import Texture
 from tisfm.visibility.occlusion import leaves_image, occlusion
