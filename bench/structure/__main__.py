@@ -2,7 +2,8 @@
 
 The source of each checkout, by default this one, is read without running it, and drawn. Then one
 interpretation of each motion is followed, in a process of the checkout's own. Reports and drawings
-are left in bench/results as structure-NAME.md and .png.
+are left in bench/results as structure-NAME.md and .png, and of several checkouts a table of all as
+structure.md.
 """
 
 import argparse
@@ -59,7 +60,9 @@ def main(arguments: list[str] | None = None) -> int:
         sources.append(source)
         ways.append(way)
     if len(sources) > 1:
-        print(comparison(options.names, sources, ways))
+        table = f"# Structure\n\n{comparison(options.names, sources, ways)}\n"
+        (RESULTS / "structure.md").write_text(table, encoding="utf-8")
+        print(table)
     return 0
 
 

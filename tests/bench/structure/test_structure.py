@@ -137,6 +137,9 @@ def test_report(tmp_path, monkeypatch, capsys):
     assert {path.name for path in tmp_path.iterdir()} == {"structure-x.md", "structure-x.png"}
     assert "- of modules: none" in (tmp_path / "structure-x.md").read_text(encoding="utf-8")
     assert "bench/structure" in capsys.readouterr().out
+    assert structure.main([str(ROOT), str(ROOT), "--names", "x", "y", "--motion"]) == 0
+    table = (tmp_path / "structure.md").read_text(encoding="utf-8")
+    assert "|  | x | y |" in table and "| cycles of packages | " in table
     with pytest.raises(SystemExit):
         structure.main([str(tmp_path)])
     assert "is no checkout of this project" in capsys.readouterr().err
