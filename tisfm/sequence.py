@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -43,17 +44,11 @@ class FramePair:
         self, *, camera: Camera | None = None, settings: Settings | None = None
     ) -> Interpretation:
         """Interpret the pair; errors name its frames."""
-        from tisfm.pair import interpret_pair
+        from tisfm.pair import interpret, interpret_pair
 
+        work = interpret if self.stretch else partial(interpret_pair, stretch=False)
         try:
-            return interpret_pair(
-                self.frame0,
-                self.frame1,
-                camera=camera,
-                settings=settings,
-                pose=self.pose,
-                stretch=self.stretch,
-            )
+            return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
             raise type(error)(f"frames {self.name0} and {self.name1}: {error}") from error
 

@@ -41,7 +41,7 @@ class Settings:
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
     motion : {"field", "camera", "objects"}
-        Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
+        Motion model: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
         ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel;
         ``"objects"`` several rigid motions, a label per pixel, and inverse depth in the unit of
         each motion.

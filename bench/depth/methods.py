@@ -71,14 +71,14 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class Joint:
-    """`tisfm.interpret` with a preset and a reading of motion."""
+    """`tisfm.interpret` with a preset and a motion model."""
 
     preset: Preset
     motion: Motion
 
     @property
     def name(self) -> str:
-        """The preset and the reading."""
+        """The preset and the motion model."""
         return f"tisfm {self.preset}, {self.motion}"
 
     def run(self, pair: DepthPair) -> Sequence[Estimate]:

@@ -1,4 +1,4 @@
-"""Both sides of the kernels that readings by rigid motions need besides those of a field."""
+"""Both sides of the kernels that motion models of rigid motions need besides those of a field."""
 
 import numpy as np
 

@@ -149,12 +149,12 @@ class FieldReferences(NumpySide):
         return run
 
     def splat(self) -> Run:
-        # Not tisfm.reference.claims, which is a plain loop.
-        return lambda: _claims(self.problem.flow, self.problem.residual)
+        # Not tisfm.reference.splat, which is a plain loop.
+        return lambda: _splatted(self.problem.flow, self.problem.residual)
 
     def defeated(self) -> Run:
         flow, residual = self.problem.flow, self.problem.residual
-        found = _claims(flow, residual)
+        found = _splatted(flow, residual)
 
         def run() -> np.ndarray:
             inside, corners = _arrivals(flow)
@@ -199,7 +199,7 @@ def _arrivals(
     ]
 
 
-def _claims(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _splatted(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel."""
     inside, corners = _arrivals(flow)
     values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]

@@ -61,8 +61,8 @@ TRAFFIC = {
     "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
     "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
     "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints
-    "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | claims
-    "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, claims | out
+    "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
+    "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
     # Of a halved array, a quarter: tensor, b | tensor, b
     "coarsen_system separate": Traffic(read=(6, 2), written=(1.5, 0.5)),
     "coarsen_system joint": Traffic(read=(8, 0), written=(2, 0)),

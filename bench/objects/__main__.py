@@ -102,7 +102,7 @@ def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> lis
     started = time.perf_counter()
     result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
     seconds = time.perf_counter() - started
-    assert result.motions is not None  # this reading has them
+    assert result.motions is not None  # this motion model has them
     motions = np.stack([pose_matrix(motion) for motion in result.motions])
     score = Score(
         method=f"tisfm {preset}, objects",

@@ -72,7 +72,7 @@ def seen(preset: Preset, first: int, frame0: NDArray, frame1: NDArray, focal: fl
     started = time.perf_counter()
     result = tisfm.interpret(frame0, frame1, camera=tisfm.Camera(focal=focal), settings=settings)
     seconds = time.perf_counter() - started
-    assert result.labels is not None and result.motions is not None  # this reading has them
+    assert result.labels is not None and result.motions is not None  # this motion model has them
     man = _label(result.labels, MAN[first // EVERY], MAN_SIZE)
     cyclist = _label(result.labels, CYCLIST[first // EVERY], CYCLIST_SIZE)
     return Seen(

@@ -15,9 +15,8 @@ from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
-
-TINY = 1e-12  # squared grey levels: no division by zero in uniform regions
 
 
 @operation
@@ -88,7 +87,7 @@ def constancy_constraints(
         mask,
         brightness,
         gradient,
-        1.0 if normalization is None else normalization**2 + TINY,
+        1.0 if normalization is None else normalization**2 + LEAST_DIVISOR,
         0.0 if normalization is None else 1.0,
         *finite_scales(scales),
         count,

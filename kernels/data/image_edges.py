@@ -12,8 +12,7 @@ from tisfm.kernels.layout.lanes import (
     lane_kernel,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-
-LEAST = 1e-12  # of the mean of g, which divides
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 
 
 def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float) -> None:
@@ -37,7 +36,7 @@ def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float
     _image_edges[grid.lanes](image, rate, grid.serial, out, partial)
     count = grid.height * (grid.width - 1) + (grid.height - 1) * grid.width
     mean = float(add_blocks(partial)[0]) / max(count, 1)
-    _scale[grid.lanes](1.0 / max(mean, LEAST), grid.serial, out)
+    _scale[grid.lanes](1.0 / max(mean, LEAST_DIVISOR), grid.serial, out)
 
 
 @lane_kernel

@@ -6,8 +6,8 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.rigid.epipolar import NEAREST
 
 BAND = 16  # rows, at least
 

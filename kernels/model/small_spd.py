@@ -11,10 +11,9 @@ from typing import Any
 import taichi as ti
 
 from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.model.constants import LEAST_PIVOT
 
 PIVOT_FLOOR = 1e-6  # relative to the diagonal entry: about ten float32 roundings
-TINY = 1e-20  # absolute: keeps a pixel without data and without neighbours exactly at zero
-DIAGONAL_FLOOR = 1e-12  # the same for what is inverted and then squared in float32
 DATA_FLOOR = 1e-6  # of the data: beyond it, differences in the closed form are rounding
 
 
@@ -42,7 +41,7 @@ def cholesky_solve(matrix: list[list], rhs: list) -> list:
             scaled[k] = lower[j][k]
             lower[j][k] = bind(scaled[k] * inverse_pivot[k])
             pivot = pivot - scaled[k] * lower[j][k]
-        floor = matrix[j][j] * PIVOT_FLOOR + TINY
+        floor = matrix[j][j] * PIVOT_FLOOR + LEAST_PIVOT
         inverse_pivot[j] = bind(1.0 / ti.max(pivot, floor))
         for i in range(j + 1, n):
             entry = matrix[i][j]

@@ -11,8 +11,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
-
-NEAREST = 0.05  # least depth after the motion over depth before: nothing comes closer to the camera
+from tisfm.kernels.model.constants import NEAREST
 
 
 @operation

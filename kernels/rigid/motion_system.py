@@ -9,11 +9,10 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_DIVISOR, NEAREST
 from tisfm.kernels.model.robust import check_constraints, finite_scales, products, squares, terms_of
-from tisfm.kernels.rigid.epipolar import NEAREST, check_geometry
+from tisfm.kernels.rigid.epipolar import check_geometry
 from tisfm.kernels.solve.linear_system import LinearSystem
-
-TINY = 1e-12  # in place of a curvature where there is neither data nor a neighbour
 
 
 def motion_system(
@@ -145,7 +144,7 @@ def _motion_system(
             lever = focal * d * nearness
             columns = ti.static(_motion_columns(x, yy, lever, focal))
             curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
-            inverse = 1.0 / (curvature + alpha * neighbours + TINY)
+            inverse = 1.0 / (curvature + alpha * neighbours + LEAST_DIVISOR)
             slope = a * g1 + b * g2
             pulled = ti.static(_pulled(columns, j11, j12, j22))
             answers = ti.static(_answers(pulled, a, b))

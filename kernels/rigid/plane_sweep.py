@@ -5,7 +5,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.rigid.epipolar import NEAREST
+from tisfm.kernels.model.constants import NEAREST
 
 
 def matching_cost(

@@ -18,7 +18,7 @@ from tisfm.kernels.layout.lanes import (
 from tisfm.kernels.layout.launch import Kernel
 
 FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
-TINY = 1e-6  # in place of a bend where hypotheses cost the same
+LEAST_BEND = 1e-6  # in place of a bend where hypotheses cost the same
 
 
 def aggregate(
@@ -97,7 +97,7 @@ def _cheapest(
         offset = 0.0
         if best > 0 and best < count - 1:
             below, above = cost[y, x, best - 1], cost[y, x, best + 1]
-            bend = ti.max(below + above - 2.0 * least, TINY)
+            bend = ti.max(below + above - 2.0 * least, LEAST_BEND)
             offset = ti.max(-0.5, ti.min(0.5 * (below - above) / bend, 0.5))
         out[y, x] = best + offset
 

@@ -5,8 +5,8 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
 from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.small_spd import DIAGONAL_FLOOR
 
 
 def data_precision(
@@ -53,7 +53,7 @@ def _data_precision(
             east, south = ti.static(k % sets, sets + k % sets)
             neighbours = weights[east, y, s] + weights[east, y, s - 1]
             neighbours += weights[south, y, s] + weights[south, y - 1, s]
-            variance = 1.0 / (alpha[k] * neighbours + DIAGONAL_FLOOR)
+            variance = 1.0 / (alpha[k] * neighbours + LEAST_DIVISOR)
             m11 += a * a * variance
             m12 += a * b * variance
             m22 += b * b * variance

@@ -24,11 +24,11 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store,
 )
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.model.edges import spread
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.small_spd import (
     DATA_FLOOR,
-    DIAGONAL_FLOOR,
     cholesky_solve,
     woodbury_solve,
 )
@@ -295,7 +295,7 @@ def _solve(
     j11, j12, j22 = tensor
     # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
     # to, where the residual is zero, it leaves alone.
-    floor = bind(DATA_FLOOR * (j11 + j22) + DIAGONAL_FLOOR)
+    floor = bind(DATA_FLOOR * (j11 + j22) + LEAST_DIVISOR)
     if closed_form and len(alphas) > 1:  # a single equation is solved as it is
         if len(sets) == 1:  # a single quotient of vectors
             softest = alphas[0]

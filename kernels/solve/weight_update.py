@@ -25,12 +25,12 @@ from tisfm.kernels.layout.lanes import (
     store,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 
 LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
 ROWS = 4  # of a band, which one thread takes at a time
-TINY = 1e-20  # in place of a weight that is zero
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def _update_block(
                 # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
                 gap = g - before
                 half_smooth += before * square
-                half_smooth += squared_contrast * gap * gap / ti.max(before, TINY)
+                half_smooth += squared_contrast * gap * gap / ti.max(before, LEAST_PIVOT)
                 store(weights, place, both * (1.0 + root))  # g b
         for k in ti.static(range(n)):
             place = i + planes[k]

@@ -640,7 +640,7 @@ def test_share_of_data_checks_its_arguments():
 
 @each_size
 @pytest.mark.parametrize("any_order", [False, True])
-def test_claims_and_who_loses_them(size, any_order):
+def test_splatting_and_who_loses_them(size, any_order):
     from tisfm.kernels.data.forward_splatting import defeated, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
@@ -652,37 +652,37 @@ def test_claims_and_who_loses_them(size, any_order):
     flow[0, -1, -1] = 0.0
     flow[1, -1, -1] = 0.0  # to the last corner itself
     residual = rng.uniform(0, 5, size).astype(np.float32)
-    claims = aligned_zeros((*size, 4))
-    claims[...] = 7
-    splat(flow, residual, claims, any_order=any_order)
-    close(np.moveaxis(claims, -1, 0), reference.claims(flow, residual))
+    sums = aligned_zeros((*size, 4))
+    sums[...] = 7
+    splat(flow, residual, sums, any_order=any_order)
+    close(np.moveaxis(sums, -1, 0), reference.splat(flow, residual))
 
     out = np.full(size, 9, np.int32)
-    defeated(flow, residual, claims, out, density=1.2, apart=0.1)
+    defeated(flow, residual, sums, out, density=1.2, apart=0.1)
     expected = reference.defeated(flow, residual, density=1.2, apart=0.1)
     np.testing.assert_array_equal(out, expected)
     if min(size) > 4:
         assert 0 < expected.mean() < 0.5
 
 
-def test_claims_check_their_arrays():
+def test_splatting_check_their_arrays():
     from tisfm.kernels.data.forward_splatting import defeated, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
-    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
+    sums, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
     with pytest.raises(ValueError, match=r"flow is \(2, 6, 5\): expected \(2, 5, 6\)"):
-        splat(np.zeros((2, 6, 5), np.float32), residual, claims)
+        splat(np.zeros((2, 6, 5), np.float32), residual, sums)
     with pytest.raises(TypeError, match="residual is float64: expected a NumPy array of float32"):
-        splat(flow, residual.astype(np.float64), claims)
-    with pytest.raises(ValueError, match="claims must be C-contiguous"):
+        splat(flow, residual.astype(np.float64), sums)
+    with pytest.raises(ValueError, match="sums must be C-contiguous"):
         splat(flow, residual, np.zeros((5, 4, 6), np.float32).transpose(0, 2, 1))
     offset = aligned_zeros((5 * 6 * 4 + 1,))[1:].reshape(5, 6, 4)
     for call in (
         lambda: splat(flow, residual, offset),
         lambda: defeated(flow, residual, offset, out, density=1.2, apart=0.1),
     ):
-        with pytest.raises(ValueError, match="claims must be aligned to 64 bytes"):
+        with pytest.raises(ValueError, match="sums must be aligned to 64 bytes"):
             call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
-        defeated(flow, residual, claims, out > 0, density=1.2, apart=0.1)
+        defeated(flow, residual, sums, out > 0, density=1.2, apart=0.1)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.visibility.confidence import median
 
 SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are neighbours
@@ -14,7 +15,6 @@ THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essent
 FEW = 1000  # of the samples, by which the best of several starts is found
 STARTING, ITERATIONS = 6, 30  # at most, for each start and for the best of them
 SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
-NEAREST = 0.05  # least depth after the motion over depth before, as the kernels take it
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7

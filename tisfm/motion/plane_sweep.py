@@ -5,7 +5,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty, aligned_zeros
-from tisfm.kernels.rigid.epipolar import NEAREST
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.rigid.plane_sweep import matching_cost
 from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
 from tisfm.runtime import lanes

@@ -11,6 +11,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, multiply
 from tisfm.kernels.layout.lanes import LaneData, on_host
 from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
 from tisfm.motion.egomotion import spin_prior
@@ -29,7 +30,6 @@ QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
-TINY = 1e-12
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
@@ -77,7 +77,7 @@ class RigidSolution:
         """
         window, known = (WINDOW, WINDOW), self.precision
         precision = cv2.blur(known[0], window)
-        precision += TINY
+        precision += LEAST_DIVISOR
         residual = cv2.blur(known[3], window)
         # Where nothing is seen, nothing is violated either.
         seen = known[0] > ROUNDING * known[0].max()
@@ -314,7 +314,7 @@ class _Level:
                 focal=self._focal,
                 scales=self._scales,
                 held=HELD * system.alpha,
-                tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
+                tolerated=(OUTLYING * float(noise[label])) ** 2 + LEAST_DIVISOR,
             )
             if label > 0:  # objects hardly spin relative to the background
                 stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])

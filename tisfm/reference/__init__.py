@@ -38,6 +38,7 @@ from tisfm.reference.energies import (
     half_quadratic_energy,
 )
 from tisfm.reference.epipolar import along, displacement, motion_system
+from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
     warp,
@@ -65,7 +66,6 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
-from tisfm.reference.uniqueness import claims, defeated
 
 __all__ = [
     "Minimisation",
@@ -74,7 +74,6 @@ __all__ = [
     "along",
     "aubert",
     "brightness_tensor",
-    "claims",
     "coarse_to_fine",
     "constancy_constraints",
     "constancy_tensors",
@@ -99,6 +98,7 @@ __all__ = [
     "robust_energy",
     "robust_tensor",
     "smoothness_energy",
+    "splat",
     "sweep_lexicographic",
     "sweep_red_black",
     "tensors_of",

@@ -76,10 +76,10 @@ def occlusion(
         flow = np.clip(flow, -FAR, FAR)
         flow[np.isnan(flow)] = FAR
     residual = _residual_of(frame0, frame1, flow, settings, factor, taps1)
-    claims = aligned_empty((*residual.shape, 4))
+    sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
-    splat(flow, residual, claims, any_order=any_order)
-    defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
+    splat(flow, residual, sums, any_order=any_order)
+    defeated(flow, residual, sums, hidden, density=DENSITY, apart=APART)
     return hidden.astype(bool) | leaves
 
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import NEAREST, TooFewPixelsError, camera_motion, triangulate
+from tisfm.kernels.model.constants import NEAREST
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.potts import Potts
 
 PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.camera import first_motion, only_turned
+from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
+from tisfm.motion.first_motion import first_motion
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks

@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def claims(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel.
 
     w are the bilinear weights of the four pixels around the place x + flow.
@@ -22,7 +22,7 @@ def claims(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
 def defeated(flow: np.ndarray, residual: np.ndarray, *, density: float, apart: float) -> np.ndarray:
     """Return where a pixel shares its place with others, which move otherwise and fit better."""
     _, height, width = flow.shape
-    sums = claims(flow, residual)
+    sums = splat(flow, residual)
     found = np.zeros((height, width), bool)
     for row, column in np.ndindex(height, width):
         x, y = column + flow[0, row, column], row + flow[1, row, column]
