@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import static_scene
 from tisfm.scenes.ready import STATIC_KINDS
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
@@ -44,7 +44,7 @@ def test_displacement_and_direction(size, lanes, make_problem):
     from tisfm.kernels.rigid.epipolar import displacement
 
     problem = make_problem(*size, 1, lanes)
-    field = problem.field
+    field = problem.unknowns
     inverse_depth = np.abs(problem.rho) + 1
     field.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
@@ -81,22 +81,28 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     from tisfm.kernels.rigid.motion_system import motion_system
 
     problem = make_problem(*size, 1, lanes)
-    grid, field = problem.grid, problem.field
+    unknowns = problem.unknowns
     constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
     terms = reference.tensors_of(split(constraints))
     scales = (2.0, 0.5)[: len(terms)]
     inverse_depth = np.abs(problem.rho) + 1
-    field.rho[...] = problem.to_lanes(inverse_depth)
+    unknowns.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
     labels = problem.to_lanes(chequered(*size)[None])
     rng = np.random.default_rng(7)
-    weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
+    weights = problem.from_lanes(unknowns.edges) * rng.uniform(0.1, 1, (2, *size))
     matrix, vector = motion_system(
-        grid, problem.to_lanes(constraints.reshape(-1, *size)), field.rho, labels,
-        problem.to_lanes(weights),
-        field.x_hat, field.y_hat, motions=motions, label=label,
-        focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
-    )  # fmt: skip
+        problem.system(weights),
+        problem.to_lanes(constraints.reshape(-1, *size)),
+        unknowns.rho,
+        labels,
+        motions=motions,
+        label=label,
+        focal=problem.camera.focal,
+        scales=scales,
+        held=alpha,
+        tolerated=tolerated,
+    )
     identity = reference.motion_matrix(problem.camera, *size, 2)
     moved = reference.displacement(inverse_depth[0], problem.camera, *poses[label])
     tensor = reference.robust_tensor(terms, identity, moved, scales)
@@ -132,7 +138,7 @@ def test_along(size, lanes, count, make_problem):
     out = problem.grid.allocate(3 * count)
     along(
         problem.grid, problem.to_lanes(constraints.reshape(-1, *size)), problem.to_lanes(flow),
-        problem.to_lanes(direction), problem.field.rho, out,
+        problem.to_lanes(direction), problem.unknowns.rho, out,
     )  # fmt: skip
     terms = reference.tensors_of(split(constraints))
     expected = reference.along(terms, flow, direction, problem.rho[0])
@@ -159,7 +165,7 @@ def test_motions_are_checked(motions, make_problem):
     from tisfm.kernels.rigid.epipolar import displacement
 
     problem = make_problem(5, 7, 1, 1)
-    field, grid = problem.field, problem.grid
+    field, grid = problem.unknowns, problem.grid
     with pytest.raises((TypeError, ValueError), match="motions is"):
         displacement(
             grid, field.rho, grid.allocate(1), field.x_hat, field.y_hat,
