@@ -114,7 +114,7 @@ class FlowThenDepth:
     Parameters
     ----------
     flow : Method
-        Of `bench.contest`: another library's or ours.
+        Of `bench.shared.contest`: another library's or ours.
     thresholds : sequence of float
         Of the essential matrix, px: each has an estimate of its own, from the same flow.
     """

@@ -119,7 +119,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
     """Return the times of every call in every round, each once per round.
 
-    As in `bench.contest`, a call that is quick runs once more before it is timed.
+    As in `bench.shared.contest`, a call that is quick runs once more before it is timed.
     """
 
     def seconds(call: Callable[[], Any]) -> float:
