@@ -35,7 +35,9 @@ class Launch:
     def __init__(self, kernel: "Kernel", ready: tuple[Any, Any], arguments: tuple) -> None:
         self._kernel, self._ready, self._arguments = kernel, ready, arguments
         self._program = internals.program()
-        self._lasting = internals.arch() == "cpu"  # elsewhere a context is good for one launch
+        # Elsewhere, and with arrays of a device, a context is good for one launch.
+        on_device = any(isinstance(argument, ti.Ndarray) for argument in arguments)
+        self._lasting = internals.arch() == "cpu" and not on_device
         self._context = self._made()
 
     def _made(self) -> Any:

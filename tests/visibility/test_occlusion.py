@@ -10,7 +10,7 @@ from tisfm.metrics import endpoint_error_map
 from tisfm.scenes import Scene
 from tisfm.scenes.geometry import Box, Plane
 from tisfm.scenes.texture import Texture
-from tisfm.visibility.occlusion import leaves_image, occlusion
+from tisfm.visibility.occlusion import MARGIN, leaves_image, occlusion
 
 H, W = 120, 160
 
@@ -96,6 +96,19 @@ def test_a_change_of_scale_hides_nothing(scale):
     noisy = moved + rng.normal(0, 2, (H, W)).astype(np.float32)
     found = occlusion(frame, noisy, flow, tisfm.Settings())
     assert not (found & ~leaves_image(flow)).any()
+
+
+@pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])
+def test_the_image_ends_a_margin_beyond_its_last_pixels(axis, side):
+    """At MARGIN px from the centres of the border's pixels, on every side."""
+    height, width = 7, 9
+    place = np.indices((height, width), np.float32)[::-1]  # x, y
+    last = (width - 1, height - 1)[axis]
+    for beyond in (-0.01, 0.01):
+        end = last + MARGIN + beyond if side > 0 else -MARGIN - beyond
+        flow = np.zeros((2, height, width), np.float32)
+        flow[axis] = end - place[axis]
+        assert (leaves_image(flow) == (beyond > 0)).all()
 
 
 @pytest.mark.parametrize("preset", ["paper", "balanced"])
