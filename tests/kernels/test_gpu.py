@@ -50,10 +50,11 @@ runtime.start(sys.argv[2])
 INTERPRET = """
 import pickle
 import tisfm
-frame0, frame1, camera, settings = pickle.load(open(sys.argv[1], "rb"))
-result = tisfm.interpret(frame0, frame1, camera=camera, settings=settings)
-assert runtime.lanes() == 1
-result.save(sys.argv[1] + ".npz")
+for path in sys.argv[1].split(","):
+    frame0, frame1, camera, settings = pickle.load(open(path, "rb"))
+    result = tisfm.interpret(frame0, frame1, camera=camera, settings=settings)
+    assert runtime.lanes() == 1
+    result.save(path + ".npz")
 """
 
 on_each_gpu = pytest.mark.parametrize(
@@ -84,18 +85,24 @@ def need(arch):
         pytest.skip(obstacle(arch))
 
 
-def interpreted_elsewhere(code, case, folder, *arguments):
-    """Interpret a case in a process of its own; return that result and this process's."""
+def interpreted_elsewhere(code, cases, folder, *arguments):
+    """Interpret cases in a process of their own; return each result with that of this process."""
     import pickle
 
-    settings, make = CASES[case]
-    scene = make()
-    path = folder / "pair"
-    path.write_bytes(pickle.dumps((scene.frame0, scene.frame1, scene.camera, settings)))
-    done = python(code + INTERPRET, path, *arguments)
+    scenes, paths = {case: CASES[case][1]() for case in cases}, []
+    for case, scene in scenes.items():
+        paths.append(folder / case)
+        pair = scene.frame0, scene.frame1, scene.camera, CASES[case][0]
+        paths[-1].write_bytes(pickle.dumps(pair))
+    done = python(code + INTERPRET, ",".join(map(str, paths)), *arguments)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    here = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
-    return tisfm.Interpretation.load(str(path) + ".npz"), here
+    found = {}
+    for case, scene in scenes.items():
+        here = tisfm.interpret(
+            scene.frame0, scene.frame1, camera=scene.camera, settings=CASES[case][0]
+        )
+        found[case] = tisfm.Interpretation.load(f"{folder / case}.npz"), here
+    return found
 
 
 def assert_the_same(result, expected):
@@ -118,12 +125,15 @@ def assert_the_same(result, expected):
 # On the CPU as on a GPU
 
 
-@pytest.mark.parametrize(
-    "case",
-    ["field", "translation", "paper", "camera", pytest.param("objects", marks=pytest.mark.slow)],
-)
-def test_the_ways_of_a_gpu_give_the_same_answer(case, tmp_path):
-    assert_the_same(*interpreted_elsewhere(EMULATED, case, tmp_path))
+@pytest.fixture(scope="module")
+def emulated(tmp_path_factory):
+    """All cases, in one process: most of its time goes into compiling what they share."""
+    return interpreted_elsewhere(EMULATED, CASES, tmp_path_factory.mktemp("emulated"))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_ways_of_a_gpu_give_the_same_answer(case, emulated):
+    assert_the_same(*emulated[case])
 
 
 def test_arrays_of_a_grid_stay_on_the_device(monkeypatch):
@@ -192,14 +202,15 @@ def test_no_kernel_for_one_lane_has_float64():
 @pytest.mark.parametrize("case", CASES)
 def test_a_gpu_gives_the_answer_of_the_cpu(arch, case, tmp_path):
     need(arch)
-    assert_the_same(*interpreted_elsewhere(STARTED, case, tmp_path, arch))
+    assert_the_same(*interpreted_elsewhere(STARTED, [case], tmp_path, arch)[case])
 
 
 @on_each_gpu
 def test_a_gpu_gives_the_same_flow_twice(arch, tmp_path):
     need(arch)
-    first, _ = interpreted_elsewhere(STARTED, "field", tmp_path, arch)
-    second, _ = interpreted_elsewhere(STARTED, "field", tmp_path, arch)
+    first, second = (
+        interpreted_elsewhere(STARTED, ["field"], tmp_path, arch)["field"][0] for _ in range(2)
+    )
     np.testing.assert_array_equal(first.flow, second.flow)
 
 
