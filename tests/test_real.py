@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench import statue
-from bench.sequences import MIDDLEBURY, find_pairs
+from bench.objects import statue
+from bench.shared.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.sequence import FrameSource
