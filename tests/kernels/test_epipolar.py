@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.lanes import LANES
+from tests.pairwise import pairwise
 from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.rigid import rigid_motion
@@ -12,7 +14,7 @@ SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
 TWIST = (0.4, -0.3, 0.8, 0.02, -0.05, 0.03)
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-each_lanes = pytest.mark.parametrize("lanes", [16, 8, 1])
+each_lanes = pytest.mark.parametrize("lanes", LANES)
 
 
 @pytest.mark.parametrize("kind", STATIC_KINDS)
@@ -72,12 +74,16 @@ def split(constraints):
     return [constraints] if len(constraints) < 3 else [constraints[:1], constraints[1:]]
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("label", [0, 1])
-@pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
-def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
+@pairwise(
+    ways=3,
+    size=SIZES,
+    lanes=LANES,
+    count=[1, 2, 3],
+    held=[(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)],
+    label=[0, 1],
+)
+def test_motion_system(size, lanes, count, held, label, make_problem):
+    alpha, tolerated = held
     from tisfm.kernels.rigid.motion_system import motion_system
 
     problem = make_problem(*size, 1, lanes)
@@ -125,9 +131,7 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     np.testing.assert_allclose(vector, expected[1], rtol=1e-3, atol=1e-4 * np.abs(vector).max())
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pairwise(size=SIZES, lanes=LANES, count=[1, 2, 3])
 def test_along(size, lanes, count, make_problem):
     from tisfm.kernels.rigid.epipolar import along
 

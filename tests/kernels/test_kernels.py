@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+from tests.lanes import LANES
+from tests.pairwise import pairwise
 from tisfm import reference
 
 # One pixel per lane, one lane wide, odd, non-square, exactly full strips, wider than high.
 SIZES = [(5, 1), (4, 8), (7, 9), (13, 37), (6, 64), (21, 5)]
 MODELS = [6, 3, 2, 1]
-LANES = [16, 8, 1]
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 each_model = pytest.mark.parametrize("components", MODELS)
 each_lanes = pytest.mark.parametrize("lanes", LANES)
+of_each = pairwise(size=SIZES, components=MODELS, lanes=LANES)
+KINDS = ["paper", "separate", "joint"]  # of weights: without g and s_k, of each component, one
 
 
 def close(actual, expected, scale=1.0):
@@ -92,9 +95,7 @@ def test_derivatives(size, lanes, scheme, make_problem):
     close(inner, np.array(reference.derivatives(*frames, scheme)), scale=255)
 
 
-@each_size
-@each_model
-@each_lanes
+@of_each
 def test_flow(size, components, lanes, make_problem):
     problem = make_problem(*size, components, lanes)
     out = problem.grid.allocate(2)
@@ -203,10 +204,7 @@ CONSTRAINTS = [
 ]
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("constraints", CONSTRAINTS, ids=["brightness", "gradient", "normalized"])
-@pytest.mark.parametrize("contrast", [0.1, np.inf])
+@pairwise(ways=3, size=SIZES, lanes=LANES, constraints=CONSTRAINTS, contrast=[0.1, np.inf])
 def test_constancy_constraints(size, lanes, constraints, contrast, make_problem):
     from tisfm.kernels.data.constraints import constancy_constraints
     from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
@@ -369,12 +367,15 @@ def test_image_edges_check_their_arguments():
             image_edges(grid, frame, out, rate=rate)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
-@pytest.mark.parametrize("relaxation", [1.0, 1.9])
+@pairwise(
+    ways=3,
+    size=[*SIZES, (64, 9), (131, 20)],
+    components=MODELS,
+    lanes=LANES,
+    kind=KINDS,
+    solver=["cholesky", "closed_form"],
+    relaxation=[1.0, 1.9],
+)
 def test_one_sweep_is_the_reference_sweep(
     size, components, lanes, solver, kind, relaxation, make_problem
 ):
@@ -397,10 +398,7 @@ def test_one_sweep_is_the_reference_sweep(
     np.testing.assert_array_equal(rho, problem.to_lanes(problem.from_lanes(rho)))
 
 
-@each_lanes
-@pytest.mark.parametrize("components", [1, 2, 3, 6])
-@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
-@pytest.mark.parametrize("joint", [True, False])
+@pairwise(components=MODELS, lanes=LANES, solver=["cholesky", "closed_form"], joint=[True, False])
 def test_a_pixel_without_an_open_edge_goes_by_its_data(
     components, lanes, solver, joint, make_problem
 ):
@@ -435,17 +433,22 @@ def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
     assert difference < 1e-4
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
-@pytest.mark.parametrize("contrast", [0.03, 0.3, 600.0, np.inf])
-@pytest.mark.parametrize(
-    ("scales", "count"),
-    [((np.inf,), 1), ((5.0,), 2), ((3.0, np.inf), 3), ((3.0, 50.0), 3)],
-    ids=["quadratic", "gradient", "one quadratic", "both"],
+@pairwise(
+    ways=3,
+    size=SIZES,
+    components=MODELS,
+    contrast=[0.03, 0.3, 600.0, np.inf],
+    data=["quadratic", "gradient", "one quadratic", "both"],
+    lanes=LANES,
+    kind=KINDS,
 )
-def test_weight_update(size, components, lanes, kind, contrast, scales, count, make_problem):
+def test_weight_update(size, components, contrast, data, lanes, kind, make_problem):
+    count, scales = {
+        "quadratic": (1, (np.inf,)),
+        "gradient": (2, (5.0,)),
+        "one quadratic": (3, (3.0, np.inf)),
+        "both": (3, (3.0, 50.0)),
+    }[data]
     problem = make_problem(*size, components, lanes)
     constraints = make_problem(*size, components, lanes, seed=1, channels=count).constraints
     split = [constraints] if count < 3 else [constraints[:1], constraints[1:]]
@@ -488,9 +491,7 @@ def test_weight_update(size, components, lanes, kind, contrast, scales, count, m
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-@each_lanes
-@pytest.mark.parametrize("count", [1, 3])
+@pairwise(size=SIZES, lanes=LANES, count=[1, 3])
 def test_weight_update_along_a_line(size, lanes, count, make_problem):
     problem = make_problem(*size, 1, lanes)
     constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
@@ -557,10 +558,7 @@ def test_enlarged_is_prolonged(size, factor):
         close(means, factor * (within + 0.5) - 0.5)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (12, 64), (10, 32)], ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("ratio", [0.5, 0.73, 1.0])
+@pairwise(size=[*SIZES, (12, 64), (10, 32)], components=MODELS, lanes=LANES, ratio=[0.5, 0.73, 1.0])
 def test_prolong(size, components, lanes, ratio, make_problem):
     from tisfm.kernels.layout.lanes import LaneGrid
     from tisfm.solver.unknowns import Unknowns
@@ -577,10 +575,7 @@ def test_prolong(size, components, lanes, ratio, make_problem):
     assert not padding(problem, problem.unknowns.rho).any()
 
 
-@each_size
-@each_model
-@each_lanes
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
+@pairwise(size=SIZES, components=MODELS, lanes=LANES, kind=KINDS)
 def test_data_precision(size, components, lanes, kind, make_problem):
     problem = make_problem(*size, components, lanes)
     smoothness, stiffness, _ = smoothness_of(problem, 1.0, kind)

@@ -71,17 +71,17 @@ def test_whole_pixel_motion_shifts_the_frame():
     assert pair.frame0.std() > 20
 
 
-def test_twice_the_size_is_the_same_picture():
-    coarse, fine = two_blocks(180, 240), two_blocks(360, 480, detail=0)
-    halved = fine.frame0.reshape(180, 2, 240, 2).mean(axis=(1, 3))
+def test_twice_the_size_is_the_same_picture(pairs):
+    coarse, fine = pairs["two_blocks"], two_blocks(480, 640, detail=0)
+    halved = fine.frame0.reshape(240, 2, 320, 2).mean(axis=(1, 3))
     difference = np.abs(halved - coarse.frame0)
     assert difference.mean() < 0.6 and np.quantile(difference, 0.99) < 5
     np.testing.assert_allclose(fine.motions, coarse.motions)
-    labels = fine.labels.reshape(180, 2, 240, 2)
+    labels = fine.labels.reshape(240, 2, 320, 2)
     same = (labels == coarse.labels[:, None, :, None]).all(axis=(1, 3))
     assert same.mean() > 0.98
     # A pixel centre falls between four of the finer ones.
-    flow = fine.flow.reshape(180, 2, 240, 2, 2).mean(axis=(1, 3))
+    flow = fine.flow.reshape(240, 2, 320, 2, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(flow[same], 2 * coarse.flow[same], atol=0.02)
 
 
