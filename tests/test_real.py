@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench import statue
+from bench.objects import statue
 from bench.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
