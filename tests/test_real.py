@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from bench.objects import statue
-from bench.sequences import MIDDLEBURY, find_pairs
+from bench.shared.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.sequence import FrameSource
