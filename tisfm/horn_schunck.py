@@ -66,16 +66,13 @@ def horn_schunck(
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()
-    from tisfm.motion.problems import flow_problem, last_level, pyramid_of, warps_of
+    from tisfm.motion.problems import flow_problem, pyramid_of
     from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
 
     pyramid = pyramid_of(grey0, grey1, Camera(), settings)
-    last = last_level(pyramid, settings)
     problem = flow_problem(settings, Camera().focal, stiffness=(1.0, 1.0))
     quadratic = replace(problem.smoothness, contrast=math.inf)
     problem = replace(problem, smoothness=quadratic)
-    solution = coarse_to_fine(
-        pyramid, problem, warps=warps_of(pyramid, settings, last), last=last, release=True
-    )
-    flow = at_finest(pyramid, solution.unknowns, last)
+    solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
+    flow = at_finest(pyramid, solution.unknowns, pyramid.last)
     return np.ascontiguousarray(np.moveaxis(flow, 0, -1))

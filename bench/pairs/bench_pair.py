@@ -15,7 +15,7 @@ from bench.shared.agreement import check_quantile
 from bench.shared.problems import Problem, problem_at
 from tisfm import reference, runtime
 from tisfm.kernels.layout.lanes import LaneGrid
-from tisfm.motion.problems import flow_problem, pyramid_of, warps_of
+from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.settings import Settings
 from tisfm.solver import coarse_to_fine, image_pyramid
 
@@ -72,9 +72,7 @@ def taichi_run(problem: Problem, settings: Settings):
 
     def run():
         pyramid = pyramid_of(*frames, problem.camera, settings)
-        solution = coarse_to_fine.coarse_to_fine(
-            pyramid, task, warps=warps_of(pyramid, settings, 0)
-        )
+        solution = coarse_to_fine.coarse_to_fine(pyramid, task)
         ti.sync()
         return solution.unknowns
 

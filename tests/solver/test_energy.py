@@ -7,7 +7,7 @@ import tisfm
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
 from tisfm import reference
-from tisfm.motion.problems import flow_problem, pyramid_of, warps_of
+from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import gaussian_pyramid, level_count, smooth
 
@@ -20,7 +20,7 @@ def blocks():
 def solve(frame0, frame1, settings, camera):
     pyramid = pyramid_of(frame0.astype(np.float32), frame1.astype(np.float32), camera, settings)
     problem = flow_problem(settings, camera.focal)
-    return coarse_to_fine(pyramid, problem, warps=warps_of(pyramid, settings, 0))
+    return coarse_to_fine(pyramid, problem)
 
 
 @pairwise(

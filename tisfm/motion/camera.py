@@ -8,7 +8,6 @@ from tisfm.interpretation import Status
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import depth_start
-from tisfm.motion.problems import last_level
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.rigid import KnownPose
@@ -31,7 +30,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     pose : KnownPose or None
         What is known of the motion.
     """
-    camera, level = pyramid.camera(), last_level(pyramid, settings)
+    camera, level = pyramid.cameras[0], pyramid.last
     labels = np.zeros(pyramid.shape, np.int32)
     if pose is not None and pose.translation is not None and not pose.translation.any():
         return without_depth(
@@ -60,6 +59,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         settings,
         motions,
         labels,
+        last=level,
         refine=refine,
         start=depth_start(pyramid, motions[0], start.level, start.flow, start.trust),
     )

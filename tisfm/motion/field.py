@@ -7,7 +7,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
 from tisfm.motion.estimate import Estimate, ended, unmoved
-from tisfm.motion.problems import flow_problem, last_level, warps_of
+from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -22,19 +22,14 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
         Splines of its coarse levels are let go of.
     settings : Settings
     """
-    camera, last = pyramid.camera(), last_level(pyramid, settings)
-    solution = coarse_to_fine(
-        pyramid,
-        flow_problem(settings, camera.focal),
-        warps=warps_of(pyramid, settings, last),
-        last=last,
-        release=True,
-    )
+    camera = pyramid.cameras[0]
+    problem = flow_problem(settings, camera.focal)
+    solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
     status = unmoved(solution) or ended(history, solution.converged, settings)
     del solution  # the larger part of the memory
-    rho = at_finest(pyramid, unknowns, last)
+    rho = at_finest(pyramid, unknowns, pyramid.last)
     flow, inverse_depth = _read_out(rho, camera)
     if len(rho) < 6:
         rho = np.concatenate([rho, np.zeros((6 - len(rho), *rho.shape[1:]), np.float32)])
@@ -43,7 +38,7 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
         flow=flow,
         inverse_depth=inverse_depth,
         precision=precision,
-        level=last,
+        level=pyramid.last,
         normalized=settings.normalization is not None,
         freedom=2,
         history=history,

@@ -15,7 +15,7 @@ from tisfm.motion.egomotion import (
     distance_from_rays,
 )
 from tisfm.motion.estimate import unmoved
-from tisfm.motion.problems import flow_problem, warps_of
+from tisfm.motion.problems import flow_problem
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, coarse_to_fine
@@ -96,7 +96,7 @@ def first_motion(
     start = _flow_alone(pyramid, settings, given, level=max(large, default=0))
     if start.status is not None:
         return start
-    scale, camera = pyramid.scale(start.level), pyramid.camera(start.level)
+    scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
     try:
         found = camera_motion(start.flow, start.trust, camera)
     except TooFewPixelsError as error:
@@ -133,12 +133,8 @@ def _flow_alone(
 ) -> FirstMotion:
     """Return the flow field of a level, and of the motion what is given."""
     settings = replace(settings, warps=max(settings.warps, WARPS))
-    solution = coarse_to_fine(
-        pyramid,
-        flow_problem(settings, pyramid.camera().focal),
-        warps=warps_of(pyramid, settings, level),
-        last=level,
-    )
+    problem = flow_problem(settings, pyramid.cameras[0].focal)
+    solution = coarse_to_fine(pyramid, problem, last=level)
     flow = solution.unknowns.flow()
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
         trust = confidence(

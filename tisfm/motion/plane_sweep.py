@@ -67,14 +67,14 @@ def depth_start(
     inverse_depth : (H, W) float32
         D, px/frame of that level.
     """
-    depth = triangulated(flow, motion, pyramid.camera(level))
+    depth = triangulated(flow, motion, pyramid.cameras[level])
     sweep = _Sweep(pyramid, motion, level, depth, trust)
     low, high = sweep.range()
     if high - low < RANGE:
         return level, depth
     low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
     for finer in range(level + 1):
-        entries = (high - low) * pyramid.scale(finer) * pyramid.frames0[finer].size
+        entries = (high - low) * pyramid.scales[finer] * pyramid.frames0[finer].size
         if entries <= ENTRIES:
             break
     return finer, sweep.run(finer, low, high)
@@ -100,19 +100,19 @@ class _Sweep:
         coarse = next(
             (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
         )
-        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scale(self._level)
+        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
         side = max(frames[0].shape)
         depth = self.run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
-        low, high = np.percentile(depth, COMMON) / self._pyramid.scale(coarse)
+        low, high = np.percentile(depth, COMMON) / self._pyramid.scales[coarse]
         return low, high
 
     def run(self, level: int, low: float, high: float) -> np.ndarray:
         """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
         pyramid = self._pyramid
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-        scale, width_height = pyramid.scale(level), frame0.shape[::-1]
+        scale, width_height = pyramid.scales[level], frame0.shape[::-1]
         guess = cv2.resize(self._guess, width_height) * np.float32(
-            scale / pyramid.scale(self._level)
+            scale / pyramid.scales[self._level]
         )
         hypotheses = np.arange(low * scale, high * scale + 1)
         hypotheses = hypotheses[: max(2, ENTRIES // frame0.size)]
@@ -120,7 +120,7 @@ class _Sweep:
             frame0,
             frame1,
             self._motion,
-            pyramid.camera(level),
+            pyramid.cameras[level],
             hypotheses,
             guess,
             cv2.resize(self._trust, width_height),

@@ -70,16 +70,6 @@ def depth_problem(settings: Settings, focal: float) -> Problem:
     )
 
 
-def last_level(pyramid: ImagePyramid, settings: Settings) -> int:
-    """Return the level of a pyramid to end on."""
-    return min(settings.finest_level, pyramid.levels - 1)
-
-
-def warps_of(pyramid: ImagePyramid, settings: Settings, last: int) -> list[int]:
-    """Return the linearisations on every level of a flow field, that of the last level first."""
-    return [settings.warps_on(level - last) for level in range(last, pyramid.levels)]
-
-
 def _problem(
     settings: Settings,
     *,
@@ -112,4 +102,5 @@ def _problem(
             tolerance=settings.tolerance,
             solver=settings.solver,
         ),
+        warps=settings.warps_on,
     )

@@ -15,7 +15,7 @@ from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
 from tisfm.motion.egomotion import spin_prior
-from tisfm.motion.problems import depth_problem, last_level
+from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
 from tisfm.solver.half_quadratic import HalfQuadratic
@@ -104,6 +104,7 @@ def rigid_depth(
     motions: np.ndarray,
     labels: np.ndarray,
     *,
+    last: int = 0,
     refine: Refinement = "motion",
     support: np.ndarray | None = None,
     start: tuple[int, np.ndarray] | None = None,
@@ -124,6 +125,8 @@ def rigid_depth(
         R and t of each motion.
     labels : (H, W) int array
         Which motion a pixel has.
+    last : int
+        The level to end on, unless `start` begins on a finer one.
     refine : {"none", "translation", "motion"}
         What of the motions is refined on the finer levels, jointly with depth.
     support : (H, W) bool array, optional
@@ -132,7 +135,7 @@ def rigid_depth(
         The level to start on and D there, for motions of the length that `scaled_translations`
         gives them; by default the coarsest level, and zero.
     """
-    motions = scaled_translations(motions, labels, pyramid.camera())
+    motions = scaled_translations(motions, labels, pyramid.cameras[0])
     history: Records = []
     coarse: Unknowns | None = None
     noise = np.zeros(len(motions))
@@ -140,7 +143,7 @@ def rigid_depth(
     warps = [settings.warps * WARPS] + coarsest * [
         settings.coarse_warps if start is None else settings.warps
     ]
-    last = min(last_level(pyramid, settings), coarsest)
+    last = min(last, coarsest)
     for level in reversed(range(last, coarsest + 1)):
         state = _Level(
             pyramid, level, settings, labels, coarse, support=support, count=len(motions)
@@ -155,7 +158,7 @@ def rigid_depth(
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
             noise = state.noise(motions)
-            if refine != "none" and (level == last or pyramid.scale(level) >= REFINED):
+            if refine != "none" and (level == last or pyramid.scales[level] >= REFINED):
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
         coarse = state.unknowns
@@ -165,7 +168,7 @@ def rigid_depth(
         inverse_depth=at_finest(pyramid, state.unknowns, last)[0],
         precision=state.unknowns.precision(state.minimiser.system),
         level=last,
-        density=pyramid.scale(last),
+        density=pyramid.scales[last],
         history=history,
         converged=converged,
     )
@@ -214,7 +217,7 @@ class _Level:
         support: np.ndarray | None = None,
         count: int,
     ) -> None:
-        self._focal = pyramid.camera(level).focal
+        self._focal = pyramid.cameras[level].focal
         problem = depth_problem(settings, self._focal)
         self.unknowns = unknowns = unknowns_on(pyramid, level, problem, coarse)
         grid = unknowns.grid
@@ -233,7 +236,7 @@ class _Level:
         counted: np.ndarray | None = None
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        elif labels.any() and pyramid.scale(level) >= REFINED:
+        elif labels.any() and pyramid.scales[level] >= REFINED:
             # Stencils that reach over a boundary see two motions.
             counted = (~_mixed(resized)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)

@@ -88,7 +88,7 @@ def without_depth(
 ) -> Estimate:
     """Return the flow of a rotation, without depth; the translation is only reported."""
     height, width = pyramid.shape
-    camera = pyramid.camera()
+    camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # of the flow itself
     unknowns = unknowns_on(pyramid, 0, problem)
     data_term = data_term_on(pyramid, 0, problem, unknowns)

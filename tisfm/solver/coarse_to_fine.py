@@ -1,6 +1,6 @@
 """Coarse to fine: large motions become small ones on a smaller image."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +27,14 @@ class Problem:
     smoothness : Smoothness
         Its stiffness has a value for each unknown: 6, 3, 2 or 1.
     effort : Effort
+    warps : callable
+        Takes how many levels there are below one, and gives how often it is linearised.
     """
 
     constancy: Constancy
     smoothness: Smoothness
     effort: Effort
+    warps: Callable[[int], int]
 
     @property
     def components(self) -> int:
@@ -49,6 +52,7 @@ class Solution:
         ρ̂, px/frame.
     system : LinearSystem
         That of the weights b of the last iteration.
+    level : int
     history : list of (level, warp, Iteration)
         Every half-quadratic iteration; level 0 is the finest.
     converged : bool
@@ -57,6 +61,7 @@ class Solution:
 
     unknowns: Unknowns
     system: LinearSystem
+    level: int
     history: Records
     converged: bool
 
@@ -65,7 +70,6 @@ def coarse_to_fine(
     pyramid: ImagePyramid,
     problem: Problem,
     *,
-    warps: Sequence[int],
     last: int = 0,
     release: bool = False,
 ) -> Solution:
@@ -75,8 +79,6 @@ def coarse_to_fine(
     ----------
     pyramid : ImagePyramid
     problem : Problem
-    warps : sequence of int
-        Linearisations on each level, the last one's first.
     last : int
         The level to end on.
     release : bool
@@ -88,7 +90,9 @@ def coarse_to_fine(
     for level in reversed(range(last, pyramid.levels)):
         solution = None  # of the level before, only its unknowns are needed
         unknowns = unknowns_on(pyramid, level, problem, unknowns)
-        solution = _on_level(pyramid, problem, unknowns, level, warps[level - last], history)
+        solution = _on_level(
+            pyramid, problem, unknowns, level, problem.warps(level - last), history
+        )
         if release and level > last:
             pyramid.release_taps1(level)
     assert solution is not None
@@ -101,7 +105,7 @@ def unknowns_on(
     """Return the unknowns of a level, from those of the next coarser one or zero."""
     frame0 = pyramid.frames0[level]
     grid = lane_grid(*frame0.shape)
-    unknowns = Unknowns(grid, pyramid.camera(level), problem.components)
+    unknowns = Unknowns(grid, pyramid.cameras[level], problem.components)
     if coarse is not None:
         unknowns.start_from(coarse, pyramid.factor)
     if problem.smoothness.image_edges > 0:
@@ -140,8 +144,8 @@ def at_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarr
     if level == 0:
         return unknowns.images()
     if pyramid.factor != 0.5:
-        fine = Unknowns(lane_grid(*pyramid.shape), pyramid.camera(), unknowns.components)
-        fine.start_from(unknowns, pyramid.scale(level))
+        fine = Unknowns(lane_grid(*pyramid.shape), pyramid.cameras[0], unknowns.components)
+        fine.start_from(unknowns, pyramid.scales[level])
         return fine.images()
     return enlarged(2**level * unknowns.images(), 2**level, *pyramid.shape)
 
@@ -168,5 +172,9 @@ def _on_level(
         iterations, converged = minimiser.minimise()
         history += [(level, warp, iteration) for iteration in iterations]
     return Solution(
-        unknowns=unknowns, system=minimiser.system, history=history, converged=converged
+        unknowns=unknowns,
+        system=minimiser.system,
+        level=level,
+        history=history,
+        converged=converged,
     )

@@ -34,13 +34,19 @@ class ImagePyramid:
     presmoothing : float
         Standard deviation of a Gaussian applied first, px.
     last : int
-        The finest level whose spline is asked for soon: splines are computed beside other work
-        down to it.
+        The level that coarse to fine is to end on, or the coarsest if there are fewer.
 
     Attributes
     ----------
     frames0, frames1 : list of (h, w) float32
         Smoothed beforehand, the finest first.
+    cameras : list of Camera
+    scales : list of float
+        Sampling density of every level relative to the finest.
+    levels, last : int
+        How many there are, and which of them is the last.
+    shape : (int, int)
+        Height and width of the finest, px.
     factor : float
         As given.
     contrast : float
@@ -58,11 +64,15 @@ class ImagePyramid:
         presmoothing: float = 0.0,
         last: int = 0,
     ) -> None:
-        self._camera, self.factor = camera, factor
+        self.factor = factor
         if grey0.min() == grey0.max() and grey1.min() == grey1.max():
             # What rounding leaves of a uniform frame would be all the data there is.
             grey0, grey1 = np.zeros_like(grey0), np.zeros_like(grey1)
-        count = level_count(grey0.shape[0], grey0.shape[1], factor, levels)
+        height, width = self.shape = grey0.shape
+        count = self.levels = level_count(height, width, factor, levels)
+        self.last = min(last, count - 1)
+        self.scales = [factor**level for level in range(count)]
+        self.cameras = [camera] + [camera.scaled(s, height, width) for s in self.scales[1:]]
 
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, presmoothing), factor, count)
@@ -76,28 +86,9 @@ class ImagePyramid:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(count)]
         if beside:
-            for level in reversed(range(min(last, count - 1), count)):  # the coarsest comes first
+            for level in reversed(range(self.last, count)):  # the coarsest comes first
                 self._taps1[level] = _beside(spline_taps, self.frames1[level])
         self.contrast = mean_step(self.frames0[0])
-
-    @property
-    def levels(self) -> int:
-        """Number of levels."""
-        return len(self.frames0)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width of the finest level, px."""
-        height, width = self.frames0[0].shape
-        return height, width
-
-    def scale(self, level: int) -> float:
-        """Return the sampling density of a level relative to the finest."""
-        return self.factor**level
-
-    def camera(self, level: int = 0) -> Camera:
-        """Return the camera of a level."""
-        return self._camera if level == 0 else self._camera.scaled(self.scale(level), *self.shape)
 
     def taps1(self, level: int) -> np.ndarray:
         """Return `tisfm.solver.sampling.spline_taps` of frame 1 at a level."""

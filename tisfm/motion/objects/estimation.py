@@ -45,7 +45,7 @@ def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarra
         outer_iterations=max(settings.outer_iterations, 10),
         sweeps=max(settings.sweeps, 8),
     )
-    camera = pyramid.camera()
+    camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings)
     if start.status in ("no_texture", "no_motion") and not start.flow.any():
         return only_turned(pyramid, settings, start, start.status, level=0)

@@ -219,7 +219,7 @@ class Layering:
             mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
-                camera = self._pyramid.camera()
+                camera = self._pyramid.cameras[0]
                 found = camera_motion(flow, np.where(mine, trust, 0), camera, near=near)
             except TooFewPixelsError:
                 motions.append(motion)
