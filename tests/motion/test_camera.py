@@ -20,7 +20,7 @@ from tisfm.scenes import STATIC_KINDS
 
 @pytest.fixture(scope="module", params=STATIC_KINDS)
 def scene(request):
-    return static_scene(request.param)
+    return static_scene(request.param, seed=11)
 
 
 @pytest.fixture(scope="module")

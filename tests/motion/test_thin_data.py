@@ -88,7 +88,7 @@ def test_other_errors_are_not_taken_for_too_few_pixels(monkeypatch):
         raise ValueError("a bug")
 
     frame0, frame1 = thin_pair(31)
-    for motion, module in (("camera", "camera"), ("objects", "objects.candidates")):
+    for motion, module in (("camera", "first_motion"), ("objects", "objects.candidates")):
         with monkeypatch.context() as patch:
             patch.setattr(f"tisfm.motion.{module}.camera_motion", fails)
             with pytest.raises(ValueError, match="a bug"):
