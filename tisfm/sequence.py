@@ -75,6 +75,10 @@ class FrameSource:
     ----------
     first_file : Path or None
         The image file of the first frame, where frames have files of their own.
+    files : tuple of Path
+        All files of the source: the images, those between the steps included, or the video.
+    names : tuple of str or None
+        Names of the frames that are read, where frames have files of their own.
     count : int or None
         Number of frames, those between the steps included. None where only reading tells: a video
         may announce a frame or two too many.
@@ -95,6 +99,8 @@ class FrameSource:
         self.step = int(step)
         self.title = "frames"
         self.first_file: Path | None = None
+        self.files: tuple[Path, ...] = ()
+        self.names: tuple[str, ...] | None = None
         self.count: int | None = None
         self._announced: int | None = None
         self._frames: Iterable[tuple[str, np.ndarray]]
@@ -160,16 +166,20 @@ class FrameSource:
         self._check_count(len(files))
         self.count = len(files)
         self.first_file = files[0]
+        self.files = tuple(files)
         stems = [file.stem for file in files]
-        if len(set(stems)) < len(stems):  # of different folders or suffixes
+        # Of different folders or suffixes; some file systems take a and A for the same.
+        if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
-        self._frames = _ImageFiles(files[:: self.step], stems[:: self.step])
+        self.names = tuple(stems[:: self.step])
+        self._frames = _ImageFiles(files[:: self.step], self.names)
 
     def _use_video(self, path: str) -> None:
         video = _Video(path, self.step)
         if video.announced is not None:
             self._check_count(video.announced)
             self._announced = video.announced
+        self.files = (Path(path),)
         self._frames = video
 
     def _use_arrays(self, items: Iterable[Any]) -> None:
@@ -341,7 +351,7 @@ class _Arrays:
 class _ImageFiles:
     """Image files, read one after the other."""
 
-    def __init__(self, files: list[Path], names: list[str]) -> None:
+    def __init__(self, files: Sequence[Path], names: Sequence[str]) -> None:
         self._files, self._names = files, names
 
     def __iter__(self) -> Iterator[tuple[str, np.ndarray]]:

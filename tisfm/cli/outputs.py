@@ -1,7 +1,7 @@
 """The files that `tisfm run` and `tisfm demo` write for every pair."""
 
 import json
-import tempfile
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from tisfm.formats import (
     write_flo,
     write_png,
 )
+from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings
 from tisfm.show import (
@@ -34,25 +35,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORD = "run.json"
-
-
-def make_folder(folder: str | Path) -> Path:
-    """Make a folder for results, unless there is one, and check that it can be written to.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made or written to.
-    """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise type(error)(
-            f"cannot write results to the folder {folder} ({error.strerror}): give another with -o"
-        ) from error
-    return folder
+ENDINGS = (
+    "_depth16.png", "_depth.png", "_flow.flo", "_anaglyph.png", "_figure.png", ".ply", "_pose.txt",
+    ".npz",
+)  # fmt: skip
+"""What names of a pair's files end in."""
 
 
 class PairWriter:
@@ -77,13 +64,19 @@ class PairWriter:
         Whether to write the point cloud.
     resume : bool
         Continue a run that was interrupted: keep its ranges and the pairs it finished.
+    inputs : InputFiles
+        Files that are not to be replaced.
+    names : iterable of str
+        Names of pairs to come, as far as they are known: their files are compared with `inputs`
+        before anything is written, and all files once more when they are.
 
     Raises
     ------
     OSError
         If the folder cannot be made or written to.
     ValueError
-        If `resume` is set and the folder holds a run with another camera or other options.
+        If a file to be written is one of `inputs`, or if `resume` is set and the folder holds a
+        run with another camera or other options.
     """
 
     def __init__(
@@ -95,8 +88,15 @@ class PairWriter:
         figures: bool = True,
         ply: bool = False,
         resume: bool = False,
+        inputs: InputFiles | None = None,
+        names: Iterable[str] = (),
     ) -> None:
-        self.folder = make_folder(folder)
+        self.folder = Path(folder)
+        self._inputs = inputs or InputFiles()
+        self._inputs.refuse(
+            self.folder / RECORD, *(file for name in names for file in self._files(name))
+        )
+        make_folder(folder)
         self._record: dict[str, Any] = {
             "version": __version__,
             "camera": asdict(camera),
@@ -175,6 +175,8 @@ class PairWriter:
         ------
         OSError
             If a file cannot be written.
+        ValueError
+            If one of them is an input.
         """
         record = self._record
         wrong = result.status in ("diverged", "pose_mismatch")
@@ -189,6 +191,7 @@ class PairWriter:
             record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
         limit = record["depth_range"] * level if usable else None
         scale = record["depth16_values_per_unit"] or 1.0
+        self._inputs.refuse(*self._files(name))
         path = self.folder / name
         # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
@@ -219,7 +222,7 @@ class PairWriter:
             "motions": _finite_list(motions),
             "frames": digest,
         }
-        self._write_record()
+        self.write_record()
 
     @property
     def statuses(self) -> list[str]:
@@ -255,7 +258,13 @@ class PairWriter:
             )
         self._record = before
 
-    def _write_record(self) -> None:
+    def _files(self, name: str) -> list[Path]:
+        """Return the files that a pair may have."""
+        return [self.folder / f"{name}{ending}" for ending in ENDINGS]
+
+    def write_record(self) -> None:
+        """Write the record of what is finished, which `write` does after every pair."""
+        self._inputs.refuse(self.folder / RECORD)
         text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
         with atomic_write(self.folder / RECORD) as file:
             file.write(text.encode("utf-8"))
