@@ -5,7 +5,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence, Sized
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ class FramePair:
     frame0: np.ndarray
     frame1: np.ndarray
     pose: npt.ArrayLike | None = None
+    _digests: tuple["_Digest", "_Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
         self, *, camera: Camera | None = None, settings: Settings | None = None
@@ -51,13 +52,30 @@ class FramePair:
     @property
     def digest(self) -> str:
         """A short hash of both frames, and of the pose if there is one, to know them again by."""
-        pixels = hashlib.blake2b(digest_size=8)
-        for frame in (self.frame0, self.frame1):
-            pixels.update(f"{frame.shape} {frame.dtype}".encode())
-            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+        both = hashlib.blake2b(digest_size=8)
+        for frame in self._digests or (_Digest(self.frame0), _Digest(self.frame1)):
+            both.update(frame.value)
         if self.pose is not None:
-            pixels.update(np.array(self.pose, np.float64).tobytes())
-        return pixels.hexdigest()
+            both.update(np.array(self.pose, np.float64).tobytes())
+        return both.hexdigest()
+
+
+class _Digest:
+    """The hash of a frame, computed once though the frame is in two pairs."""
+
+    def __init__(self, frame: np.ndarray) -> None:
+        self._frame: np.ndarray | None = frame
+        self._value = b""
+
+    @property
+    def value(self) -> bytes:
+        """Eight bytes or more that differ between frames."""
+        frame = self._frame
+        if frame is not None:
+            pixels = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)
+            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+            self._value, self._frame = pixels.digest(), None
+        return self._value
 
 
 class FrameSource:
@@ -121,13 +139,18 @@ class FrameSource:
 
     def __iter__(self) -> Iterator[FramePair]:
         """Read the frames, and yield every pair of consecutive ones."""
-        previous: tuple[str, np.ndarray] | None = None
+        previous: tuple[str, np.ndarray, _Digest] | None = None
         pairs = 0
         for name, frame in self._frames:
+            digest = _Digest(frame)
             if previous is not None:
-                yield FramePair(name0=previous[0], frame0=previous[1], name1=name, frame1=frame)
+                name0, frame0, digest0 = previous
+                yield FramePair(
+                    name0=name0, frame0=frame0, name1=name, frame1=frame, _digests=(digest0, digest)
+                )
+                del frame0, digest0  # or the frame would be held while the next is read
                 pairs += 1
-            previous = name, frame
+            previous = name, frame, digest
         if pairs == 0:
             raise ValueError(f"{self.title} ended before there was a pair: expected more frames")
 

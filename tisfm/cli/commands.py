@@ -15,6 +15,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.cli.background import Background
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.outputs import RECORD, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
@@ -77,24 +78,20 @@ def run(
     except TypeError:
         total = None
     seconds = []
-    with progress_bar() as progress:
+    with progress_bar() as progress, writer, Background() as background:
         task = progress.add_task("interpreting", total=total)
         for pair in posed:
             progress.update(task, description=pair.name0)
-            digest = pair.digest
-            if not writer.is_complete(pair.name0, digest):
+            if not (writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest)):
                 begin = time.perf_counter()
                 result = pair.interpret(camera=camera, settings=settings)
                 seconds.append(time.perf_counter() - begin)
                 compared = figures and settings.motion == "field"
-                writer.write(
-                    pair.name0,
-                    result,
-                    digest=digest,
-                    pose=None if pair.pose is None else np.asarray(pair.pose),
-                    baseline_flow=_baseline(pair, camera, settings) if compared else None,
-                )
+                baseline = _baseline(pair, camera, settings) if compared else None
+                background.submit(_write, writer, pair, result, baseline)
+                del result  # or it would be held while the next is computed
             progress.advance(task)
+            del pair
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = len(writer.statuses)
@@ -187,6 +184,18 @@ def figures(
         )
         tell("wrote " + ", ".join(map(str, written)))
     return 0
+
+
+def _write(
+    writer: PairWriter, pair: FramePair, result: Interpretation, baseline: np.ndarray | None
+) -> None:
+    writer.write(
+        pair.name0,
+        result,
+        digest=pair.digest,
+        pose=None if pair.pose is None else np.asarray(pair.pose),
+        baseline_flow=baseline,
+    )
 
 
 def _refuse_mixing(source: Source, files: Iterable[Path], output: Path) -> None:

@@ -164,13 +164,14 @@ def _write(
     result: Interpretation,
     baseline: np.ndarray | None = None,
 ) -> None:
-    writer.write(
-        NAME,
-        result,
-        baseline_flow=baseline,
-        truth_flow=scene.flow,
-        truth_inverse_depth=scene.inverse_depth,
-    )
+    with writer:
+        writer.write(
+            NAME,
+            result,
+            baseline_flow=baseline,
+            truth_flow=scene.flow,
+            truth_inverse_depth=scene.inverse_depth,
+        )
 
 
 def _blocks_table(height: int, width: int) -> Table:

@@ -1,9 +1,12 @@
 """The files that `tisfm run` and `tisfm demo` write for every pair."""
 
 import json
+import math
+import time
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORD = "run.json"
+_RENEWED = 1.0  # s: the record of a long run takes longer to write than a pair
 ENDINGS = (
     "_depth16.png", "_depth.png", "_flow.flo", "_anaglyph.png", "_figure.png", ".ply", "_pose.txt",
     ".npz",
@@ -50,7 +54,8 @@ class PairWriter:
     ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, of rigid motions ``name_pose.txt``,
     and last ``name.npz``, which therefore marks a complete pair. The record, ``run.json``, holds
     settings, camera, ranges, and of every finished pair its status, its rigid motions and a hash
-    of its frames. It is renewed after each.
+    of its frames. It is renewed after a pair where the last time was a second ago, and when the
+    writer, which is a context manager, is left. A pair that is not in the record is not complete.
 
     Parameters
     ----------
@@ -108,6 +113,7 @@ class PairWriter:
             "flow_limit": None,
             "pairs": {},
         }
+        self._renewed, self._recorded = -math.inf, True
         if resume:
             self._continue()
 
@@ -115,6 +121,10 @@ class PairWriter:
     def figures(self) -> bool:
         """Whether figures are drawn."""
         return bool(self._record["figures"])
+
+    def knows(self, name: str) -> bool:
+        """Return whether a pair of this name was written, by this run or the one continued."""
+        return name in self._record["pairs"]
 
     def is_complete(self, name: str, digest: str) -> bool:
         """Return whether an earlier run finished this pair.
@@ -216,13 +226,15 @@ class PairWriter:
         if motions is not None:
             write_motions(f"{path}_pose.txt", motions)
         result.save(f"{path}.npz")
+        self._recorded = False
         record["pairs"][name] = {
             "status": str(result.status),
             "message": result.status.message,
             "motions": _finite_list(motions),
             "frames": digest,
         }
-        self.write_record()
+        if time.monotonic() - self._renewed > _RENEWED:
+            self.write_record()
 
     @property
     def statuses(self) -> list[str]:
@@ -262,12 +274,25 @@ class PairWriter:
         """Return the files that a pair may have."""
         return [self.folder / f"{name}{ending}" for ending in ENDINGS]
 
+    def __enter__(self) -> "PairWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._recorded:
+            self.write_record()
+
     def write_record(self) -> None:
-        """Write the record of what is finished, which `write` does after every pair."""
+        """Write the record of what is finished."""
         self._inputs.refuse(self.folder / RECORD)
         text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
         with atomic_write(self.folder / RECORD) as file:
             file.write(text.encode("utf-8"))
+        self._renewed, self._recorded = time.monotonic(), True
 
 
 def _figure(

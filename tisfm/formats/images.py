@@ -15,6 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
+from tisfm.formats.png import encode_png
 from tisfm.formats.reading import read_bytes
 
 IMAGE_SUFFIXES = (
@@ -112,13 +113,8 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     colour = image.ndim == 3 and image.shape[2] == 3
     if image.size == 0 or not (image.ndim == 2 or colour):
         raise ValueError(f"image is {image.shape}, expected (H, W) or (H, W, 3) with some pixels")
-    encoded, data = cv2.imencode(
-        ".png", np.ascontiguousarray(image[..., ::-1] if colour else image)
-    )
-    if not encoded:
-        raise ValueError(f"image of shape {image.shape} cannot be written as PNG: it is too large")
     with atomic_write(path) as file:
-        file.write(data.tobytes())
+        file.writelines(encode_png(image))
 
 
 def _verify_with_pillow(name: str, data: bytes) -> None:
