@@ -74,8 +74,8 @@ def write_interpretation(path: str | os.PathLike[str], result: Interpretation) -
         given["rho"] = _half(given["rho"])
     given["confidence"] = _half(given["confidence"])
     if "labels" in given:
-        least = np.min_scalar_type(len(given["motions"]) - 1)
-        kinds = (kind for kind in _STORED["labels"] if np.can_cast(least, kind))
+        most = len(given["motions"]) - 1
+        kinds = (kind for kind in _STORED["labels"] if most <= np.iinfo(kind).max)
         given["labels"] = given["labels"].astype(next(kinds))
     write_npz(path, {"about": np.array(json.dumps(about)), **given})
 
@@ -87,7 +87,7 @@ def read_interpretation(path: str | os.PathLike[str]) -> Interpretation:
         with NpzFile(path) as file:
             try:
                 return _read(file)
-            except (LookupError, TypeError, ValueError) as error:
+            except (LookupError, RecursionError, TypeError, ValueError) as error:
                 reason = " ".join(str(error).split()).removeprefix(f"{name} ")
                 raise FormatError(
                     f"{name} is not a complete interpretation written by tisfm: {reason}"
@@ -150,12 +150,9 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
 
 
 def _camera(about: Any) -> Camera:
-    """Return the camera, which has to be a pinhole."""
+    """Return the camera."""
     _check_names("its camera", about, [part.name for part in fields(Camera)])
-    camera = Camera(**about)
-    if camera.distortion is not None:
-        raise ValueError("its camera has distortion: the camera of a result is a pinhole")
-    return camera
+    return Camera(**about)
 
 
 def _settings(about: Any) -> Settings:
@@ -169,9 +166,9 @@ def _check_names(owner: str, values: Any, expected: Iterable[str]) -> None:
         raise ValueError(f"{owner} is {values!r}: expected an object of JSON")
     missing, unknown = set(expected).difference(values), set(values).difference(expected)
     if missing:
-        raise ValueError(f"{owner} lacks {', '.join(sorted(missing))}")
+        raise ValueError(f"missing in {owner}: {', '.join(sorted(missing))}")
     if unknown:
-        raise ValueError(f"{owner} has the unknown {', '.join(sorted(unknown))}")
+        raise ValueError(f"unknown in {owner}: {', '.join(sorted(unknown))}")
 
 
 def _check_layout(

@@ -4,7 +4,7 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -47,7 +47,8 @@ class FramePair:
                 self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose
             )
         except (TypeError, ValueError) as error:
-            raise type(error)(f"frames {self.name0} and {self.name1}: {error}") from error
+            error.args = (f"frames {self.name0} and {self.name1}: {error}",)
+            raise
 
     @property
     def digest(self) -> str:
@@ -409,14 +410,21 @@ class _Video:
         if self.announced is not None and self.announced < 1:
             self.announced = None
 
+    def _read(self, read: Callable[[], Any]) -> Any:
+        """Return what OpenCV reads of the file."""
+        from tisfm.formats.reading import opencv_memory
+
+        with opencv_memory(self._path):
+            return read()
+
     def __iter__(self) -> Iterator[tuple[str, np.ndarray]]:
         capture = cv2.VideoCapture(self._path)
         stem = Path(self._path).stem
         index = 0
         try:
-            while capture.grab():
+            while self._read(capture.grab):
                 if index % self._step == 0:
-                    read, frame = capture.retrieve()
+                    read, frame = self._read(capture.retrieve)
                     if not read:
                         break
                     yield f"{stem}_{index:06d}", np.ascontiguousarray(frame[..., ::-1])

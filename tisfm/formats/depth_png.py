@@ -127,6 +127,8 @@ def read_depth_png(
             kind = picture.mode
             stored = np.asarray(picture)
             stated = picture.info.get(_SCALE_KEYWORD)
+    except MemoryError:
+        raise
     except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
         raise FormatError(f"{name} cannot be read as a depth PNG: {error}") from error
     if kind not in ("I;16", "I;16B", "I"):

@@ -128,7 +128,7 @@ class NpzFile:
     def header(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
         """Return shape and type of an array without reading it."""
         with self._part(name) as part:
-            shape, dtype, _ = self._checked(_read_header, part)
+            shape, dtype, _ = self._checked(_read_header, name, part)
             return shape, dtype
 
     def read(self, name: str, *, most: int | None = None) -> NDArray[Any]:
@@ -151,7 +151,7 @@ class NpzFile:
             If it is damaged, longer or shorter than its header says, or longer than `most`.
         """
         with self._part(name) as part:
-            shape, dtype, start = self._checked(_read_header, part)
+            shape, dtype, start = self._checked(_read_header, name, part)
             expected = math.prod(shape) * dtype.itemsize
             declared = self._archive.getinfo(f"{name}{_SUFFIX}").file_size - start
             if declared != expected or dtype.hasobject or (most is not None and expected > most):
@@ -177,14 +177,14 @@ class NpzFile:
             raise FormatError(f"{self.name} is not a whole .npz file: {reason}") from error
 
 
-def _read_header(part: Any) -> tuple[tuple[int, ...], np.dtype, int]:
+def _read_header(name: str, part: Any) -> tuple[tuple[int, ...], np.dtype, int]:
     """Return shape and type, and where the numbers begin."""
     version = np.lib.format.read_magic(part)
     if version != (1, 0):
-        raise ValueError(f"its header is of version {version}, expected (1, 0)")
+        raise ValueError(f"the header of {name} is of version {version}, expected (1, 0)")
     shape, by_columns, dtype = np.lib.format.read_array_header_1_0(part)
     if by_columns and len(shape) > 1:
-        raise ValueError("its arrays are stored by columns, expected by rows")
+        raise ValueError(f"{name} is stored by columns, expected by rows")
     if any(side < 0 for side in shape):
-        raise ValueError(f"its shape is {shape}")
+        raise ValueError(f"{name} is of the shape {shape}")
     return shape, dtype, part.tell()

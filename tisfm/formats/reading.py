@@ -1,7 +1,11 @@
 """Whole files into memory, with errors that say what to do."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 from typing import BinaryIO
+
+import cv2
 
 from tisfm.formats.errors import FormatError
 
@@ -66,6 +70,23 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
         return open(name, "rb")
     except OSError as error:
         raise _explained(error, name) from error
+
+
+@contextlib.contextmanager
+def opencv_memory(name: str) -> Iterator[None]:
+    """Raise a MemoryError where OpenCV says in its own way that memory does not suffice.
+
+    Parameters
+    ----------
+    name : str
+        What is read or written.
+    """
+    try:
+        yield
+    except cv2.error as error:
+        if getattr(error, "code", None) != cv2.Error.StsNoMem:
+            raise
+        raise MemoryError(f"there is not enough memory for {name}") from error
 
 
 def _explained(error: OSError, name: str) -> OSError:
