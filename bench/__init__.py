@@ -1,6 +1,9 @@
 """Benchmarks of tisfm: ``python -m bench`` and the commands below, all with ``--help``.
 
-The first stands beside the NumPy reference; ``bench.peers`` and ``bench.depth`` beside other
-libraries, ``bench.ablation`` beside other settings; ``bench.untextured`` and ``bench.focal``
-measure what is hard.
+Packages by question: `kernels` and `pairs` time against the NumPy reference (``bench``), `flow`
+and `depth` stand beside other libraries (``bench.peers``, ``bench.depth``) and beside changes
+(``bench.ablation``, ``bench.solvers``, ``bench.untextured``, ``bench.focal``), `objects` measures
+things that move (``bench.objects``), `scaling` time and memory over size (``bench.scaling``),
+`regression` another checkout (``bench.regression``), `structure` the source itself
+(``bench.structure``). What they share is in `shared`, which imports none of them.
 """

@@ -16,11 +16,10 @@ from rich.console import Console
 
 from bench.bars import LANES, LARGE, PAIR_SIZE, SELECTION, SIZE, THREADS, bars
 from bench.report import collect, show, write_markdown
+from bench.shared.machine import RESULTS, ROOT
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
-ROOT = Path(__file__).parents[1]
-RESULTS = Path(__file__).parent / "results"
 TABLE_WIDTH = 136  # columns, where the output is no terminal
 
 FULL = {
@@ -99,7 +98,7 @@ def measure_memory() -> dict[str, float]:
     """Return the float32 per pixel of every preset, each from a process of its own."""
     memory = {}
     for preset in get_args(Preset):
-        command = [sys.executable, "-m", "bench.memory", preset]
+        command = [sys.executable, "-m", "bench.pairs.memory", preset]
         output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
         memory[preset] = json.loads(output.stdout)["floats_per_pixel"]
     return memory

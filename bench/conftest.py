@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.problems import Problem, problem_at
+from bench.shared.problems import Problem, problem_at
 from tisfm import runtime
 
 SLOW = 2.0  # s, of a call that is timed once
@@ -58,7 +58,7 @@ def nvidia_gpu() -> str | None:
         lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
         return None
-    return (lines.splitlines() or [None])[0]
+    return next(iter(lines.splitlines()), None)
 
 
 @pytest.fixture(scope="session")

@@ -27,9 +27,9 @@ TEXT_COLUMNS = 4
 NOTES = (
     "ns/px: median time of a call over the pixels of the image, with the interquartile range; the "
     "call includes the launch of the kernel. A dash: timed once.",
-    "GB/s: the bytes a kernel must move (bench/traffic.py), each array counted once; stream: as a "
-    "share of the stream bandwidth on the same number of threads, out of the caches: above 100% "
-    "where a size stays in them.",
+    "GB/s: the bytes a kernel must move (bench/kernels/traffic.py), each array counted once; "
+    "stream: as a share of the stream bandwidth on the same number of threads, out of the caches: "
+    "above 100% where a size stays in them.",
     "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer agreed "
     "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
     "lanes_to_images and relayout beside a copy.",

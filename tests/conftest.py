@@ -35,19 +35,22 @@ def arrays_on_the_device(monkeypatch):
     from tisfm.kernels.layout.lanes import LaneGrid, on_host
     from tisfm.kernels.layout.launch import Kernel
 
-    grid, launch = LaneGrid(1, 1, lanes=1, on_device=True), Kernel.__call__
+    grid, bind = LaneGrid(1, 1, lanes=1, on_device=True), Kernel.bind
 
     def placed(kernel, *arguments):
-        arrays = {
-            index: grid.place(arguments[index])
-            for index, _, axes in kernel._arrays
-            if axes is None and getattr(arguments[index], "dtype", None) == np.float32
-        }
-        launch(kernel, *(arrays.get(index, value) for index, value in enumerate(arguments)))
-        for index, array in arrays.items():
-            arguments[index][...] = on_host(array)
+        def run():
+            arrays = {
+                index: grid.place(arguments[index])
+                for index, _, axes in kernel.arguments.arrays
+                if axes is None and getattr(arguments[index], "dtype", None) == np.float32
+            }
+            bind(kernel, *(arrays.get(index, value) for index, value in enumerate(arguments)))()
+            for index, array in arrays.items():
+                arguments[index][...] = on_host(array)
 
-    monkeypatch.setattr(Kernel, "__call__", placed)
+        return run
+
+    monkeypatch.setattr(Kernel, "bind", placed)
 
 
 @pytest.fixture
@@ -63,7 +66,7 @@ class Problem:
     """A small linearised problem, as float64 arrays for the reference and in lanes."""
 
     grid: object
-    field: object
+    unknowns: object
     camera: tisfm.Camera
     motion: np.ndarray  # (2, n, H, W)
     tensor: np.ndarray  # (6, H, W)
@@ -83,6 +86,20 @@ class Problem:
                     out[site if grid.lanes == 1 else (*site, lane)] = images[:, :, x]
         return out
 
+    def system(self, weights, *, alpha=1.0, stiffness=1.0):
+        """Return the linear system of these weights of edges, (2n or 2, H, W)."""
+        from tisfm.kernels.solve.linear_system import LinearSystem
+
+        return LinearSystem(
+            grid=self.grid,
+            tensor=self.tensor_lanes,
+            weights=self.to_lanes(weights),
+            x_hat=self.unknowns.x_hat,
+            y_hat=self.unknowns.y_hat,
+            alpha=alpha,
+            stiffness=np.broadcast_to(stiffness, len(self.rho)),
+        )
+
     def from_lanes(self, array):
         """Read a lane array back as (k, H, W) by plain indexing."""
         grid = self.grid
@@ -97,21 +114,21 @@ def make_problem():
 
     def make(height, width, components, lanes, *, seed=0, focal=50.0, channels=1):
         from tisfm.kernels.layout.lanes import LaneGrid
-        from tisfm.solver.unknowns import Field
+        from tisfm.solver.unknowns import Unknowns
 
         rng = np.random.default_rng(seed)
         camera = tisfm.Camera(focal=focal, center=(0.4 * width, 0.6 * height))
         grid = LaneGrid(height, width, lanes)
-        field = Field(grid, camera, components)
+        unknowns = Unknowns(grid, camera, components)
         size = (channels, height, width, 3)
         constraints = rng.normal(scale=(10, 10, 5), size=size).transpose(0, 3, 1, 2)
         constraints = constraints.astype(np.float32).astype(np.float64)
         tensor = reference.tensors_of([constraints])[0].astype(np.float32).astype(np.float64)
         rho = rng.normal(size=(components, height, width)).astype(np.float32).astype(np.float64)
         motion = reference.motion_matrix(camera, height, width, components)
-        problem = Problem(grid, field, camera, motion, tensor, constraints, rho, None)
+        problem = Problem(grid, unknowns, camera, motion, tensor, constraints, rho, None)
         problem.tensor_lanes = problem.to_lanes(tensor)
-        field.rho[...] = problem.to_lanes(rho)
+        unknowns.rho[...] = problem.to_lanes(rho)
         return problem
 
     return make

@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 import tisfm
 from tisfm.frames import eight_bit, grey_pair
+from tisfm.sequence import FrameSource
 
 SIZE = (24, 40)
 ROUNDING = 4 * np.finfo(np.float32).eps  # three products and two sums
@@ -58,14 +59,75 @@ def test_floats_up_to_one_are_stretched_to_255(frame):
     assert (grey1 == 255).all()
 
 
-@pytest.mark.parametrize("outlier", [1.001, 200.0, -0.001])
+@pytest.mark.parametrize(
+    ("outlier", "factor"),
+    [
+        *((value, 255) for value in (1.001, -0.001, 1.5, -0.5)),
+        *((value, 1) for value in (1.501, -0.501, 200.0, 3.0)),
+    ],
+)
 @pytest.mark.parametrize("second", [False, True])
-def test_one_factor_serves_both_frames(outlier, second):
+def test_one_factor_serves_both_frames(outlier, factor, second):
     pair = [np.full(SIZE, 0.5), np.full(SIZE, 0.25)]
     pair[second][3, 5] = outlier
     grey0, grey1 = grey_pair(*pair)
-    assert grey0[0, 0] == 0.5 and grey1[0, 0] == 0.25
+    assert grey0[0, 0] == 0.5 * factor and grey1[0, 0] == 0.25 * factor
     assert pair[second][3, 5] == outlier
+
+
+@pytest.mark.parametrize("share", [0.04, 0.06])
+@pytest.mark.parametrize("value", [1.2, -0.2])
+def test_overshoots_are_few(share, value):
+    frame = np.full((50, 40), 0.5, np.float32)
+    frame.ravel()[: round(share * frame.size)] = value
+    stretched = grey_pair(frame, np.full_like(frame, 0.5))[1][0, 0] > 1
+    assert stretched == (share < 0.05)
+
+
+@pytest.mark.parametrize(
+    "interpolation", [cv2.INTER_CUBIC, cv2.INTER_LANCZOS4], ids=["cubic", "lanczos"]
+)
+@pytest.mark.parametrize("size", [(37, 61), (20, 34)])
+def test_resampling_a_frame_does_not_change_its_scale(interpolation, size):
+    black_and_white = (np.random.default_rng(0).uniform(size=SIZE) < 0.2).astype(np.float32)
+    steps = cv2.resize(black_and_white, size[::-1], interpolation=cv2.INTER_NEAREST)
+    smooth = cv2.GaussianBlur(steps, (0, 0), 1)
+    frame = cv2.resize(smooth, (97, 71), interpolation=interpolation)
+    frame[0, 0], frame[0, 1] = 1.01, -0.01  # whatever the interpolation left
+    np.testing.assert_array_equal(grey_pair(frame, frame)[0], frame * np.float32(255))
+
+
+def test_rounding_beyond_one_is_no_overshoot():
+    frame = np.full(SIZE, 1 + 1e-6)
+    frame[::2] = 0
+    assert grey_pair(frame, frame)[0].max() > 200
+
+
+@pytest.mark.parametrize("most", [1.6, 2, 3])
+def test_dark_frames_on_the_scale_of_8_bits_stay_dark(most):
+    frame = np.random.default_rng(0).uniform(0, most, SIZE).astype(np.float32)
+    np.testing.assert_array_equal(grey_pair(frame, frame)[0], frame)
+    counted = np.minimum(np.floor(2 * frame), 3)  # 0 to 3
+    np.testing.assert_array_equal(grey_pair(counted, counted)[1], counted)
+
+
+def test_the_scale_may_be_known_from_other_frames():
+    frame = np.full(SIZE, 0.5)
+    assert grey_pair(frame, frame, stretch=False)[0][0, 0] == 0.5
+    assert eight_bit(frame, frame)[0, 0] == 128
+    assert eight_bit(frame, frame, stretch=False)[0, 0] == 0
+
+
+@pytest.mark.parametrize("black", [1, 2])
+def test_dark_pairs_of_a_sequence_have_the_scale_of_those_before(black):
+    bright = textured_pair()[0].astype(np.float32)
+    frames = [bright, bright, *[bright / 255] * (1 + black)]
+    pairs = list(FrameSource(frames))
+    assert [pair.stretch for pair in pairs] == [False] * (2 + black)
+    *_, last = tisfm.interpret_sequence(frames, settings=tisfm.Settings.preset("fast"))
+    assert last.frame.max() <= 1
+    *_, last = tisfm.interpret_sequence([bright / 255] * 2, settings=tisfm.Settings.preset("fast"))
+    assert last.frame.max() == 255
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.longdouble])
@@ -203,6 +265,22 @@ def test_pixels_that_are_no_numbers_are_counted(value, second, channels):
     refused(
         ValueError, *pair, f"frame{int(second)}", f"at {count} of", "NaN or infinite", "replace"
     )
+
+
+@pytest.mark.parametrize("second", [False, True])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_masked_pixels_are_counted(second, channels):
+    pair = [np.ma.masked_array(np.ones((*SIZE, *channels))) for _ in range(2)]
+    grey_pair(*pair)  # with nothing masked
+    pair[second][2, 3] = np.ma.masked
+    values = 3 if channels else 1
+    words = f"frame{int(second)} has {values} of {960 * values} values masked.*filled"
+    with pytest.raises(ValueError, match=words):
+        tisfm.interpret(*pair)
+    with pytest.raises(ValueError, match=words):
+        next(iter(tisfm.interpret_sequence(pair)))
+    with pytest.raises(ValueError, match="frame has"):
+        tisfm.lens.undistort(pair[second], tisfm.Camera())
 
 
 def test_floats_too_large_for_single_precision_are_refused():

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene
 from tisfm.camera import Camera
 from tisfm.evaluation.pairs import evaluate
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion, undistort
 from tisfm.metrics import endpoint_error
 from tisfm.motion.egomotion import camera_motion
-from tisfm.scenes import Scene, static_scene
+from tisfm.scenes import Scene
 
 BARREL = (-0.25, 0.08, 1e-3, -5e-4)
 PINCUSHION = (0.2, 0.05, 0.0, 0.0, 0.0)

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 import tisfm
+from tests.rendered import static_scene
 from tisfm.interpretation import Interpretation
 from tisfm.point_cloud import PointCloud, point_cloud
-from tisfm.scenes import static_scene
 
 VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("confidence", "<f4")])
 

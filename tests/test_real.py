@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench import statue
-from bench.sequences import MIDDLEBURY, find_pairs
+from bench.objects import statue
+from bench.shared.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.sequence import FrameSource
@@ -14,8 +14,7 @@ from tisfm.sequence import FrameSource
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "pairs"), [("flowergarden", 28), ("statue", 30)])
 def test_every_pair_is_interpreted(shared_data, name, pairs):
-    source = FrameSource(shared_data / name)
-    assert len(source) == pairs
+    assert len(FrameSource(shared_data / name)) == pairs
     settings = tisfm.Settings.preset("fast")
     count = 0
     for result in tisfm.interpret_sequence(shared_data / name, settings=settings):
@@ -45,9 +44,11 @@ def test_the_walking_man_moves_on_his_own(shared_data):
 
 @pytest.mark.slow
 def test_the_man_and_the_cyclist_have_labels_of_their_own(shared_data):
-    found = [statue.seen("balanced", *pair, 600.0) for pair in statue.statue_pairs(shared_data)]
-    assert len(found) == 14
-    assert sum(seen.man and seen.cyclist and seen.apart for seen in found) >= 11  # 12 measured
+    """In 5 of the 14 pairs, those that take least time; `bench.objects` counts in all of them."""
+    pairs = list(statue.statue_pairs(shared_data))
+    assert len(pairs) == 14
+    found = [statue.seen("balanced", *pairs[k], 600.0) for k in (1, 3, 7, 9, 13)]
+    assert sum(seen.man and seen.cyclist and seen.apart for seen in found) >= 4
 
 
 # Accuracy. The bars lie somewhat above what is measured (README, bench/results/peers.md).

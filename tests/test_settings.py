@@ -172,8 +172,12 @@ def test_numbers_out_of_range_are_refused(name, value):
 @pytest.mark.parametrize(
     ("name", "value", "bound"),
     [
-        ("smoothness", 0, "above 0"),
-        ("beta", 0, "above 0"),
+        ("smoothness", 0, "at least 1e-06 and at most 1e\\+12"),
+        ("smoothness", 1e38, "at least 1e-06 and at most 1e\\+12"),
+        ("depth_smoothness", 1e13, "at least 1e-06 and at most 1e\\+12"),
+        ("depth_smoothness", 1e-7, "at least 1e-06 and at most 1e\\+12"),
+        ("beta", 0, "at least 1e-06 and at most 1e\\+06"),
+        ("beta", 1e38, "at least 1e-06 and at most 1e\\+06"),
         ("contrast", 1e-4, "at least 0.001 and at most 1e\\+06"),
         ("contrast", 1e7, "at least 0.001 and at most 1e\\+06"),
         ("presmoothing", 1e6, "at least 0 and at most 100"),
@@ -202,6 +206,11 @@ def test_errors_state_the_bounds(name, value, bound):
         ("pyramid_levels", 1),
         ("pyramid_levels", None),
         ("contrast", None),
+        ("smoothness", 1e-6),
+        ("smoothness", 1e12),
+        ("depth_smoothness", 1e12),
+        ("sweeps", 1000),
+        ("max_objects", 255),
     ],
 )
 def test_bounds_themselves_are_accepted(name, value):
@@ -228,6 +237,19 @@ def test_none_is_no_number(name):
 def test_counts_start_at_one(name, value):
     with pytest.raises(ValueError, match=f"{name} is {value}: expected at least 1"):
         tisfm.Settings(**{name: value})
+
+
+@pytest.mark.parametrize("name", COUNTS)
+@pytest.mark.parametrize("value", [2**31, 3_000_000_000, 10**400])
+def test_counts_end_before_a_run_cannot(name, value):
+    with pytest.raises(ValueError, match=f"{name} is {value}: expected at least [01] and at most"):
+        tisfm.Settings(**{name: value})
+
+
+@pytest.mark.parametrize(("smoothness", "beta"), [(1e12, 2.0), (1e-6, 0.5), (1e7, 1e6)])
+def test_smoothness_and_beta_are_bounded_together(smoothness, beta):
+    with pytest.raises(ValueError, match=r"smoothness · beta is .* expected a product of at least"):
+        tisfm.Settings(smoothness=smoothness, beta=beta)
 
 
 @pytest.mark.parametrize("name", COUNTS)

@@ -25,11 +25,14 @@ __all__ = [
 
 _SUBMODULES = (
     "datasets",
+    "egomotion",
     "evaluation",
+    "focal_guess",
     "formats",
     "horn_schunck",
+    "lens",
     "metrics",
-    "reference",
+    "rigid",
     "runtime",
     "scenes",
     "show",

@@ -12,6 +12,8 @@ from PIL import ExifTags, Image
 
 from tisfm.camera import Camera
 
+__all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
+
 SIDES = 1.2  # focal lengths per longer side: a field of view of 45°, between phones and lenses
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
 PLAUSIBLE = (0.1, 100)  # longer sides: what lies outside is a slip of the pen

@@ -6,33 +6,44 @@ import numpy as np
 import numpy.typing as npt
 
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
-LARGEST = 1e36  # grey levels
+LARGEST_GREY = 1e36  # grey levels: their differences are numbers of float32
+# Of float frames in [0, 1] that were resampled or sharpened: how far values lie beyond, at most
+# (0.45 after bicubic interpolation at its worst), how many of them may, and what is no more than
+# rounding.
+OVERSHOOT, OVERSHOOTING, ROUNDING = 0.5, 0.05, 0.01
 ROWS = 32  # at a time, which stay in the cache
 
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
-def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+def grey_pair(
+    frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Validate a pair of frames and convert it to grey levels.
 
     Parameters
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) array
         Grey or RGB; uint8, uint16 or float, both alike.
+    stretch : bool
+        Whether float frames in [0, 1] are brought to the 8-bit scale. False where other frames
+        of their sequence show that they are on it.
 
     Returns
     -------
     grey0, grey1 : (H, W) float32
         On the 8-bit scale, by one factor for both frames: uint8 as it is, uint16 / 257,
-        float × 255 if both frames lie in [0, 1], else as it is. Never views of the input.
+        float × 255 if both frames are in [0, 1] (`in_unit_range`), else as it is. Never views of
+        the input.
 
     Raises
     ------
     TypeError
         If a frame is not an array of one of these types, or the two differ in type.
     ValueError
-        If shapes differ, a side is shorter than 4 px, or a pixel is NaN, infinite or beyond 1e36.
+        If shapes differ, a side is shorter than 4 px, or a pixel is masked, NaN, infinite or
+        beyond 1e36.
     """
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:
@@ -45,7 +56,7 @@ def grey_pair(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> tuple[np.ndarray,
             f"frame1 is {second.dtype} but frame0 is {first.dtype}: "
             "frames of a pair must have the same type"
         )
-    factor = _factor(first, second)
+    factor = _factor(first, second, stretch=stretch)
     return _grey(first, factor), _grey(second, factor)
 
 
@@ -55,6 +66,13 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
         raise TypeError(
             f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
+        )
+    if np.ma.is_masked(frame):
+        hidden = np.ma.count_masked(frame)
+        raise ValueError(
+            f"{name} has {hidden} of {np.size(frame)} values masked, and every pixel counts as "
+            f"seen: fill them, for instance by {name}.filled(0), and leave out of the result what "
+            "they cover"
         )
     try:
         array = np.asarray(frame)
@@ -84,27 +102,45 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     return array
 
 
-def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike) -> np.ndarray:
+def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = True) -> np.ndarray:
     """Return frame 0 of a pair as uint8, for display, by the factor that `grey_pair` takes."""
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.dtype == np.uint8:
         return first.copy()
-    scaled = first.astype(np.float32, order="C") * np.float32(_factor(first, second))
+    scaled = first.astype(np.float32, order="C") * np.float32(
+        _factor(first, second, stretch=stretch)
+    )
     return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+
+
+def in_unit_range(frame: np.ndarray) -> bool:
+    """Return whether a float frame has its values in [0, 1], but for overshoots.
+
+    It has if all of them lie in [−0.5, 1.5], and 95% in [−0.01, 1.01]: interpolation of a frame
+    in [0, 1] takes some values beyond, and sharpening as well. A dark frame on the 8-bit scale is
+    taken for one in [0, 1] only if it hardly exceeds the first grey level anywhere. True for other
+    types, which are on a scale of their own.
+    """
+    if not _is_float(frame) or frame.size == 0:
+        return True
+    low, high = frame.min(), frame.max()
+    if low >= 0 and high <= 1:
+        return True
+    if not (low >= -OVERSHOOT and high <= 1 + OVERSHOOT):
+        return False
+    beyond = np.count_nonzero((frame < -ROUNDING) | (frame > 1 + ROUNDING))
+    return bool(beyond <= OVERSHOOTING * frame.size)
 
 
 def _is_float(array: np.ndarray) -> bool:
     return bool(np.issubdtype(array.dtype, np.floating))
 
 
-def _factor(first: np.ndarray, second: np.ndarray) -> float:
+def _factor(first: np.ndarray, second: np.ndarray, *, stretch: bool) -> float:
     if first.dtype == np.uint16:
         return 1 / 257
-    if _is_float(first):
-        low = min(first.min(), second.min())
-        high = max(first.max(), second.max())
-        if low >= 0 and high <= 1:
-            return 255.0
+    if stretch and _is_float(first) and in_unit_range(first) and in_unit_range(second):
+        return 255.0
     return 1.0
 
 
@@ -114,7 +150,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
         if factor != 1:
             grey *= np.float32(factor)
     # Differences of grey levels have to be finite as well.
-    if _is_float(frame) and not np.abs(grey).max() <= LARGEST:
+    if _is_float(frame) and not np.abs(grey).max() <= LARGEST_GREY:
         raise ValueError("a frame has values too large for float32: scale it before interpreting")
     return grey
 

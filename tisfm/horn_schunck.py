@@ -1,5 +1,6 @@
 """Horn and Schunck's optical flow, warped coarse to fine: the baseline the paper compares with."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.settings import Settings, check_settings
+
+__all__ = ["horn_schunck"]
 
 
 def horn_schunck(
@@ -63,10 +66,13 @@ def horn_schunck(
     grey0, grey1 = grey_pair(frame0, frame1)
 
     runtime.start()
-    from tisfm.solver.image_pyramid import Pyramid, coarse_to_fine
+    from tisfm.motion.problems import flow_problem, pyramid_of
+    from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
 
-    pyramid = Pyramid(grey0, grey1, Camera(), settings)
-    last = pyramid.last(settings)
-    solution = coarse_to_fine(pyramid, settings, components=2, contrast=float("inf"), finest=last)
-    flow = pyramid.images(solution.field, last)
+    pyramid = pyramid_of(grey0, grey1, Camera(), settings)
+    problem = flow_problem(settings, Camera().focal, stiffness=(1.0, 1.0))
+    quadratic = replace(problem.smoothness, contrast=math.inf)
+    problem = replace(problem, smoothness=quadratic)
+    solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
+    flow = at_finest(pyramid, solution.unknowns, pyramid.last)
     return np.ascontiguousarray(np.moveaxis(flow, 0, -1))

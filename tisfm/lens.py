@@ -7,10 +7,11 @@ import numpy.typing as npt
 from tisfm.camera import Camera, check_camera
 from tisfm.frames import check_frame
 from tisfm.solver.sampling import sample
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.visibility.occlusion import FAR, leaves_image
 
-FAR = 1e7  # px: outside any image
-LEAST = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera
+__all__ = ["undistort"]
+
+LEAST_SEEN = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera
 RADII = 4096  # at which the radial part of the model is looked at
 
 
@@ -56,7 +57,7 @@ class Undistortion:
         folded = radius > _fold(coefficients, float(radius.max()))
         self.valid = ~(leaves_image(self._flow) | folded)
         share = float(self.valid.mean())
-        if share < LEAST:
+        if share < LEAST_SEEN:
             raise ValueError(
                 f"distortion leaves data at {100 * share:.2g}% of the pixels of a frame of "
                 f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "

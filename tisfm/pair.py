@@ -8,16 +8,20 @@ from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
-from tisfm.interpretation import Interpretation, Status
+from tisfm.interpretation import History, Interpretation, Status
 from tisfm.lens import Undistortion
 from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
-LARGEST = 1e15  # grey levels: squares of derivatives have to be numbers of float32
+LARGEST_SQUARED = 1e15  # grey levels: squares of derivatives have to be numbers of float32
+UNCOUNTED = Status(
+    "diverged",
+    "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
+)
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
 
 
@@ -35,6 +39,9 @@ def interpret(
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) array
         Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
+        Float frames are taken to be in [0, 1] if all values of both lie in [−0.5, 1.5], and 95%
+        of each in [−0.01, 1.01], so that resampling and sharpening may overshoot. Otherwise they
+        are taken to be on the 8-bit scale, whatever their range.
     camera : Camera, optional
         By default the image's centre and a focal length of 600 px, as in the paper, or, because
         depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with
@@ -59,9 +66,9 @@ def interpret(
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        NaN, infinite or beyond 1e36; if `pose` is not one of these, turns by 90° or more, or is
-        given for a motion that is not ``"camera"``; if distortion leaves next to nothing of the
-        frames.
+        masked, NaN, infinite or beyond 1e36; if `pose` is not one of these, turns by 90° or more,
+        has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given for a
+        motion that is not ``"camera"``; if distortion leaves next to nothing of the frames.
 
     Notes
     -----
@@ -72,68 +79,98 @@ def interpret(
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
     Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
     """
+    return interpret_pair(frame0, frame1, camera=camera, settings=settings, pose=pose)
+
+
+def interpret_pair(
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    pose: npt.ArrayLike | None = None,
+    stretch: bool = True,
+) -> Interpretation:
+    """Do what `interpret` does, for a pair of a sequence.
+
+    `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
+    (`tisfm.frames.grey_pair`).
+    """
     settings = check_settings(settings)
     known = check_pose(pose)
     if known is not None and settings.motion != "camera":
         raise ValueError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
-    grey0, grey1 = grey_pair(frame0, frame1)
-    frame = eight_bit(frame0, frame1)
+    grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
+    frame = eight_bit(frame0, frame1, stretch=stretch)
     if camera is None and settings.motion != "field":
         camera = guess_camera(grey0.shape)
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.motion.camera import camera_reading
-    from tisfm.motion.field import field_reading, history_of
-    from tisfm.motion.objects.estimation import objects_reading
-    from tisfm.solver.image_pyramid import Pyramid
+    from tisfm.motion.camera import camera_estimate
+    from tisfm.motion.estimate import history_of
+    from tisfm.motion.field import field_estimate
+    from tisfm.motion.objects.estimation import objects_estimate
+    from tisfm.motion.problems import pyramid_of
 
+    runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
     lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         camera = camera.pinhole()
-    pyramid = Pyramid(grey0, grey1, camera, settings)
     overflow = overflown(grey0, grey1)
+    pyramid = pyramid_of(grey0, grey1, camera, settings)
     if settings.motion == "field":
         del grey0, grey1  # the pyramid has its own
-        reading = field_reading(pyramid, settings)
+        estimate = field_estimate(pyramid, settings)
     elif settings.motion == "camera":
-        reading = camera_reading(pyramid, camera, settings, known)
+        estimate = camera_estimate(pyramid, settings, known)
     else:
-        reading = objects_reading(pyramid, camera, settings, grey0)
-    flow = reading.flow
+        estimate = objects_estimate(pyramid, settings, grey0)
+    flow, deviation = estimate.flow, estimate.inverse_depth_std
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
-        level = 0 if settings.motion == "objects" else pyramid.last(settings)
-        unseen = pyramid.occlusion(flow, leaves, level=level)
+        unseen = occlusion_in(pyramid, flow, settings, leaves=leaves, level=estimate.level)
         if lens is not None:
             unseen |= lens.missing(flow)
-        if reading.inverse_depth_std is not None:
-            reading.inverse_depth_std[unseen] = np.inf
+        if deviation is not None:
+            deviation[unseen] = np.inf
         trust = confidence(
-            reading.evidence, unseen, normalized=reading.normalized, freedom=reading.freedom
+            estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
         )
-    status = reading.status
+    history, counted = _countable(history_of(estimate.history))
+    status = estimate.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = overflow or diverged(flow, leaves) or status
+        status = overflow or diverged(flow, leaves) or (status if counted else UNCOUNTED)
     return Interpretation(
-        rho=reading.rho,
+        rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
-        inverse_depth=reading.inverse_depth,
-        inverse_depth_std=reading.inverse_depth_std,
+        inverse_depth=estimate.inverse_depth,
+        inverse_depth_std=deviation,
         confidence=trust,
         occlusion=unseen,
-        motions=reading.motions,
-        labels=reading.labels,
+        motions=estimate.motions,
+        labels=estimate.labels,
         frame=frame,
         camera=camera,
         settings=settings,
         status=status,
-        history=history_of(reading.history),
+        history=history,
         version=__version__,
     )
+
+
+def _countable(history: History) -> tuple[History, bool]:
+    """Return a history without iterations whose record is no number, and whether there were none.
+
+    Their energy is beyond single precision.
+    """
+    finite = np.logical_and.reduce([np.isfinite(record) for record in vars(history).values()])
+    if finite.all():
+        return history, True
+    return History(**{name: record[finite] for name, record in vars(history).items()}), False
 
 
 def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
@@ -141,7 +178,7 @@ def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     largest = max(
         abs(float(value)) for grey in (grey0, grey1) for value in (grey.min(), grey.max())
     )
-    if largest <= LARGEST:
+    if largest <= LARGEST_SQUARED:
         return None
     return Status(
         "diverged",

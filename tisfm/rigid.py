@@ -8,7 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import Floats, finite
 
+__all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
+
 _ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
+# Of ‖t‖, in its own unit: depth and its deviation then are numbers of float32, with digits to spare
+# for scenes of any size and images of any parallax.
+_SHORTEST, _LONGEST = 1e-30, 1e30
 _TURN = 90.0  # degrees: frames that differ by more have hardly anything in common
 
 
@@ -135,10 +140,13 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     TypeError
         If it is not an array of real numbers.
     ValueError
-        If it is neither, or turns by 90° or more.
+        If it is neither, has a masked value, turns by 90° or more, or translates by a length that
+        is neither 0 nor from 1e-30 to 1e30: single precision cannot hold depth in such a unit.
     """
     if pose is None:
         return None
+    if np.ma.is_masked(pose):
+        raise ValueError("pose has masked values: expected a 4×4 or 3×3 array without a mask")
     try:
         given = np.asarray(pose)
         if given.dtype.kind in "bc":
@@ -173,6 +181,14 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
             "scene; check that it is the motion from frame 0's camera to frame 1's, not a pose in "
             "the world, and that both have their axes right, down and forward"
         )
-    return KnownPose(
-        rotation=rotation, translation=matrix[:3, 3].copy() if len(matrix) == 4 else None
-    )
+    if len(matrix) == 3:
+        return KnownPose(rotation=rotation, translation=None)
+    translation = matrix[:3, 3].copy()
+    length = math.hypot(*translation)  # whose squares do not overflow
+    if translation.any() and not _SHORTEST <= length <= _LONGEST:
+        raise ValueError(
+            f"pose translates by {length:.1e}: expected 0 if it only turns, or a length of "
+            f"{_SHORTEST:g} to {_LONGEST:g}, for single precision to hold depth in its unit; give "
+            "it in another unit"
+        )
+    return KnownPose(rotation=rotation, translation=translation)

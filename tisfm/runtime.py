@@ -16,6 +16,8 @@ from tisfm.cores import bind_newest, thread_ids
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid
 
+__all__ = ["start"]
+
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
@@ -117,13 +119,15 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
     """Start Taichi on an arch, or explain why it cannot be."""
     import taichi as ti
 
+    from tisfm.kernels.layout.internals import materialize
+
     overriding = os.environ.pop("TI_ARCH", None)  # would win over what is asked for
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
             # Nor is it to complain of each library that it looks for: the error says that.
             ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, **options)
             # Left to the first kernel, it would have to be launched by this very thread.
-            ti.lang.impl.get_runtime().materialize()
+            materialize()
     except RuntimeError as error:
         raise RuntimeError(
             f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
@@ -152,10 +156,9 @@ def on_gpu() -> bool:
 
 def running_arch() -> str:
     """Return where the runtime, which must have been started, runs: "cpu", or Taichi's name."""
-    import taichi as ti
+    from tisfm.kernels.layout import internals
 
-    name = ti.lang.impl.current_cfg().arch.name
-    return "cpu" if name in _HOSTS else name
+    return internals.arch()
 
 
 def lanes() -> int:
@@ -183,23 +186,25 @@ def threads() -> int:
 
 
 def _most_threads() -> int:
-    import taichi as ti
+    from tisfm.kernels.layout import internals
 
-    return int(ti.lang.impl.current_cfg().cpu_max_num_threads)
+    return int(internals.configuration().cpu_max_num_threads)
 
 
 def _is_running() -> bool:
     if "taichi" not in sys.modules:
         return False
-    import taichi as ti
+    from tisfm.kernels.layout import internals
 
-    return ti.lang.impl.get_runtime().prog is not None
+    return internals.is_running()
 
 
 def _check_running(arch: str | None, threads: int | None) -> None:
     import taichi as ti
 
-    running = ti.lang.impl.current_cfg()
+    from tisfm.kernels.layout import internals
+
+    running = internals.configuration()
     if running.default_ip != ti.i32:
         raise RuntimeError(
             f"Taichi already runs with default_ip={running.default_ip.to_string()}: its compiler "

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
 from tisfm.focal_guess import guess_camera
+from tisfm.frames import in_unit_range
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 
@@ -26,7 +28,9 @@ Source = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Iterable[np
 class FramePair:
     """Two consecutive frames of a source, with their names (file stems, or frame numbers).
 
-    The pose, if there is one, is a known motion as for `tisfm.interpret`.
+    The pose, if there is one, is a known motion as for `tisfm.interpret`. `stretch` is False where
+    the frames so far show that float frames of the source are on the 8-bit scale, though those of
+    this pair may look as if they were in [0, 1].
     """
 
     name0: str
@@ -34,18 +38,18 @@ class FramePair:
     frame0: np.ndarray
     frame1: np.ndarray
     pose: npt.ArrayLike | None = None
+    stretch: bool = True
     _digests: tuple["_Digest", "_Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
         self, *, camera: Camera | None = None, settings: Settings | None = None
     ) -> Interpretation:
         """Interpret the pair; errors name its frames."""
-        from tisfm.pair import interpret
+        from tisfm.pair import interpret, interpret_pair
 
+        work = interpret if self.stretch else partial(interpret_pair, stretch=False)
         try:
-            return interpret(
-                self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose
-            )
+            return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
             raise
@@ -141,13 +145,19 @@ class FrameSource:
     def __iter__(self) -> Iterator[FramePair]:
         """Read the frames, and yield every pair of consecutive ones."""
         previous: tuple[str, np.ndarray, _Digest] | None = None
-        pairs = 0
+        pairs, stretch = 0, True
         for name, frame in self._frames:
+            stretch = stretch and in_unit_range(frame)
             digest = _Digest(frame)
             if previous is not None:
                 name0, frame0, digest0 = previous
                 yield FramePair(
-                    name0=name0, frame0=frame0, name1=name, frame1=frame, _digests=(digest0, digest)
+                    name0=name0,
+                    frame0=frame0,
+                    name1=name,
+                    frame1=frame,
+                    stretch=stretch,
+                    _digests=(digest0, digest),
                 )
                 del frame0, digest0  # or the frame would be held while the next is read
                 pairs += 1
@@ -369,7 +379,9 @@ class _Arrays:
                     f"the source yields {item!r}: expected arrays; give paths as a list, in "
                     "the order of the frames"
                 )
-            yield f"frame_{index * self._step:06d}", np.asarray(item)
+            # Masks are refused when the pair is interpreted.
+            frame = item if isinstance(item, np.ma.MaskedArray) else np.asarray(item)
+            yield f"frame_{index * self._step:06d}", frame
 
 
 class _ImageFiles:

@@ -13,16 +13,22 @@ Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
-_COUNTS = (
-    "pyramid_levels",
-    "finest_level",
-    "warps",
-    "coarse_warps",
-    "outer_iterations",
-    "sweeps",
-    "cycles",
-    "max_objects",
-)
+# Bounds of weights and scales: whatever is accepted, products of several of them with grey levels
+# and motions are numbers of float32, and α is not so small that it drowns in the floors of pivots.
+LEAST_SMOOTHNESS, MOST_SMOOTHNESS = 1e-6, 1e12
+_MOST = 1e6
+_LEAST_CONTRAST = 1e-3  # px/frame: below it, single precision cannot keep the energy from rising
+# The most of every count: more than any use, and few enough for a run to end or to be interrupted.
+_COUNTS = {
+    "pyramid_levels": 100,
+    "finest_level": 100,
+    "warps": 10_000,
+    "coarse_warps": 10_000,
+    "outer_iterations": 10_000,
+    "sweeps": 1000,  # of one launch, which cannot be interrupted
+    "cycles": 1000,
+    "max_objects": 255,  # labels are bytes while they are looked for
+}
 _MAY_BE_0 = ("finest_level", "cycles")
 
 
@@ -35,15 +41,16 @@ class Settings:
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
     motion : {"field", "camera", "objects"}
-        Reading of motion: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
+        Motion model: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
         ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel;
         ``"objects"`` several rigid motions, a label per pixel, and inverse depth in the unit of
         each motion.
     smoothness : float
         λ̂, weight of the regularisation. Without unit where constraints are normalised; without
         `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
+        In [1e-6, 1e12].
     beta : float
-        β of eq. 12; smoothness and β enter as α = λ̂β.
+        β of eq. 12; smoothness and β enter as α = λ̂β, which is in [1e-6, 1e12] as well.
     contrast : float or None
         δ, px/frame: neighbours that differ by more are an edge. In [1e-3, 1e6]: below it, single
         precision cannot keep the energy from rising. The same at every level. None for δ = 1 in
@@ -72,14 +79,15 @@ class Settings:
         rather than squared (Charbonnier). None for squares: the paper's.
     depth_smoothness : float
         Weight of the regularisation of inverse depth with ``motion="camera"`` and ``"objects"``, in
-        place of `smoothness`.
+        place of `smoothness`, with the same bounds.
     depth_brightness : float
         Weight of the constancy of brightness there, in place of `brightness`.
     depth_normalization : float or None
         ζ there, in place of `normalization`. One motion leaves a pixel little freedom, so that
         noise is what disturbs it, and weak gradients had better count less than strong ones.
     max_objects : int
-        How many motions ``motion="objects"`` may find, that of the background included.
+        How many motions ``motion="objects"`` may find, that of the background included; at most
+        255.
     align_scales : bool
         Whether objects that stand on the background take its scale where they touch it
         (``motion="objects"``). Otherwise every object's depth is in the unit of its own motion.
@@ -110,7 +118,7 @@ class Settings:
     outer_iterations : int
         Most half-quadratic iterations per warp.
     sweeps : int
-        Red–black sweeps per half-quadratic iteration.
+        Red–black sweeps per half-quadratic iteration; at most 1000.
     cycles : int
         Multigrid cycles with conjugate gradients per half-quadratic iteration; `sweeps` and
         `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
@@ -167,37 +175,44 @@ class Settings:
             ("solver", Solver),
         ):
             _check_choice(name, getattr(self, name), get_args(kind))
-        _check_real("smoothness", self.smoothness, above=0)
-        _check_real("beta", self.beta, above=0)
+        least, most = LEAST_SMOOTHNESS, MOST_SMOOTHNESS
+        _check_real("smoothness", self.smoothness, least=least, most=most)
+        _check_real("beta", self.beta, least=1 / _MOST, most=_MOST)
+        if not least <= float(self.smoothness) * float(self.beta) <= most:
+            raise ValueError(
+                f"smoothness · beta is {float(self.smoothness):g} · {float(self.beta):g}: expected "
+                f"a product of at least {least:g} and at most {most:g}"
+            )
         if self.contrast is not None:
-            _check_real("contrast", self.contrast, least=1e-3, most=1e6)
+            _check_real("contrast", self.contrast, least=_LEAST_CONTRAST, most=_MOST)
         for name in ("joint_edges", "align_scales"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise TypeError(f"{name} is {value!r}: expected True or False")
         object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
-        _check_real("image_edges", self.image_edges, least=0, most=1e6)
+        _check_real("image_edges", self.image_edges, least=0, most=_MOST)
         for name in ("brightness", "gradient"):
-            _check_real(name, getattr(self, name), least=0, most=1e6)
+            _check_real(name, getattr(self, name), least=0, most=_MOST)
         if not self.brightness + self.gradient > 0:
             raise ValueError("brightness and gradient are both 0: give one of them a weight")
         if self.normalization is not None:
-            _check_real("normalization", self.normalization, least=0, most=1e6)
+            _check_real("normalization", self.normalization, least=0, most=_MOST)
         if self.data_contrast is not None:
-            _check_real("data_contrast", self.data_contrast, least=1e-3, most=1e6)
-        _check_real("depth_smoothness", self.depth_smoothness, above=0)
-        _check_real("depth_brightness", self.depth_brightness, least=0, most=1e6)
+            _check_real("data_contrast", self.data_contrast, least=_LEAST_CONTRAST, most=_MOST)
+        _check_real("depth_smoothness", self.depth_smoothness, least=least, most=most)
+        _check_real("depth_brightness", self.depth_brightness, least=0, most=_MOST)
         if not self.depth_brightness + self.gradient > 0:
             raise ValueError("depth_brightness and gradient are both 0: give one of them a weight")
         if self.depth_normalization is not None:
-            _check_real("depth_normalization", self.depth_normalization, least=0, most=1e6)
+            _check_real("depth_normalization", self.depth_normalization, least=0, most=_MOST)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
         _check_real("relaxation", self.relaxation, above=0, below=2)
         _check_real("tolerance", self.tolerance, least=0)
-        for name in _COUNTS:
+        for name, most_of in _COUNTS.items():
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                _check_count(name, getattr(self, name), least=0 if name in _MAY_BE_0 else 1)
+                fewest = 0 if name in _MAY_BE_0 else 1
+                _check_count(name, getattr(self, name), least=fewest, most=most_of)
         # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
@@ -301,15 +316,15 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     if isinstance(stiffness, str) or not isinstance(stiffness, Sequence) or len(stiffness) != 6:
         raise TypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
     for k, value in enumerate(stiffness):
-        _check_real(f"stiffness[{k}]", value, least=1e-3, most=1e6)
+        _check_real(f"stiffness[{k}]", value, least=1e-3, most=_MOST)
     return tuple(float(value) for value in stiffness)
 
 
-def _check_count(name: str, value: object, *, least: int) -> None:
+def _check_count(name: str, value: object, *, least: int, most: int) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} is {value!r}: expected an integer")
-    if value < least:
-        raise ValueError(f"{name} is {value}: expected at least {least}")
+    if not least <= int(value) <= most:
+        raise ValueError(f"{name} is {value}: expected at least {least} and at most {most}")
 
 
 _PRESETS: dict[str, Settings] = {

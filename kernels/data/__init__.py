@@ -1,5 +1,5 @@
 """From images to constraints on the flow.
 
 Here: warping, derivatives, constraints, image-driven edges, and forward splatting for occlusion.
-May import: `tisfm.kernels.layout`, `tisfm.kernels.model` and `tisfm.kernels.solve` (reductions).
+May import: `tisfm.kernels.layout` and `tisfm.kernels.model`.
 """

@@ -6,29 +6,33 @@ has one, its gradient two; a term is the sum of its constraints squared, and its
 the terms: 1 is brightness, 2 its gradient, 3 both, in this order.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import taichi as ti
 
 from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
+from tisfm.kernels.layout.launch import Launch, operation
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
-from tisfm.kernels.model.small_spd import bind
-
-TINY = 1e-12  # squared grey levels: no division by zero in uniform regions
 
 
+@operation
 def constancy_constraints(
     grid: LaneGrid,
-    derivatives,
-    flow,
-    mask,
-    out,
-    tensor=None,
+    derivatives: LaneData,
+    flow: LaneData,
+    mask: LaneData,
+    out: LaneData,
+    tensor: LaneData | None = None,
     *,
-    brightness,
-    gradient,
-    normalization,
-    scales,
-) -> None:
+    brightness: float,
+    gradient: float,
+    normalization: float | None,
+    scales: Sequence[float],
+) -> Launch:
     """Write the constraints of brightness and of gradient constancy, linearised about a flow.
 
     With frame 1 warped by (u₀, v₀), constancy is I_t + ∇I·(u − u₀, v − v₀) = 0, or p u + q v + c
@@ -77,13 +81,13 @@ def constancy_constraints(
     grid.check(out, 3 * count, "out")
     if tensor is not None:
         grid.check(tensor, 6, "tensor")
-    _constancy_constraints[grid.lanes](
+    return _constancy_constraints[grid.lanes].bind(
         derivatives,
         flow,
         mask,
         brightness,
         gradient,
-        1.0 if normalization is None else normalization**2 + TINY,
+        1.0 if normalization is None else normalization**2 + LEAST_DIVISOR,
         0.0 if normalization is None else 1.0,
         *finite_scales(scales),
         count,
@@ -144,7 +148,7 @@ def _constancy_constraints(
                 tensor[k, y, s] = sums[k]
 
 
-def _lines(found, count, noise, normalized, u, v):
+def _lines(found: tuple, count: int, noise: Any, normalized: Any, u: Any, v: Any) -> list:
     """Return (p, q, c) of those constraints that are in use, times the root of the weight."""
     lines = []
     for weight, ix, iy, it in {1: found[:1], 2: found[1:], 3: found}[count]:

@@ -3,13 +3,17 @@
 import taichi as ti
 
 from tisfm.kernels.layout.images import IMAGE_HALO
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
+from tisfm.kernels.layout.launch import Launch, operation
 
 DERIVATIVE_HALO = 2  # second derivatives look two pixels to each side
 SCHEMES = ("cube", "five_tap")
 
 
-def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
+@operation
+def derivatives(
+    grid: LaneGrid, frame0: LaneData, frame1: LaneData, out: LaneData, *, scheme: str
+) -> Launch:
     """Compute (I_x, I_y, I_t).
 
     Parameters
@@ -24,7 +28,8 @@ def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
         ``"cube"``: first differences averaged over the 2×2×2 cube of pixels to the south-east
         (Horn and Schunck 1981, doi 10.1016/0004-3702(81)90024-2), an estimate at
         (x+½, y+½, t+½). ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of both frames and the
-        difference of the frames, an estimate at (x, y, t+½) of fourth order in space.
+        difference of the frames, an estimate at (x, y, t+½) of fourth order in space. I_t is
+        exactly 0 where the frames agree at all the pixels that it is taken from.
     """
     grid.check(frame0, 1, "frame0", halo=IMAGE_HALO)
     grid.check(frame1, 1, "frame1", halo=IMAGE_HALO)
@@ -32,7 +37,7 @@ def derivatives(grid: LaneGrid, frame0, frame1, out, *, scheme: str) -> None:
     if scheme not in SCHEMES:
         raise ValueError(f"scheme is {scheme!r}: expected one of {SCHEMES}")
     kernel = _cube if scheme == "cube" else _five_tap
-    kernel[grid.lanes](frame0, frame1, grid.serial, out)
+    return kernel[grid.lanes].bind(frame0, frame1, grid.serial, out)
 
 
 @lane_kernel
@@ -51,7 +56,14 @@ def _cube(
         g, h = frame1[0, y + 1, s], frame1[0, y + 1, s + 1]
         out[0, row, position] = 0.25 * ((b - a) + (d - c) + (f - e) + (h - g))
         out[1, row, position] = 0.25 * ((c - a) + (d - b) + (g - e) + (h - f))
-        out[2, row, position] = 0.25 * ((e - a) + (f - b) + (g - c) + (h - d))
+        # Compiled for speed, sums may be reordered, and then leave rounding of frames that agree.
+        none, one = 0.0 * a, 0.0 * a + 1.0
+        same = ti.select(e == a, one, none)
+        same = ti.select(f == b, same, none)
+        same = ti.select(g == c, same, none)
+        same = ti.select(h == d, same, none)
+        change = 0.25 * ((e - a) + (f - b) + (g - c) + (h - d))
+        out[2, row, position] = ti.select(same > 0.0, none, change)
 
 
 @lane_kernel

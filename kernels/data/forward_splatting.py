@@ -3,14 +3,16 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import CHUNK, check_array
+from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
 BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
 BLOCK = 64  # pixels of a row that a thread takes at a time
 
 
-def splat(flow, residual, claims, *, any_order: bool = False) -> None:
+def splat(
+    flow: np.ndarray, residual: np.ndarray, sums: np.ndarray, *, any_order: bool = False
+) -> None:
     """Add every pixel, bilinearly, to the four pixels of frame 1 around the place it goes to.
 
     Parameters
@@ -18,7 +20,7 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     flow : (2, H, W) float32
         (u, v), px/frame.
     residual : (H, W) float32
-    claims : (H, W, 4) float32
+    sums : (H, W, 4) float32
         Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
         A pixel whose flow leaves the image adds nothing. Allocated by `aligned_empty`.
     any_order : bool
@@ -29,19 +31,27 @@ def splat(flow, residual, claims, *, any_order: bool = False) -> None:
     -----
     Flow and residual must be finite: under fast arithmetic, comparisons with NaN prove nothing.
     """
-    _check(flow, residual, claims)
+    _check(flow, residual, sums)
     if any_order:
-        _splat_in_any_order(flow, residual, claims)
+        _splat_in_any_order(flow, residual, sums)
         return
     height = residual.shape[0]
     farthest = max(flow[1].max(), -flow[1].min())
     reach = min(int(farthest) + 1, height)  # rows that a pixel can go up or down
     pairs = height // (2 * max(BAND, 2 * reach))  # of bands: two threads have as many each
     bands = max(1, 2 * pairs)
-    _splat(flow, residual, bands, reach, claims)
+    _splat(flow, residual, bands, reach, sums)
 
 
-def defeated(flow, residual, claims, out, *, density: float, apart: float) -> None:
+def defeated(
+    flow: np.ndarray,
+    residual: np.ndarray,
+    sums: np.ndarray,
+    out: np.ndarray,
+    *,
+    density: float,
+    apart: float,
+) -> None:
     """Mark the pixels that share their place in frame 1 with others that fit better.
 
     Parameters
@@ -49,7 +59,7 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
     flow : (2, H, W) float32
         (u, v), px/frame.
     residual : (H, W) float32
-    claims : (H, W, 4) float32
+    sums : (H, W, 4) float32
         Of `splat`.
     out : (H, W) int32
         1 where more than `density` pixels go to the pixel's place, their mean flow is more than
@@ -61,19 +71,19 @@ def defeated(flow, residual, claims, out, *, density: float, apart: float) -> No
         px/frame, from a mean that includes the pixel itself: of two pixels with equal weights,
         one moves by 2·apart relative to the other.
     """
-    _check(flow, residual, claims)
+    _check(flow, residual, sums)
     check_array(out, residual.shape, "out", dtype=np.int32, aligned=False)
-    _defeated(flow, residual, claims, density, apart, out)
+    _defeated(flow, residual, sums, density, apart, out)
 
 
-def _check(flow, residual, claims) -> None:
+def _check(flow: np.ndarray, residual: np.ndarray, sums: np.ndarray) -> None:
     size = residual.shape
     check_array(residual, size[:2], "residual", aligned=False)
     check_array(flow, (2, *size), "flow", aligned=False)
-    check_array(claims, (*size, 4), "claims")
+    check_array(sums, (*size, 4), "sums")
 
 
-_Claims = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be aligned
+_Sums = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be aligned
 
 
 @Kernel
@@ -82,38 +92,38 @@ def _splat(
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     bands: ti.i32,
     reach: ti.i32,
-    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+    sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
 ):
     """Add up a band of rows of frame 1 in one thread: the order of every sum is always the same."""
     height, width = residual.shape[0], residual.shape[1]
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
             band = task // CHUNK
-            first, last = band * height // bands, (band + 1) * height // bands
+            first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             for y, x in ti.ndrange((first, last), width):
-                claims[y, x] = _Claims(0.0)
+                sums[y, x] = _Sums(0.0)
             for y in range(ti.max(0, first - reach), ti.min(height, last + reach)):
                 for x in range(width):
-                    _claim(flow, residual, claims, y, x, first, last, False)
+                    _splat_at(flow, residual, sums, y, x, first, last, False)
 
 
 @Kernel
 def _splat_in_any_order(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
-    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+    sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
 ):
-    for y, x in ti.ndrange(claims.shape[0], claims.shape[1]):
-        claims[y, x] = _Claims(0.0)
+    for y, x in ti.ndrange(sums.shape[0], sums.shape[1]):
+        sums[y, x] = _Sums(0.0)
     for y, x in ti.ndrange(residual.shape[0], residual.shape[1]):
-        _claim(flow, residual, claims, y, x, 0, residual.shape[0], True)
+        _splat_at(flow, residual, sums, y, x, 0, residual.shape[0], True)
 
 
 @ti.func
-def _claim(
+def _splat_at(
     flow: ti.template(),
     residual: ti.template(),
-    claims: ti.template(),
+    sums: ti.template(),
     y,
     x,
     first,
@@ -129,30 +139,30 @@ def _claim(
         # The last row and column have no neighbour beyond them, nor any weight for it.
         below = ti.min(row + 1, residual.shape[0] - 1)
         right = ti.min(column + 1, residual.shape[1] - 1)
-        claim = _Claims(1.0, residual[y, x], u, v)
-        upper, lower = (1.0 - down) * claim, down * claim
+        weighted = _Sums(1.0, residual[y, x], u, v)
+        upper, lower = (1.0 - down) * weighted, down * weighted
         if first <= row and row < last:
-            _add(claims, row, column, (1.0 - across) * upper, atomic)
-            _add(claims, row, right, across * upper, atomic)
+            _add(sums, row, column, (1.0 - across) * upper, atomic)
+            _add(sums, row, right, across * upper, atomic)
         if first <= below and below < last:
-            _add(claims, below, column, (1.0 - across) * lower, atomic)
-            _add(claims, below, right, across * lower, atomic)
+            _add(sums, below, column, (1.0 - across) * lower, atomic)
+            _add(sums, below, right, across * lower, atomic)
 
 
 @ti.func
-def _add(claims: ti.template(), row, column, value, atomic: ti.template()):
+def _add(sums: ti.template(), row, column, value, atomic: ti.template()):
     if ti.static(atomic):
         for k in ti.static(range(4)):
-            ti.atomic_add(claims[row, column][k], value[k])
+            ti.atomic_add(sums[row, column][k], value[k])
     else:  # several times faster
-        claims[row, column] = claims[row, column] + value
+        sums[row, column] = sums[row, column] + value
 
 
 @Kernel
 def _defeated(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
-    claims: ti.types.ndarray(dtype=_Claims, ndim=2),  # (H, W)
+    sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
     density: ti.f32,
     apart: ti.f32,
     out: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
@@ -168,11 +178,11 @@ def _defeated(
                 across, down = target_x - column, target_y - row
                 below = ti.min(row + 1, residual.shape[0] - 1)
                 right = ti.min(column + 1, residual.shape[1] - 1)
-                upper = (1.0 - across) * claims[row, column][0] + across * claims[row, right][0]
-                lower = (1.0 - across) * claims[below, column][0] + across * claims[below, right][0]
+                upper = (1.0 - across) * sums[row, column][0] + across * sums[row, right][0]
+                lower = (1.0 - across) * sums[below, column][0] + across * sums[below, right][0]
                 if (1.0 - down) * upper + down * lower > density:  # as at few pixels
-                    first = (1.0 - across) * claims[row, column] + across * claims[row, right]
-                    second = (1.0 - across) * claims[below, column] + across * claims[below, right]
+                    first = (1.0 - across) * sums[row, column] + across * sums[row, right]
+                    second = (1.0 - across) * sums[below, column] + across * sums[below, right]
                     total = (1.0 - down) * first + down * second
                     du, dv = total[2] / total[0] - u, total[3] / total[0] - v
                     worse = residual[y, x] * total[0] > total[1]

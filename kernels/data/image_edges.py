@@ -1,20 +1,21 @@
 """How strong the smoothness of every edge is, by the image's own steps."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
     LaneArray,
+    LaneData,
     LaneGrid,
     SumArray,
     lane_count,
     lane_kernel,
 )
-from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 
-LEAST = 1e-12  # of the mean of g, which divides
 
-
-def image_edges(grid: LaneGrid, image, out, *, rate: float) -> None:
+def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float) -> None:
     """Compute g = c/(1 + rate·|ΔI|) of every edge, c such that the mean of g is 1.
 
     Parameters
@@ -35,7 +36,7 @@ def image_edges(grid: LaneGrid, image, out, *, rate: float) -> None:
     _image_edges[grid.lanes](image, rate, grid.serial, out, partial)
     count = grid.height * (grid.width - 1) + (grid.height - 1) * grid.width
     mean = float(add_blocks(partial)[0]) / max(count, 1)
-    _scale[grid.lanes](1.0 / max(mean, LEAST), grid.serial, out)
+    _scale[grid.lanes](1.0 / max(mean, LEAST_DIVISOR), grid.serial, out)
 
 
 @lane_kernel

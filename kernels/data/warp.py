@@ -1,23 +1,36 @@
 """Frame 1 brought to frame 0 by the current image motion."""
 
+from typing import Any
+
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
     LaneArray,
+    LaneData,
     LaneGrid,
     check_array,
+    first_row,
     lane_count,
     lane_kernel,
     lane_of,
     set_lane,
 )
-from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.layout.launch import Launch, operation
 
 BAND = 16  # rows, at least
 
 
-def warp(grid: LaneGrid, image, taps, flow, out, mask) -> None:
+@operation
+def warp(
+    grid: LaneGrid,
+    image: LaneData,
+    taps: LaneData,
+    flow: LaneData,
+    out: LaneData,
+    mask: LaneData,
+) -> Launch:
     """Sample an image at x + flow by its cubic B-spline.
 
     Fourth-order accurate, smooth, and exact at pixels, where the image itself is taken: no motion
@@ -43,10 +56,9 @@ def warp(grid: LaneGrid, image, taps, flow, out, mask) -> None:
     grid.check(out, 1, "out", halo=halo)
     grid.check(mask, 1, "mask")
     if grid.lanes == 1:
-        _warp_sites[grid.lanes](image, taps, flow, halo, out, mask)
-        return
+        return _warp_sites[1].bind(image, taps, flow, halo, out, mask)
     bands = 1 if grid.serial else max(1, grid.height // BAND)
-    _warp[grid.lanes](image, taps, flow, halo, grid.serial, bands, out, mask)
+    return _warp[grid.lanes].bind(image, taps, flow, halo, grid.serial, bands, out, mask)
 
 
 _Taps = ti.types.vector(4, ti.f32)  # loaded at once, so it must be aligned
@@ -75,7 +87,7 @@ def _warp(
             first = 0.0 * flow[0, 0, 0]  # columns
             for lane in ti.static(range(lanes)):
                 first[lane] = lane * strip
-            for y in range(band * height // bands, (band + 1) * height // bands):
+            for y in range(first_row(band, height, bands), first_row(band + 1, height, bands)):
                 for s in range(strip):
                     u, v = flow[0, y + 1, s + 1], flow[1, y + 1, s + 1]
                     warped, inside = _sample(image, taps, first + s, y, u, v, lanes)
@@ -150,7 +162,7 @@ def _index(value, lane: ti.template(), lanes: ti.template()):
     return ti.cast(lane_of(value, lane, lanes), ti.i32)
 
 
-def _weights(t):
+def _weights(t: Any) -> list:
     """Return the four values of the cubic B-spline for samples a fraction t past the second."""
     s = bind(1.0 - t)
     return [

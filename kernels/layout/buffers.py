@@ -13,8 +13,8 @@ from collections import OrderedDict
 import numpy as np
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector
-LEAST, GREATEST = 1 << 16, 1 << 24  # bytes: blocks of other sizes are not kept
-MOST = 1 << 25  # bytes that are kept while no array uses them
+SMALLEST_KEPT, LARGEST_KEPT = 1 << 16, 1 << 24  # bytes: blocks of other sizes are not kept
+MOST_KEPT = 1 << 25  # bytes that are kept while no array uses them
 
 
 class Buffers:
@@ -26,7 +26,7 @@ class Buffers:
         Bytes to keep.
     """
 
-    def __init__(self, most: int = MOST) -> None:
+    def __init__(self, most: int = MOST_KEPT) -> None:
         self.most = most
         self._free: OrderedDict[int, list[np.ndarray]] = OrderedDict()
         self._lock = threading.Lock()
@@ -44,8 +44,8 @@ class Buffers:
         block = self._block(size)
         start = -block.ctypes.data % ALIGNMENT
         # Of a memoryview: views of it have this array as their base, and none behind it.
-        array = np.frombuffer(memoryview(block), np.float32, count, start)
-        if LEAST <= size <= GREATEST:
+        array = np.frombuffer(block.data, np.float32, count, start)
+        if SMALLEST_KEPT <= size <= LARGEST_KEPT:
             key = id(array)
 
             def give_back(_: weakref.ref) -> None:
@@ -57,7 +57,7 @@ class Buffers:
 
     def _block(self, size: int) -> np.ndarray:
         """Return a block of a size that is kept, or else a new one, of uint8."""
-        if LEAST <= size <= GREATEST:
+        if SMALLEST_KEPT <= size <= LARGEST_KEPT:
             with self._lock, contextlib.suppress(LookupError):
                 block = self._free[size].pop()
                 self._kept -= size

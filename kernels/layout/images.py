@@ -1,20 +1,23 @@
 """Images into lanes and back."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
     LaneArray,
+    LaneData,
     LaneGrid,
     lane_count,
     lane_kernel,
     lane_of,
     store_lane,
 )
+from tisfm.kernels.layout.launch import Launch, operation
 
 IMAGE_HALO = 4  # second derivatives look two pixels to each side, twice
 
 
-def image_to_lanes(grid: LaneGrid, image, out, *, component: int = 0) -> None:
+def image_to_lanes(grid: LaneGrid, image: np.ndarray, out: LaneData, *, component: int = 0) -> None:
     """Lay an image into a component of a lane array; halo and padding repeat its border.
 
     Parameters
@@ -49,7 +52,9 @@ def _image_to_lanes(
             store_lane(out, component, row, position, lane, image[y, x])
 
 
-def lanes_to_images(grid: LaneGrid, array, out, *, component: int = 0) -> None:
+def lanes_to_images(
+    grid: LaneGrid, array: LaneData, out: np.ndarray, *, component: int = 0
+) -> None:
     """Copy components of a lane array into a stack of images.
 
     Parameters
@@ -91,7 +96,8 @@ def _lanes_to_images(
                 )
 
 
-def multiply(grid: LaneGrid, factor, out) -> None:
+@operation
+def multiply(grid: LaneGrid, factor: LaneData, out: LaneData) -> Launch:
     """Multiply a lane array in place, by a factor for each component or one for all.
 
     Parameters
@@ -104,7 +110,7 @@ def multiply(grid: LaneGrid, factor, out) -> None:
     grid.check(factor, factor.shape[0], "factor")
     if factor.shape[0] not in (1, out.shape[0]):
         raise ValueError(f"factor has {factor.shape[0]} components: expected 1 or {out.shape[0]}")
-    _multiply[grid.lanes](factor, out)
+    return _multiply[grid.lanes].bind(factor, out)
 
 
 @lane_kernel

@@ -18,20 +18,27 @@ import math
 import types
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import numpy as np
 import taichi as ti
-from taichi.lang import impl
 
+from tisfm.kernels.layout import internals
 from tisfm.kernels.layout.buffers import ALIGNMENT, buffers
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.model.small_spd import bind
 
 LANES = (1, 8, 16)
 CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
 SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
 SMALL = 2**29 - 1  # elements: no array has more
+# Of the largest arrays, of lanes and of plain images: the weights of 6 components (12), and what
+# data and neighbours say (7).
+MOST_COMPONENTS = 12
+WIDEST_HALO = 4  # px, of frames
+LARGEST_INDEX = 2**31 - 1  # of plain arrays: kernels count in 32 bits
+
+LaneData = Any  # a lane array: of NumPy, or ti.ndarray where arrays stay on a device
 
 
 @dataclass(frozen=True)
@@ -51,14 +58,14 @@ class SumArray:
     ndim: int
 
 
-def lane_kernel(function):
+def lane_kernel(function: Callable) -> dict[int, Kernel]:
     """Make a Taichi kernel for each lane count out of one function.
 
     Arguments annotated with `LaneArray` become arrays of vectors of 8 or 16 lanes or of plain
     floats, those with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
     """
 
-    def typed(element, sums):
+    def typed(element: Any, sums: Any) -> Kernel:
         elements = {LaneArray: element, SumArray: sums}
         copy = types.FunctionType(
             function.__code__, function.__globals__, function.__name__, function.__defaults__
@@ -77,15 +84,9 @@ def lane_kernel(function):
     return {1: typed(ti.f32, ti.f32), **wide}
 
 
-def bind_kernel(grid: "LaneGrid", kernels, arguments: tuple) -> Callable[[], None]:
-    """Return a launch of a lane kernel of a grid with these arguments."""
-    kernel = kernels[grid.lanes]
-    return partial(kernel, *arguments) if grid.on_device else kernel.bound(*arguments)
-
-
-def lane_count(array) -> int:
+def lane_count(array: Any) -> int:
     """Return the number of lanes of a kernel argument, while the kernel is being compiled."""
-    shape = array.element_shape()
+    shape = internals.element_shape(array)
     return shape[0] if shape else 1
 
 
@@ -118,7 +119,7 @@ def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
         array[k, y, s] = value
 
 
-def planes_of(array, count: int) -> list:
+def planes_of(array: Any, count: int) -> list:
     """Return where the components of a lane array begin, for `element`, while compiling.
 
     To be written before loops.
@@ -127,7 +128,7 @@ def planes_of(array, count: int) -> list:
     return [bind((k * plane) & SMALL) for k in range(count)]
 
 
-def element(array, index):
+def element(array: Any, index: Any) -> Any:
     """Return an element of a lane array by one index, while compiling.
 
     Three indices take seven instructions to become an address, every time, since in the 32 bits
@@ -135,8 +136,7 @@ def element(array, index):
     as ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and one of `planes_of`, the
     compiler knows that it does not, and most of it becomes part of the load.
     """
-    compiling = impl.get_runtime().compiling_callable
-    return impl.subscript(compiling.ast_builder(), array, *_indices(array, index))
+    return internals.subscript(array, _indices(array, index))
 
 
 @ti.func
@@ -153,12 +153,18 @@ def store(array: ti.template(), index, value):
     array[place[0], place[1], place[2]] = value
 
 
-def _indices(array, index) -> list:
+def _indices(array: Any, index: Any) -> list:
     """Return one index as three: itself, unless an application lets Taichi check each of them."""
-    if not impl.current_cfg().debug:
+    if not internals.checks_indices():
         return [0, 0, index]
     rows, row = array.shape[1], array.shape[2]
     return [bind(index // (rows * row)), bind(index // row % rows), bind(index % row)]
+
+
+@ti.func
+def first_row(band, height, bands):
+    """Return where a band of rows begins, of so many that share the rows of an image evenly."""
+    return ti.cast(ti.cast(band, ti.i64) * height // bands, ti.i32)  # too large for 32 bits
 
 
 @ti.func
@@ -194,13 +200,24 @@ class LaneGrid:
     lanes: int = 8
     on_device: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1:
             raise ValueError(f"a grid of {self.height} × {self.width} pixels has no pixel")
         if self.lanes not in LANES:
             raise ValueError(f"lanes is {self.lanes}: expected 1, 8 or 16")
         if self.on_device and self.lanes != 1:
             raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
+        padded = (self.height + 2 * WIDEST_HALO) * (self.strip + 2 * WIDEST_HALO)
+        if (
+            MOST_COMPONENTS * padded > SMALL
+            or MOST_COMPONENTS * self.height * self.width > LARGEST_INDEX
+            or CHUNK * max(self.height, self.width) > LARGEST_INDEX
+        ):
+            raise ValueError(
+                f"frames of {self.height} × {self.width} px are larger than kernels can index "
+                f"(about {LARGEST_INDEX // MOST_COMPONENTS // 1_000_000} million pixels, fewer "
+                "where they are very narrow): scale them down, or cut them into tiles"
+            )
 
     @property
     def strip(self) -> int:
@@ -217,19 +234,14 @@ class LaneGrid:
         """Return the shape of a lane array of this grid."""
         return (components, self.height + 2 * halo, *self._strip_shape(halo))
 
-    def allocate(self, components: int, halo: int = 1, *, zeros: bool = True):
+    def allocate(self, components: int, halo: int = 1, *, zeros: bool = True) -> LaneData:
         """Return a lane array of zeros, or of any values, aligned for vector loads."""
         shape = self.shape(components, halo)
-        if math.prod(shape[:3]) > SMALL:
-            raise ValueError(
-                f"{self.height} × {self.width} pixels are too many for arrays of {components} "
-                f"components with lanes = {self.lanes}: scale the frames down"
-            )
         if self.on_device:
             return ti.ndarray(ti.f32, shape)
         return aligned_zeros(shape) if zeros else aligned_empty(shape)
 
-    def place(self, array: np.ndarray, *, vectors: bool = False):
+    def place(self, array: np.ndarray, *, vectors: bool = False) -> LaneData:
         """Return a float32 array where the kernels of this grid want it: itself, or a copy.
 
         `vectors`: whether they take its last axis for vectors.
@@ -244,7 +256,7 @@ class LaneGrid:
         copy.from_numpy(np.ascontiguousarray(array))
         return copy
 
-    def copy(self, source, out) -> None:
+    def copy(self, source: LaneData, out: LaneData) -> None:
         """Copy an array that this grid has allocated to another."""
         if self.on_device:
             out.copy_from(source)
@@ -278,26 +290,26 @@ class LaneGrid:
         mask[0, 1:-1] = self.columns(self.column_index() < self.width)
         return mask
 
-    def open_edges(self):
+    def open_edges(self) -> LaneData:
         """Return a lane array that is 1 where a pixel has an eastern, a southern neighbour."""
         edges = aligned_zeros(self.shape(2))
         edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
         edges[1, 1:-2] = self.columns(self.column_index() < self.width)
         return self.place(edges)
 
-    def check(self, array, components: int, name: str, halo: int = 1) -> None:
+    def check(self, array: LaneData, components: int, name: str, halo: int = 1) -> None:
         """Raise unless `array` is a lane array of this grid that a kernel may write to."""
         check_array(array, self.shape(components, halo), name)
 
-    def check_columns(self, table, name: str, halo: int = 1) -> None:
+    def check_columns(self, table: LaneData, name: str, halo: int = 1) -> None:
         """Raise unless `table` is a column table of this grid."""
         check_array(table, self._strip_shape(halo), name)
 
-    def check_rows(self, table, name: str) -> None:
+    def check_rows(self, table: LaneData, name: str) -> None:
         """Raise unless `table` has one float32 per row, halo included."""
         check_array(table, (self.height + 2,), name)
 
-    def check_image(self, image, name: str, components: int | None = None) -> None:
+    def check_image(self, image: LaneData, name: str, components: int | None = None) -> None:
         """Raise unless `image` is a float32 image of this grid, or a stack of `components`."""
         size = (self.height, self.width)
         check_array(image, size if components is None else (components, *size), name, aligned=False)
@@ -319,13 +331,17 @@ def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
     return buffers.floats(math.prod(shape)).reshape(shape)
 
 
-def on_host(array) -> np.ndarray:
+def on_host(array: LaneData) -> np.ndarray:
     """Return an array that a grid has allocated or placed as NumPy's: itself, or a copy."""
     return array if isinstance(array, np.ndarray) else array.to_numpy()
 
 
 def check_array(
-    array, shape: tuple[int, ...], name: str, dtype=np.float32, aligned: bool = True
+    array: LaneData,
+    shape: tuple[int, ...],
+    name: str,
+    dtype: type[np.generic] = np.float32,
+    aligned: bool = True,
 ) -> None:
     """Raise unless `array` can be handed to a kernel.
 

@@ -1,69 +1,68 @@
-"""Launching kernels without Taichi's own checks of every argument.
+"""Launching kernels: arguments are handed over once, and a launch may run again and again.
 
 Taichi looks at each argument anew on every launch, for longer than a small grid takes to compute.
 What its look can find, the wrappers of kernels have checked already.
+
+There is one way: `Kernel.bind` hands arguments to a kernel and returns a `Launch`. A wrapper that
+others want to keep is an `operation`: its `bind` checks the arguments and returns the launch,
+and a call of it runs that at once.
 """
 
+import functools
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic, ParamSpec, TypeVar
 
-import numpy as np
 import taichi as ti
 
+from tisfm.kernels.layout import internals
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
 _compiling = threading.Lock()  # Taichi does so in one thread at a time
-FLOATS, INTEGERS = (ti.f32, ti.f64), (ti.i32,)
 
 
-class _Recording(threading.local):
-    """What `Replay` records in this thread, if it does."""
+class Launch:
+    """A kernel and its arguments, to be run by a call, any number of times.
 
-    launches: list[Callable[[], None]] | None = None
-
-
-_recording = _Recording()
-
-
-class Replay:
-    """Calls a function once, and then only launches the kernels again that it launched.
-
-    They find the arrays and numbers of the first call: arrays are read and written where they
-    lie, as `Kernel.bound` says, and what else the function does is not repeated. On a CPU; calls
-    on a device are left as they are.
-
-    Parameters
-    ----------
-    function : callable
-        Without arguments.
-    on_device : bool
-        Whether its arrays lie on a device.
+    Arrays are read and written where they lie, as they are at the time of the call; numbers are
+    those of the time of binding. The arrays live as long as the launch.
     """
 
-    def __init__(self, function: Callable[[], Any], *, on_device: bool = False) -> None:
-        self._function, self._on_device = function, on_device
-        self._launches: list[Callable[[], None]] | None = None
-        self._result: Any = None
+    __slots__ = ("_arguments", "_context", "_kernel", "_lasting", "_program", "_ready")
 
-    def __call__(self) -> Any:
-        """Return what the first call returned."""
-        if self._on_device:
-            return self._function()
-        if self._launches is None:
-            launches: list[Callable[[], None]] = []
-            _recording.launches = launches
-            try:
-                self._result = self._function()
-            finally:
-                _recording.launches = None
-            self._launches = launches
-        else:
-            for launch in self._launches:
-                launch()
-        return self._result
+    def __init__(self, kernel: "Kernel", ready: tuple[Any, Any], arguments: tuple) -> None:
+        self._kernel, self._ready, self._arguments = kernel, ready, arguments
+        self._program = internals.program()
+        self._lasting = internals.arch() == "cpu"  # elsewhere a context is good for one launch
+        self._context = self._made()
+
+    def _made(self) -> Any:
+        return internals.context(self._ready[0], self._kernel.arguments, self._arguments)
+
+    def __call__(self) -> None:
+        """Run the kernel.
+
+        Raises
+        ------
+        RuntimeError
+            If Taichi was started anew since the launch was bound.
+        """
+        program = internals.program()
+        if program is not self._program:
+            raise RuntimeError(
+                "Taichi was started anew since this launch was bound, and what it compiled is "
+                "gone: bind it again"
+            )
+        context = self._made() if self._context is None else self._context
+        if not self._lasting:
+            self._context = None
+        internals.launch(program, self._ready[1], context)
 
 
 class Kernel:
-    """A Taichi kernel, called like one.
+    """A Taichi kernel.
 
     Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, arrays of
     floats on the device (``ti.ndarray``), numbers, and values known while compiling
@@ -75,95 +74,73 @@ class Kernel:
     ----------
     function : callable
         What ``ti.kernel`` takes.
+
+    Attributes
+    ----------
+    arguments : tisfm.kernels.layout.internals.Arguments
+        What it takes.
     """
 
-    def __init__(self, function) -> None:
+    def __init__(self, function: Callable) -> None:
         self._call = ti.kernel(function)
         self._program: Any = None
         self._compiled: dict[tuple, tuple[Any, Any]] = {}
-        self._constants: list[int] = []
-        self._arrays: list[tuple[int, int, int | None]] = []
-        self._floats: list[tuple[int, int]] = []
-        self._integers: list[tuple[int, int]] = []
-        slot = 0
-        for index, argument in enumerate(self._call._primal.arguments):
-            kind = argument.annotation
-            if isinstance(kind, ti.template):
-                self._constants.append(index)
-                continue
-            if any(kind is real for real in FLOATS):
-                self._floats.append((index, slot))
-            elif any(kind is whole for whole in INTEGERS):
-                self._integers.append((index, slot))
-            else:
-                element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
-                self._arrays.append((index, slot, -element or None))
-            slot += 1
+        self.arguments = internals.Arguments(self._call)
 
-    def __call__(self, *arguments) -> None:
-        """Run the kernel; the first call for the same constants compiles it."""
-        if _recording.launches is not None:
-            launch = self.bound(*arguments)
-            _recording.launches.append(launch)
-            launch()
-            return
-        program = ti.lang.impl.get_runtime().prog
-        if program is not self._program:
-            self._program, self._compiled = program, {}
-        constants = tuple([arguments[index] for index in self._constants])
-        known = self._compiled.get(constants)
-        if known is None:
-            with _compiling:
-                self._call(*arguments)
-                self._compiled[constants] = self._prepared(arguments)
-            return
-        kernel, compiled = known
-        program.launch_kernel(compiled, self._context(kernel, arguments))
+    def __call__(self, *arguments: Any) -> None:
+        """Run the kernel once with these arguments."""
+        self.bind(*arguments)()
 
-    def bound(self, *arguments) -> Callable[[], None]:
-        """Return a launch with these arguments, arrays and numbers as they are now.
+    def bind(self, *arguments: Any) -> Launch:
+        """Return a launch with these arguments; the first for the same constants compiles it.
 
-        It saves what handing over the arguments takes, for whoever launches often, on a CPU. Arrays
-        are read and written where they lie, and must not be replaced.
+        Raises
+        ------
+        TypeError
+            If there are more or fewer arguments than the kernel takes, or one is of another kind.
         """
-        program = ti.lang.impl.get_runtime().prog
-        constants = tuple([arguments[index] for index in self._constants])
+        if len(arguments) != self.arguments.count:
+            raise TypeError(
+                f"{len(arguments)} arguments came: expected {self.arguments.count}, "
+                f"{', '.join(self.arguments.names)}"
+            )
+        program = internals.program()
+        constants = tuple([arguments[index] for index in self.arguments.constants])
         if program is not self._program or constants not in self._compiled:
             with _compiling:
-                prepared = self._prepared(arguments)
-            if program is not self._program:
-                self._program, self._compiled = program, {}
-            self._compiled[constants] = prepared
-        kernel, compiled = self._compiled[constants]
-        context = self._context(kernel, arguments)
+                ready = internals.compiled(self._call, arguments)
+                if program is not self._program:
+                    self._program, self._compiled = program, {}
+                self._compiled[constants] = ready
+        return Launch(self, self._compiled[constants], arguments)
 
-        def launch(_arguments=arguments) -> None:  # which keeps the arrays alive
-            program.launch_kernel(compiled, context)
 
-        return launch
+class Operation(Generic[P, R]):
+    """A kernel's wrapper: a call runs it at once, and `bind` returns what runs it later."""
 
-    def _context(self, kernel: Any, arguments: tuple) -> Any:
-        """Return the context of a launch."""
-        context = kernel.make_launch_context()
-        for index, slot, axes in self._arrays:
-            array = arguments[index]
-            if isinstance(array, np.ndarray):
-                address = array.__array_interface__["data"][0]
-                context.set_arg_external_array_with_shape(
-                    (slot,), address, array.nbytes, array.shape[:axes], 0
-                )
-            else:
-                context.set_arg_ndarray((slot,), array.arr)
-        for index, slot in self._floats:
-            context.set_arg_float((slot,), float(arguments[index]))
-        for index, slot in self._integers:
-            context.set_arg_int((slot,), int(arguments[index]))
-        return context
+    def __init__(self, function: Callable[P, Callable[[], R]]) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
 
-    def _prepared(self, arguments: tuple) -> tuple[Any, Any]:
-        """Return the kernel that a call with such arguments has compiled, as launches need it."""
-        primal = self._call._primal
-        program = ti.lang.impl.get_runtime().prog
-        kernel = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
-        compiled = program.compile_kernel(program.config(), program.get_device_caps(), kernel)
-        return kernel, compiled
+    def __call__(self, *arguments: P.args, **options: P.kwargs) -> R:
+        """Check the arguments and run the kernel once."""
+        return self._function(*arguments, **options)()
+
+    def bind(self, *arguments: P.args, **options: P.kwargs) -> Callable[[], R]:
+        """Check the arguments once; return what runs the kernel with them at every call."""
+        return self._function(*arguments, **options)
+
+
+def operation(function: Callable[P, Callable[[], R]]) -> Operation[P, R]:
+    """Make an `Operation` of a function that checks its arguments and returns a launch."""
+    return Operation(function)
+
+
+def in_turn(*launches: Callable[[], Any]) -> Callable[[], None]:
+    """Return what runs some launches, one after another."""
+
+    def run() -> None:
+        for launch in launches:
+            launch()
+
+    return run

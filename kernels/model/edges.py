@@ -7,35 +7,26 @@ then n southern ones, or of 2, an eastern and a southern one. Where every kernel
 by α_k = α s_k, what is shared need not be stored n times.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from tisfm.kernels.layout.lanes import LaneGrid
 
-
-def component_table(values, components: int, name: str = "alpha") -> np.ndarray:
+def component_table(values: Sequence[float] | np.ndarray, components: int, name: str) -> np.ndarray:
     """Return one value for each component, as a kernel takes them: (n,) float32.
 
     Parameters
     ----------
-    values : float or sequence of n floats
-        One for all, or one for each: above 0 and finite.
+    values : sequence of n floats
+        Above 0 and finite.
     components : int
     name : str
         What the error calls them.
     """
     table = np.asarray(values)
-    if table.ndim == 0:
-        table = np.full(components, table)
     if table.shape != (components,) or not (np.isfinite(table).all() and (table > 0).all()):
         raise ValueError(f"{name} is {values}: expected {components} positive numbers")
     return np.ascontiguousarray(table, np.float32)
-
-
-def weight_sets(grid: LaneGrid, weights, components: int) -> int:
-    """Return how many weights an edge has: n, or 1 for all components; check the array."""
-    sets = 1 if weights.shape[0] == 2 else components
-    grid.check(weights, 2 * sets, "weights")
-    return sets
 
 
 def spread(values: list, components: int) -> list:

@@ -2,11 +2,13 @@
 
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, lane_kernel
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
+from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 
-def flow(grid: LaneGrid, rho, x_hat, y_hat, out) -> None:
+@operation
+def flow(grid: LaneGrid, rho: LaneData, x_hat: LaneData, y_hat: LaneData, out: LaneData) -> Launch:
     """Compute (u, v)ᵀ = G ρ̂.
 
     Parameters
@@ -23,7 +25,7 @@ def flow(grid: LaneGrid, rho, x_hat, y_hat, out) -> None:
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     grid.check(out, 2, "out")
-    _flow[grid.lanes](rho, x_hat, y_hat, rho.shape[0], grid.serial, out)
+    return _flow[grid.lanes].bind(rho, x_hat, y_hat, rho.shape[0], grid.serial, out)
 
 
 @lane_kernel

@@ -3,11 +3,11 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import CHUNK, check_array
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.small_spd import bind
-from tisfm.kernels.rigid.epipolar import NEAREST
 
 BAND = 16  # rows, at least
 
@@ -69,7 +69,7 @@ def _motion_fields(
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
             band = task // CHUNK
-            for y in range(band * height // bands, (band + 1) * height // bands):
+            for y in range(first_row(band, height, bands), first_row(band + 1, height, bands)):
                 for x in range(width):
                     _motion_at(rho, x_hat, y_hat, inverse_focal, n, flow, inverse_depth, y, x)
 
@@ -189,7 +189,7 @@ def _rigid_fields(
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
             band = task // CHUNK
-            for y in range(band * height // bands, (band + 1) * height // bands):
+            for y in range(first_row(band, height, bands), first_row(band + 1, height, bands)):
                 for x in range(width):
                     _rigid_at(
                         inverse_depth, labels, x_hat, y_hat, change, twists, focal, flow, rho, y, x

@@ -9,26 +9,21 @@ Functions here that are no kernel's are called inside ``ti.static(...)``: they w
 arithmetic while a kernel is being compiled.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.model.small_spd import bind
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
 
-def check_terms(grid, terms, x_hat, y_hat, rho, scales) -> int:
-    """Raise unless constraints, tables and ρ̂ are of the grid; return how many constraints."""
+def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) -> int:
+    """Raise unless `terms` are 1, 2 or 3 constraints of as many terms as `scales`; return that."""
     if not all(scale > 0 for scale in scales):
         raise ValueError(f"scales is {tuple(scales)}: expected positive values")
-    count = check_constraints(grid, terms, scales)
-    grid.check(rho, rho.shape[0], "rho")
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
-    return count
-
-
-def check_constraints(grid, terms, scales) -> int:
-    """Raise unless `terms` are 1, 2 or 3 constraints of as many terms as `scales`; return that."""
-    count = terms.shape[0] // 3
+    count = int(terms.shape[0]) // 3
     if count not in (1, 2, 3) or len(scales) != len(terms_of(range(count))):
         raise ValueError(
             f"terms has {terms.shape[0]} components and scales {len(scales)} values: expected 3 "
@@ -38,44 +33,45 @@ def check_constraints(grid, terms, scales) -> int:
     return count
 
 
-def terms_of(constraints) -> list:
+def terms_of(constraints: Any) -> list:
     """Return the constraints of each term, from all that a pixel has."""
     if len(constraints) < 3:
         return [constraints]
     return [constraints[:1], constraints[1:]]
 
 
-def finite_scales(scales) -> tuple[float, ...]:
+def finite_scales(scales: Sequence[float]) -> tuple[float, ...]:
     """Return 1/scale and scale of two terms; 0 and 0 for a quadratic one, w = 1 without penalty."""
     pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
     return (*pairs[0], *pairs[1])
 
 
-def squares(lines, u, v):
+def squares(lines: list, u: Any, v: Any) -> Any:
     """Return the sum of the squares of a term's constraints (p, q, c)."""
-    total = 0.0
+    total: Any = 0.0
     for p, q, c in lines:
         distance = bind(p * u + q * v + c)
         total = total + distance * distance
     return bind(total)
 
 
-def products(lines) -> list:
+def products(lines: list) -> list:
     """Return the motion tensor of a term: Σ p², p q, q², p c, q c, c²."""
-    tensor = [0.0] * 6
+    tensor: list[Any] = [0.0] * 6
     for p, q, c in lines:
         entries = (p * p, p * q, q * q, p * c, q * c, c * c)
         tensor = [total + entry for total, entry in zip(tensor, entries, strict=True)]
     return [bind(entry) for entry in tensor]
 
 
-def robust_data(terms, scales, u, v):
+def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     """Return the energy of a pixel's terms at a flow, and the tensor of its half-quadratic form.
 
     `terms` are lists of constraints, `scales` pairs (1/s, s) of `finite_scales`. J_tt contains the
     penalty, so that the form of the tensor is the half-quadratic one.
     """
-    energy, tensor = 0.0, [0.0] * 6
+    energy: Any = 0.0
+    tensor: list[Any] = [0.0] * 6
     for lines, (inverse, scale) in zip(terms, scales, strict=False):
         q = squares(lines, u, v)
         root = bind(ti.sqrt(1.0 + inverse * q))

@@ -5,16 +5,19 @@ write out straight-line code for one pixel (or one vector of lanes). Matrices an
 Python lists.
 """
 
+from collections.abc import Iterable
+from typing import Any
+
 import taichi as ti
-from taichi.lang.impl import expr_init as bind  # names a value, so that it is computed once
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.model.constants import LEAST_PIVOT
 
 PIVOT_FLOOR = 1e-6  # relative to the diagonal entry: about ten float32 roundings
-TINY = 1e-20  # absolute: keeps a pixel without data and without neighbours exactly at zero
-DIAGONAL_FLOOR = 1e-12  # the same for what is inverted and then squared in float32
 DATA_FLOOR = 1e-6  # of the data: beyond it, differences in the closed form are rounding
 
 
-def cholesky_solve(matrix, rhs):
+def cholesky_solve(matrix: list[list], rhs: list) -> list:
     """Solve ``matrix · x = rhs`` by square-root-free Cholesky (L D Lᵀ) with floored pivots.
 
     Parameters
@@ -29,23 +32,23 @@ def cholesky_solve(matrix, rhs):
         x, or the solution for a slightly larger matrix where a pivot fell to the floor.
     """
     n = len(rhs)
-    lower = [[None] * n for _ in range(n)]
-    inverse_pivot = [None] * n
+    lower: list[list[Any]] = [[None] * n for _ in range(n)]
+    inverse_pivot: list[Any] = [None] * n
     for j in range(n):
-        scaled = [None] * n  # row j of L D
+        scaled: list[Any] = [None] * n  # row j of L D
         pivot = matrix[j][j]
         for k in range(j):
             scaled[k] = lower[j][k]
             lower[j][k] = bind(scaled[k] * inverse_pivot[k])
             pivot = pivot - scaled[k] * lower[j][k]
-        floor = matrix[j][j] * PIVOT_FLOOR + TINY
+        floor = matrix[j][j] * PIVOT_FLOOR + LEAST_PIVOT
         inverse_pivot[j] = bind(1.0 / ti.max(pivot, floor))
         for i in range(j + 1, n):
             entry = matrix[i][j]
             for k in range(j):
                 entry = entry - lower[i][k] * lower[j][k]
             lower[i][j] = bind(entry)  # of L D until row i is reached
-    x = [None] * n
+    x: list[Any] = [None] * n
     for i in range(n):
         entry = rhs[i]
         for k in range(i):
@@ -59,7 +62,7 @@ def cholesky_solve(matrix, rhs):
     return x
 
 
-def woodbury_solve(inverse, columns, tensor, rhs):
+def woodbury_solve(inverse: list, columns: list, tensor: list, rhs: list) -> list:
     """Solve ``(D + Gᵀ J G) x = rhs``, D diagonal, through a 2×2 system (Woodbury).
 
     With M = G D⁻¹ Gᵀ, x = D⁻¹(rhs − Gᵀ K G D⁻¹ rhs), where
@@ -101,7 +104,7 @@ def woodbury_solve(inverse, columns, tensor, rhs):
     ]
 
 
-def _sum(terms):
+def _sum(terms: Iterable) -> Any:
     total = None
     for term in terms:
         total = term if total is None else total + term

@@ -9,14 +9,24 @@ constraint then is one on D.
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, check_array, lane_kernel
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
+from tisfm.kernels.layout.launch import Launch, operation
+from tisfm.kernels.model.constants import NEAREST
 
-NEAREST = 0.05  # least depth after the motion over depth before: nothing comes closer to the camera
 
-
+@operation
 def displacement(
-    grid: LaneGrid, inverse_depth, labels, x_hat, y_hat, flow, direction, *, motions, focal
-) -> None:
+    grid: LaneGrid,
+    inverse_depth: LaneData,
+    labels: LaneData,
+    x_hat: LaneData,
+    y_hat: LaneData,
+    flow: LaneData,
+    direction: LaneData,
+    *,
+    motions: np.ndarray,
+    focal: float,
+) -> Launch:
     """Compute the flow of rigid motions, and how it changes with the inverse depth.
 
     Parameters
@@ -40,10 +50,20 @@ def displacement(
     check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
     grid.check(flow, 2, "flow")
     grid.check(direction, 2, "direction")
-    _displacement[grid.lanes](inverse_depth, labels, x_hat, y_hat, motions, focal, flow, direction)
+    return _displacement[grid.lanes].bind(
+        inverse_depth, labels, x_hat, y_hat, motions, focal, flow, direction
+    )
 
 
-def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
+@operation
+def along(
+    grid: LaneGrid,
+    terms: LaneData,
+    flow: LaneData,
+    direction: LaneData,
+    inverse_depth: LaneData,
+    out: LaneData,
+) -> Launch:
     """Restrict constraints to the epipolar line.
 
     Parameters
@@ -65,10 +85,17 @@ def along(grid: LaneGrid, terms, flow, direction, inverse_depth, out) -> None:
     grid.check(direction, 2, "direction")
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(out, 3 * count, "out")
-    _along[grid.lanes](terms, flow, direction, inverse_depth, count, out)
+    return _along[grid.lanes].bind(terms, flow, direction, inverse_depth, count, out)
 
 
-def check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions) -> None:
+def check_geometry(
+    grid: LaneGrid,
+    inverse_depth: LaneData,
+    labels: LaneData,
+    x_hat: LaneData,
+    y_hat: LaneData,
+    motions: np.ndarray,
+) -> None:
     """Raise unless the arguments of `displacement` that it reads are what it says."""
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(labels, 1, "labels")

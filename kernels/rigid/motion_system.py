@@ -1,31 +1,31 @@
 """Normal equations of a rigid motion, every pixel's inverse depth eliminated."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, SumArray, lane_count, lane_kernel
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_DIVISOR, NEAREST
 from tisfm.kernels.model.robust import check_constraints, finite_scales, products, squares, terms_of
-from tisfm.kernels.model.small_spd import bind
-from tisfm.kernels.rigid.epipolar import NEAREST, check_geometry
-from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
-
-TINY = 1e-12  # in place of a curvature where there is neither data nor a neighbour
+from tisfm.kernels.rigid.epipolar import check_geometry
+from tisfm.kernels.solve.linear_system import LinearSystem
 
 
 def motion_system(
-    grid: LaneGrid,
-    terms,
-    inverse_depth,
-    labels,
-    weights,
-    x_hat,
-    y_hat,
+    system: LinearSystem,
+    constraints: LaneData,
+    inverse_depth: LaneData,
+    labels: LaneData,
     *,
-    motions,
+    motions: np.ndarray,
     label: int,
     focal: float,
-    scales,
-    alpha: float,
+    scales: Sequence[float],
+    held: float,
     tolerated: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the normal equations of a small change of one motion, inverse depth eliminated.
@@ -36,16 +36,13 @@ def motion_system(
 
     Parameters
     ----------
-    grid : LaneGrid
-    terms : lane array, 3 components for each of 1 to 3 constraints
-        (p, q, c) (`tisfm.kernels.data.constraints`).
+    system : LinearSystem
+        Of D: one unknown, whose weights of edges and coordinates are read.
+    constraints : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.data.constraints`), not restricted to epipolar lines.
     inverse_depth : lane array, 1 component
         D.
     labels : lane array, 1 component
-    weights : lane array, 2 components
-        g·b of every edge of D.
-    x_hat : column table
-    y_hat : (H + 2,) float32
     motions : (K, 3, 4) float32
     label : int
         The motion whose pixels are summed.
@@ -53,8 +50,8 @@ def motion_system(
         px.
     scales : sequence of float
         m_i ε² of each term (`tisfm.kernels.model.robust`).
-    alpha : float
-        Weight of D's regularisation; infinity holds D.
+    held : float
+        α, weight of D's regularisation here; infinity holds D.
     tolerated : float
         Squared residual that counts for a quarter (Geman–McClure, in the weights of the data):
         what moves on its own has more, and is hardly seen. Infinity for no such weight.
@@ -64,22 +61,24 @@ def motion_system(
     matrix, vector : (6, 6) and (6,) float64
         The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
     """
-    count = check_constraints(grid, terms, scales)
-    check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
-    grid.check(weights, 2, "weights")
+    grid = system.grid
+    if system.components != 1:
+        raise ValueError(f"system has {system.components} unknowns at a pixel: expected 1, D")
+    count = check_constraints(grid, constraints, scales)
+    check_geometry(grid, inverse_depth, labels, system.x_hat, system.y_hat, motions)
     partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
-        terms,
+        constraints,
         inverse_depth,
         labels,
-        weights,
-        x_hat,
-        y_hat,
+        system.weights,
+        system.x_hat,
+        system.y_hat,
         np.ascontiguousarray(motions[label]),
         label,
         focal,
         *finite_scales(scales)[::2],
-        min(alpha, 1e12),
+        min(held, 1e12),
         1 / tolerated,
         count,
         partial,
@@ -145,7 +144,7 @@ def _motion_system(
             lever = focal * d * nearness
             columns = ti.static(_motion_columns(x, yy, lever, focal))
             curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
-            inverse = 1.0 / (curvature + alpha * neighbours + TINY)
+            inverse = 1.0 / (curvature + alpha * neighbours + LEAST_DIVISOR)
             slope = a * g1 + b * g2
             pulled = ti.static(_pulled(columns, j11, j12, j22))
             answers = ti.static(_answers(pulled, a, b))
@@ -171,9 +170,9 @@ def _coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     return turned + d * motion[row, 3]
 
 
-def _trusted(parts, square, inverses, trusted):
+def _trusted(parts: list, square: list, inverses: tuple, trusted: Any) -> list:
     """Return J11, J12, J22, j1 and j2 of all terms, weighted."""
-    total = [0.0] * 5
+    total: list[Any] = [0.0] * 5
     for lines, q, inverse in zip(parts, square, inverses, strict=False):
         weight = bind(trusted / ti.sqrt(1.0 + inverse * q))
         entries = products(lines)[:5]
@@ -181,7 +180,7 @@ def _trusted(parts, square, inverses, trusted):
     return [bind(entry) for entry in total]
 
 
-def _motion_columns(x, y, lever, focal):
+def _motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, Any]]:
     """Return the columns of B at a point (x, y, 1) after the motion, lever = f·d/depth there."""
     zero = bind(0.0 * x)
     xy = bind(focal * x * y)
@@ -195,11 +194,11 @@ def _motion_columns(x, y, lever, focal):
     ]
 
 
-def _pulled(columns, j11, j12, j22):
+def _pulled(columns: list, j11: Any, j12: Any, j22: Any) -> list[tuple[Any, Any]]:
     """Return the columns of J B."""
     return [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
 
 
-def _answers(pulled, a, b):
+def _answers(pulled: list, a: Any, b: Any) -> list:
     """Return aᵀ J B."""
     return [bind(a * p + b * q) for p, q in pulled]

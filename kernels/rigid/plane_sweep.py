@@ -1,21 +1,22 @@
 """Costs of hypotheses of inverse depth, by comparing frame 0 with where frame 1 would show it."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.rigid.epipolar import NEAREST
+from tisfm.kernels.model.constants import NEAREST
 
 
 def matching_cost(
-    features0,
-    features1,
-    guess,
-    weight,
-    motion,
-    out,
+    features0: np.ndarray,
+    features1: np.ndarray,
+    guess: np.ndarray,
+    weight: np.ndarray,
+    motion: np.ndarray,
+    out: np.ndarray,
     *,
-    center,
+    center: tuple[float, float],
     focal: float,
     first: float,
     step: float,

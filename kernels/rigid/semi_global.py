@@ -4,9 +4,11 @@ The costs of a pixel's N hypotheses lie side by side, in vectors of as many as a
 lanes: a float32 array of shape (H, W, N / lanes, lanes), without the last axis for one lane.
 """
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
+    CHUNK,
     LaneArray,
     aligned_zeros,
     check_array,
@@ -14,13 +16,20 @@ from tisfm.kernels.layout.lanes import (
     lane_kernel,
 )
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.solve.relaxation import CHUNK
 
 FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
-TINY = 1e-6  # in place of a bend where hypotheses cost the same
+LEAST_BEND = 1e-6  # in place of a bend where hypotheses cost the same
 
 
-def aggregate(cost, guide, out, *, step: float, jump: float, edge: float) -> None:
+def aggregate(
+    cost: np.ndarray,
+    guide: np.ndarray,
+    out: np.ndarray,
+    *,
+    step: float,
+    jump: float,
+    edge: float,
+) -> None:
     """Sum costs along the four paths through every pixel, from each border of the image.
 
     Along a path, L(p, n) = C(p, n) + min(L(q, n), L(q, n ± 1) + step, min L(q, ·) + jump') −
@@ -55,7 +64,7 @@ def aggregate(cost, guide, out, *, step: float, jump: float, edge: float) -> Non
         _aggregate[lanes](cost, guide, path, step, jump, 1 / edge, across, out)
 
 
-def cheapest(cost, out, *, count: int) -> None:
+def cheapest(cost: np.ndarray, out: np.ndarray, *, count: int) -> None:
     """Find the hypothesis that costs least, to a fraction: the vertex of a parabola through three.
 
     Parameters
@@ -88,7 +97,7 @@ def _cheapest(
         offset = 0.0
         if best > 0 and best < count - 1:
             below, above = cost[y, x, best - 1], cost[y, x, best + 1]
-            bend = ti.max(below + above - 2.0 * least, TINY)
+            bend = ti.max(below + above - 2.0 * least, LEAST_BEND)
             offset = ti.max(-0.5, ti.min(0.5 * (below - above) / bend, 0.5))
         out[y, x] = best + offset
 

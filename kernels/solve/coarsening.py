@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     SMALL,
     LaneArray,
+    LaneData,
     LaneGrid,
     check_array,
     element,
@@ -24,9 +26,7 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store_lane,
 )
-from tisfm.kernels.model.edges import component_table, weight_sets
 from tisfm.kernels.model.rigid_motion import motion_columns
-from tisfm.kernels.model.small_spd import bind
 from tisfm.kernels.solve.relaxation import edges_at, residual_at
 
 
@@ -41,7 +41,12 @@ def halved_shape(grid: LaneGrid, components: int) -> tuple[int, ...]:
     return shape if grid.lanes == 1 else (*shape, grid.lanes)
 
 
-def coarsen_system(grid: LaneGrid, tensor, weights, coarse_tensor, coarse_weights) -> None:
+def coarsen_system(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    coarse_tensor: LaneData,
+    coarse_weights: LaneData,
+) -> None:
     """Sum the children's motion tensors, and combine the weights of edges.
 
     The energy of a coarse field is then that of its bilinear interpolation, nearly: an edge takes
@@ -52,15 +57,13 @@ def coarsen_system(grid: LaneGrid, tensor, weights, coarse_tensor, coarse_weight
     ----------
     grid : LaneGrid
         The fine grid.
-    tensor : lane array, 6 components
-    weights : lane array, 2n or 2 components
-        g·b of the eastern edges, then of the southern ones.
-    coarse_tensor, coarse_weights : halved arrays, 6 components and as many as `weights`
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
+    coarse_tensor, coarse_weights : halved arrays, 6 components and as many as the weights
     """
-    grid.check(tensor, 6, "tensor")
-    grid.check(weights, weights.shape[0], "weights")
-    _check_halved(grid, coarse_tensor, 6, "coarse_tensor")
-    _check_halved(grid, coarse_weights, weights.shape[0], "coarse_weights")
+    tensor, weights = arrays[:2]
+    check_halved(grid, coarse_tensor, 6, "coarse_tensor")
+    check_halved(grid, coarse_weights, weights.shape[0], "coarse_weights")
     _coarsen_system[grid.lanes](
         tensor, weights, grid.height, weights.shape[0] // 2, coarse_tensor, coarse_weights
     )
@@ -94,7 +97,11 @@ def _coarsen_system(
 
 
 def restrict_residual(
-    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha, source=None
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    source: LaneData | None,
+    out: LaneData,
 ) -> None:
     """Sum the children's residuals c − Bρ̂.
 
@@ -102,30 +109,22 @@ def restrict_residual(
     ----------
     grid : LaneGrid
         The fine grid.
-    tensor, weights, x_hat, y_hat, rho, alpha, source
-        As `tisfm.kernels.solve.relaxation.sweep` takes them.
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
+    rho : lane array, n components
+    source : lane array, n components, or None
+        c in place of −Gᵀj.
     out : halved array, n components
     """
     components = rho.shape[0]
-    grid.check(tensor, 6, "tensor")
-    sets = weight_sets(grid, weights, components)
-    grid.check(rho, components, "rho")
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
-    if source is not None:
-        grid.check(source, components, "source")
-    _check_halved(grid, out, components, "out")
+    check_halved(grid, out, components, "out")
     _restrict_residual[grid.lanes](
-        tensor,
-        weights,
-        x_hat,
-        y_hat,
+        *arrays,
         rho if source is None else source,
         rho,
-        component_table(alpha, components),
         grid.height,
         components,
-        sets,
+        arrays[1].shape[0] // 2,
         source is not None,
         out,
     )
@@ -137,9 +136,9 @@ def _restrict_residual(
     weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     rho: LaneArray(3),  # (n, H+2, S+2)
-    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     height: ti.i32,
     n: ti.template(),
     sets: ti.template(),
@@ -171,7 +170,7 @@ def _restrict_residual(
             out[k, row + 1, position + 1] = total[k]
 
 
-def relayout(coarse: LaneGrid, array, out) -> None:
+def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> None:
     """Copy a lane array of a grid into strips of another length, halo columns included.
 
     Parameters
@@ -211,7 +210,9 @@ def _relayout(
             store_lane(out, k, row + 1, position, lane, value)
 
 
-def correct(grid: LaneGrid, coarse, across, rho) -> None:
+def correct(
+    grid: LaneGrid, coarse: LaneData, across: tuple[LaneData, LaneData], rho: LaneData
+) -> None:
     """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included.
 
     Parameters
@@ -226,7 +227,7 @@ def correct(grid: LaneGrid, coarse, across, rho) -> None:
     """
     components = rho.shape[0]
     grid.check(rho, components, "rho")
-    _check_halved(grid, coarse, components, "coarse")
+    check_halved(grid, coarse, components, "coarse")
     for table in across:
         grid.check_columns(table, "across")
     _correct[grid.lanes](coarse, *across, grid.height, components, rho)
@@ -270,5 +271,6 @@ def _correct(
         refresh_halo(rho, k, row + 1)
 
 
-def _check_halved(grid: LaneGrid, array, components: int, name: str) -> None:
+def check_halved(grid: LaneGrid, array: LaneData, components: int, name: str) -> None:
+    """Raise unless `array` is a halved array of a fine grid."""
     check_array(array, halved_shape(grid, components), name)

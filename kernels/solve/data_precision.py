@@ -1,51 +1,42 @@
 """What data and neighbours each say about the image motion of a pixel."""
 
+import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import LaneArray, LaneGrid, check_array, lane_kernel
+from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.small_spd import DIAGONAL_FLOOR
 
 
-def evidence(grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, out, *, alpha) -> None:
-    """Compute the data's curvature and residual, and the covariance that neighbours leave.
+def data_precision(
+    grid: LaneGrid, arrays: tuple[LaneData, ...], rho: LaneData, out: LaneData
+) -> None:
+    """Compute the precision and the residual of the data, and the covariance neighbours leave.
 
     Parameters
     ----------
     grid : LaneGrid
-    tensor : lane array, 6 components
-    weights : lane array, 2n or 2 components
-    x_hat : column table
-    y_hat : (H + 2,) float32
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
     rho : lane array, n components
     out : lane array, 7 components
         J11, J12, J22; the data term at ρ̂, which is the squared residual; and M11, M12, M22 of
         M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of the flow of a pixel given its neighbours, in the
         units in which J is the precision that its data add.
-    alpha : float or n floats
-        α_k = λ̂β s_k.
     """
-    components = rho.shape[0]
-    grid.check(tensor, 6, "tensor")
-    sets = weight_sets(grid, weights, components)
-    grid.check(rho, components, "rho")
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
-    grid.check(out, 7, "out")
-    alphas = component_table(alpha, components)
-    _evidence[grid.lanes](tensor, weights, x_hat, y_hat, rho, alphas, components, sets, out)
+    sets = arrays[1].shape[0] // 2
+    _data_precision[grid.lanes](*arrays, rho, rho.shape[0], sets, out)
 
 
 @lane_kernel
-def _evidence(
+def _data_precision(
     tensor: LaneArray(3),  # (6, H+2, S+2)
     weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
-    rho: LaneArray(3),  # (n, H+2, S+2)
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    rho: LaneArray(3),  # (n, H+2, S+2)
     n: ti.template(),
     sets: ti.template(),
     out: LaneArray(3),  # (7, H+2, S+2)
@@ -62,7 +53,7 @@ def _evidence(
             east, south = ti.static(k % sets, sets + k % sets)
             neighbours = weights[east, y, s] + weights[east, y, s - 1]
             neighbours += weights[south, y, s] + weights[south, y - 1, s]
-            variance = 1.0 / (alpha[k] * neighbours + DIAGONAL_FLOOR)
+            variance = 1.0 / (alpha[k] * neighbours + LEAST_DIVISOR)
             m11 += a * a * variance
             m12 += a * b * variance
             m22 += b * b * variance
@@ -74,12 +65,14 @@ def _evidence(
         out[6, y, s] = m22
 
 
-def share_of_data(evidence, out, *, tolerated: float, freedom: int) -> None:
+def share_of_data(
+    precision: np.ndarray, out: np.ndarray, *, tolerated: float, freedom: int
+) -> None:
     """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated.
 
     Parameters
     ----------
-    evidence : (7, H, W) float32
+    precision : (7, H, W) float32
         J11, J12, J22, squared residual, M11, M12, M22.
     out : (H, W) float32
         The share of the data in what is known of a pixel's flow.
@@ -89,28 +82,28 @@ def share_of_data(evidence, out, *, tolerated: float, freedom: int) -> None:
         Degrees of freedom of a pixel's flow; if 1, M is of rank 1.
     """
     check_array(out, out.shape[:2], "out", aligned=False)
-    check_array(evidence, (7, *out.shape), "evidence", aligned=False)
+    check_array(precision, (7, *out.shape), "precision", aligned=False)
     if freedom not in (1, 2):
         raise ValueError(f"freedom is {freedom}: expected 1 or 2")
     if not tolerated > 0:
         raise ValueError(f"tolerated is {tolerated}: expected a positive value")
-    flat = evidence.reshape(7, -1), out.reshape(-1)  # so that no place has to be computed
+    flat = precision.reshape(7, -1), out.reshape(-1)  # so that no place has to be computed
     _share_of_data(flat[0], 1.0 / tolerated, 1.0 - 1.0 / freedom, flat[1])
 
 
 @Kernel
 def _share_of_data(
-    evidence: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (7, H·W)
+    precision: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (7, H·W)
     inverse_tolerated: ti.f32,
     known: ti.f32,
     out: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H·W,)
 ):
     for i in range(out.shape[0]):
-        j11, j12, j22 = evidence[0, i], evidence[1, i], evidence[2, i]
-        m11, m12, m22 = evidence[4, i], evidence[5, i], evidence[6, i]
+        j11, j12, j22 = precision[0, i], precision[1, i], precision[2, i]
+        m11, m12, m22 = precision[4, i], precision[5, i], precision[6, i]
         trace = j11 * m11 + 2.0 * j12 * m12 + j22 * m22
         # det(I + J M) = 1 + tr(J M) + det J · det M
         determinant = ti.max(j11 * j22 - j12 * j12, 0.0) * ti.max(m11 * m22 - m12 * m12, 0.0)
         determinant += 1.0 + trace
         share = 1.0 - (1.0 + known * trace) / determinant
-        out[i] = share / (1.0 + inverse_tolerated * evidence[3, i])
+        out[i] = share / (1.0 + inverse_tolerated * precision[3, i])

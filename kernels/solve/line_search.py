@@ -3,56 +3,73 @@
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     LaneArray,
+    LaneData,
     LaneGrid,
     SumArray,
     lane_count,
     lane_kernel,
     refresh_halo,
 )
-from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.small_spd import bind
-from tisfm.kernels.solve.reductions import BLOCK, add_blocks, block_sums, store_sum
+
+INDEPENDENT = 1e-5  # squared sine of the angle between directions, in the norm of the energy
 
 
-def plane(
-    grid: LaneGrid, tensor, weights, x_hat, y_hat, rho, before, step, *, alpha
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
+def line_search(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    before: LaneData,
+    step: LaneData,
+) -> None:
+    """Go to the least energy of before + p (rho − before) + q step.
 
     Parameters
     ----------
     grid : LaneGrid
-    tensor : lane array, 6 components
-        Motion tensor.
-    weights : lane array, 2n or 2 components
-        g·b of every edge.
-    x_hat : column table
-    y_hat : (H + 2,) float32
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
     rho, before, step : lane arrays, n components
-    alpha : float or n floats
-        α_k = λ̂β s_k.
+        In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
+    """
+    descend(grid, *lowest(*plane(grid, arrays, rho, before, step)), rho, before, step)
+
+
+def plane(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    before: LaneData,
+    step: LaneData,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
 
     Returns
     -------
     matrix, vector : (2, 2) and (2,) float64
         The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q).
     """
-    components = rho.shape[0]
-    grid.check(tensor, 6, "tensor")
-    sets = weight_sets(grid, weights, components)
-    for name, array in (("rho", rho), ("before", before), ("step", step)):
-        grid.check(array, components, name)
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
     partial = block_sums(grid, 5)
-    alphas = component_table(alpha, components)
-    arguments = (tensor, weights, x_hat, y_hat, rho, before, step, alphas)
-    _plane[grid.lanes](*arguments, components, sets, partial)
+    sets = arrays[1].shape[0] // 2
+    _plane[grid.lanes](*arrays, rho, before, step, rho.shape[0], sets, partial)
     a, b, c, first, second = add_blocks(partial)
     return np.array([[a, b], [b, c]]), np.array([first, second])
+
+
+def lowest(matrix: np.ndarray, vector: np.ndarray) -> tuple[float, float]:
+    """Return the (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 where both are one direction."""
+    (a, b), (_, c) = matrix
+    if not a > 0:
+        return 0.0, 0.0
+    determinant = a * c - b * b
+    if determinant > INDEPENDENT * a * c:
+        p, q = np.linalg.solve(matrix, -vector)
+        return float(p), float(q)
+    return float(-vector[0] / a), 0.0
 
 
 @lane_kernel
@@ -61,10 +78,10 @@ def _plane(
     weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     rho: LaneArray(3),  # (n, H+2, S+2)
     before: LaneArray(3),  # (n, H+2, S+2)
     step: LaneArray(3),  # (n, H+2, S+2)
-    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     n: ti.template(),
     sets: ti.template(),
     partial: SumArray(3),  # (H, blocks, 5)
@@ -105,20 +122,11 @@ def _plane(
             store_sum(partial, row, block, term, sums[term], ti.static(lane_count(rho)))
 
 
-def descend(grid: LaneGrid, p: float, q: float, rho, before, step) -> None:
-    """Move from `before` by p (rho − before) + q step.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    p, q : float
-    rho, before, step : lane arrays, n components
-        In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
-    """
-    components = rho.shape[0]
-    for name, array in (("rho", rho), ("before", before), ("step", step)):
-        grid.check(array, components, name)
-    _descend[grid.lanes](p, q, components, rho, before, step)
+def descend(
+    grid: LaneGrid, p: float, q: float, rho: LaneData, before: LaneData, step: LaneData
+) -> None:
+    """Move from `before` by p (rho − before) + q step, in place as `line_search` does."""
+    _descend[grid.lanes](p, q, rho.shape[0], rho, before, step)
 
 
 @lane_kernel

@@ -1,9 +1,11 @@
 """The unknowns brought from one level of the pyramid to the next."""
 
+import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
     LaneArray,
+    LaneData,
     LaneGrid,
     check_array,
     lane_count,
@@ -12,7 +14,7 @@ from tisfm.kernels.layout.lanes import (
 )
 
 
-def prolong(grid: LaneGrid, coarse, out, *, ratio: float) -> None:
+def prolong(grid: LaneGrid, coarse: np.ndarray, out: LaneData, *, ratio: float) -> None:
     """Sample a coarse field bilinearly on a finer grid, halo included.
 
     A pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse one. Values are divided by

@@ -6,112 +6,98 @@ numbers, and safe where a pivot floor acts.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
     SMALL,
     LaneArray,
+    LaneData,
     LaneGrid,
-    bind_kernel,
     element,
+    first_row,
     lane_kernel,
     planes_of,
     refresh_halo,
     store,
 )
-from tisfm.kernels.model.edges import component_table, spread, weight_sets
+from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model.edges import spread
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.small_spd import (
     DATA_FLOOR,
-    DIAGONAL_FLOOR,
-    bind,
     cholesky_solve,
     woodbury_solve,
 )
 
 SOLVERS = ("cholesky", "closed_form")
 BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
+AT_ONCE = 64  # sweeps of one band in one launch
 
 
-def sweep(*arguments, **options) -> None:
-    """Run full red–black sweeps once; arguments are those of `sweeper`."""
-    sweeper(*arguments, **options)()
-
-
-def sweeper(
+def bind_sweeps(
     grid: LaneGrid,
-    tensor,
-    weights,
-    x_hat,
-    y_hat,
-    rho,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    source: LaneData | None,
     *,
-    alpha,
     relaxation: float,
-    solver: str = "cholesky",
-    sweeps: int = 1,
-    source=None,
+    solver: str,
+    sweeps: int,
 ) -> Callable[[], None]:
-    """Return what runs full red–black sweeps; `rho` is modified in place, halo included.
+    """Return what runs full red–black sweeps.
 
     Parameters
     ----------
     grid : LaneGrid
-    tensor : lane array, 6 components
-        Motion tensor (J11, J12, J22, j1, j2, J_tt); the last is not read.
-    weights : lane array, 2n components, or 2 for all alike
-        g·b of every edge (`tisfm.kernels.model.edges`).
-    x_hat : column table
-        Normalised column coordinate x/f.
-    y_hat : (H + 2,) float32
-        Normalised row coordinate y/f, row 0 being the halo.
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
     rho : lane array, n components
-        ρ̂, px/frame.
-    alpha : float or n floats
-        α_k = λ̂β s_k.
+        ρ̂, px/frame; modified in place, halo included.
+    source : lane array, n components, or None
+        Right-hand side c in place of −Gᵀj.
     relaxation : float
         In (0, 2); 1 is Gauss–Seidel.
     solver : {"cholesky", "closed_form"}
     sweeps : int
-    source : lane array, n components, optional
-        Right-hand side c in place of −Gᵀj: then j is not read, either.
     """
-    components = rho.shape[0]
-    grid.check(tensor, 6, "tensor")
-    sets = weight_sets(grid, weights, components)
-    grid.check(rho, components, "rho")
-    grid.check_columns(x_hat, "x_hat")
-    grid.check_rows(y_hat, "y_hat")
     if not 0 < relaxation < 2:
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     if solver not in SOLVERS:
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
-    if source is not None:
-        grid.check(source, components, "source")
-    closed_form = solver == "closed_form"
-    sourced = source is not None
-    alphas = component_table(alpha, components)
-    system = (tensor, weights, x_hat, y_hat, source if sourced else rho, alphas, relaxation)
+    weights = arrays[1]
+    components, sets = rho.shape[0], weights.shape[0] // 2
+    closed_form, sourced = solver == "closed_form", source is not None
+    system = (*arrays, rho if source is None else source, relaxation)
+    options = (components, sets, closed_form, sourced)
     if grid.lanes == 1:
-        arguments = (*system, components, sets, closed_form, sourced, rho)
-        return _repeated(bind_kernel(grid, _sweep_sites, arguments), sweeps)
+        return _repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * BAND)))
-    # One band is one thread's, which may as well go on to the next sweep.
-    launches, repeats = (1, sweeps) if bands == 1 else (sweeps, 1)
-    arguments = (
-        *system, components, sets, closed_form, sourced, bands == 1, bands, repeats, rho
-    )  # fmt: skip
-    return _repeated(bind_kernel(grid, _sweep, arguments), launches)
+    alone = bands == 1
+
+    def launch(repeats: int) -> Callable[[], None]:
+        return _sweep[grid.lanes].bind(*system, *options, alone, bands, repeats, rho)
+
+    if not alone:
+        return _repeated((launch(1), sweeps))
+    # One band is one thread's, which may as well go on to the next sweep; but not for so long that
+    # nobody could interrupt it.
+    whole, rest = divmod(sweeps, AT_ONCE)
+    return _repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
 
 
-def _repeated(launch: Callable[[], None], times: int) -> Callable[[], None]:
+def _repeated(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
+    """Return what runs each of some launches so many times."""
+
     def run() -> None:
-        for _ in range(times):
-            launch()
+        for launch, times in parts:
+            for _ in range(times):
+                launch()
 
     return run
 
@@ -122,8 +108,8 @@ def _sweep(
     weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
-    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     relaxation: ti.f32,
     n: ti.template(),
     sets: ti.template(),
@@ -151,7 +137,7 @@ def _sweep(
             stride = rho.shape[2] & SMALL
             planes = ti.static(planes_of(rho, max(6, 2 * sets)))
             band = task // chunk
-            first, last = band * height // bands, (band + 1) * height // bands
+            first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
             for turn in range(repeats * (2 * (last - first) + 2)):
@@ -177,7 +163,7 @@ def _sweep(
                 stride = rho.shape[2] & SMALL
                 planes = ti.static(planes_of(rho, max(6, 2 * sets)))
                 border = task // CHUNK
-                row = (border // 2 + 1) * height // bands - 1 + border % 2
+                row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     relax_at(
@@ -194,8 +180,8 @@ def _sweep_sites(
     weights: LaneArray(3),  # (2n or 2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
-    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
     relaxation: ti.f32,
     n: ti.template(),
     sets: ti.template(),
@@ -254,7 +240,7 @@ def relax_at(
         store(rho, i + planes[k], center[k] + relaxation * step[k])
 
 
-def edges_at(weights, planes, stride, sets, i) -> list:
+def edges_at(weights: Any, planes: list, stride: Any, sets: int, i: Any) -> list:
     """Return the weights of a pixel's edges, while compiling: lists of `sets`, E, W, S, N."""
     return [
         [bind(element(weights, place + planes[first + k])) for k in range(sets)]
@@ -262,7 +248,18 @@ def edges_at(weights, planes, stride, sets, i) -> list:
     ]
 
 
-def residual_at(tensor, edges, columns, source, alphas, planes, stride, rho, center, i) -> list:
+def residual_at(
+    tensor: Any,
+    edges: list,
+    columns: list,
+    source: Any,
+    alphas: list,
+    planes: list,
+    stride: Any,
+    rho: Any,
+    center: list,
+    i: Any,
+) -> list:
     """Return c − Bρ̂ of a pixel, where ρ̂ is `center`, while compiling; without `source`, c = −Gᵀj.
 
     `i` is the pixel's `element`, `edges` are those of `edges_at`.
@@ -278,7 +275,7 @@ def residual_at(tensor, edges, columns, source, alphas, planes, stride, rho, cen
     neighbours = (i + 1, i - 1, i + stride, i - stride)
     residual = []
     for k, (a, b) in enumerate(columns):
-        smooth = 0.0
+        smooth: Any = 0.0
         for side, place in zip(edges, neighbours, strict=True):
             difference = element(rho, place + planes[k]) - center[k]
             smooth = smooth + spread(side, n)[k] * difference
@@ -289,14 +286,16 @@ def residual_at(tensor, edges, columns, source, alphas, planes, stride, rho, cen
     return residual
 
 
-def _solve(closed_form, alphas, edges, columns, tensor, residual):
+def _solve(
+    closed_form: bool, alphas: list, edges: list, columns: list, tensor: list, residual: list
+) -> list:
     """Return B⁻¹ residual, written out by the chosen solver."""
     sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
     totals = spread(sets, len(alphas))
     j11, j12, j22 = tensor
     # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
     # to, where the residual is zero, it leaves alone.
-    floor = bind(DATA_FLOOR * (j11 + j22) + DIAGONAL_FLOOR)
+    floor = bind(DATA_FLOOR * (j11 + j22) + LEAST_DIVISOR)
     if closed_form and len(alphas) > 1:  # a single equation is solved as it is
         if len(sets) == 1:  # a single quotient of vectors
             softest = alphas[0]

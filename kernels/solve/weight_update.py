@@ -1,19 +1,22 @@
 """What a half-quadratic iteration does besides relaxation, in one pass over memory."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import taichi as ti
 
+from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
     SMALL,
     LaneArray,
+    LaneData,
     LaneGrid,
     SumArray,
-    bind_kernel,
     element,
+    first_row,
     lane_count,
     lane_kernel,
     load,
@@ -21,20 +24,13 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store,
 )
-from tisfm.kernels.model.edges import component_table, weight_sets
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.robust import check_terms, finite_scales, robust_data, terms_of
-from tisfm.kernels.model.small_spd import bind
-from tisfm.kernels.solve.reductions import (
-    BLOCK,
-    add_blocks,
-    block_sums,
-    store_sum,
-)
+from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 
 LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
 ROWS = 4  # of a band, which one thread takes at a time
-TINY = 1e-20  # in place of a weight that is zero
 
 
 @dataclass(frozen=True)
@@ -57,29 +53,21 @@ class Sums:
     size: float
 
 
-def advance(*arguments, **options) -> Sums:
-    """Measure ρ̂, and renew the auxiliary fields for it, once; arguments are those of `advancer`."""
-    return advancer(*arguments, **options)()
-
-
-def advancer(
+def bind_update(
     grid: LaneGrid,
-    terms,
-    edges,
-    x_hat,
-    y_hat,
-    rho,
-    weights,
-    tensor,
-    previous,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    previous: LaneData,
+    constraints: LaneData,
+    edges: LaneData,
     *,
     alpha: float,
+    stiffness: np.ndarray,
     contrast: float,
-    scales,
-    stiffness=1.0,
-    along_line: bool = False,
+    scales: Sequence[float],
+    along_line: bool,
 ) -> Callable[[], Sums]:
-    """Return what measures ρ̂, and renews the auxiliary fields for it.
+    """Return what measures ρ̂, and renews the weights for it.
 
     An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, joint, g Φ_δ of the length of the vector
     of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
@@ -89,55 +77,48 @@ def advancer(
     Parameters
     ----------
     grid : LaneGrid
-    terms : lane array, 3 components for each of 1 to 3 constraints
-        (p, q, c) (`tisfm.kernels.data.constraints`).
-    edges : lane array, 2 components
-    x_hat : column table
-    y_hat : (H + 2,) float32
+    arrays : tuple
+        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays. Its
+        weights g·b and its tensor Σ w_i J_i, those from before, enter the half-quadratic energy,
+        and are overwritten.
     rho : lane array, n components
         ρ̂, px/frame.
-    weights : lane array, 2n components, or 2, which makes edges joint
-        g·b (`tisfm.kernels.model.edges`); those from before enter the half-quadratic energy.
-        Overwritten.
-    tensor : lane array, 6 components
-        Σ w_i J_i; likewise.
     previous : lane array, n components
         An earlier ρ̂; overwritten with `rho`.
+    constraints : lane array, 3 components for each of 1 to 3 constraints
+        (p, q, c) (`tisfm.kernels.data.constraints`).
+    edges : lane array, 2 components
+        g.
     alpha : float
         α = λ̂β.
+    stiffness : (n,) float32
+        s_k.
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
     scales : sequence of float
         m_i ε² of each term; infinite for a quadratic one.
-    stiffness : float or n floats
-        s_k.
     along_line : bool
-        Whether q is 0 in all `terms`, for n = 1: of the tensor only J11, j1 and J_tt are written
-        then, and the others left alone.
+        Whether q is 0 in all constraints, for n = 1: of the tensor only J11, j1 and J_tt are
+        written then, and the others left alone.
     """
-    components = rho.shape[0]
-    count = check_terms(grid, terms, x_hat, y_hat, rho, scales)
-    sets = weight_sets(grid, weights, components)
-    grid.check(tensor, 6, "tensor")
-    grid.check(edges, 2, "edges")
-    grid.check(previous, components, "previous")
     if not contrast > 0:
         raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")
+    tensor, weights, x_hat, y_hat, _ = arrays
     partial = block_sums(grid, 6)
-    arguments = (
-        terms,
+    launch = _update[grid.lanes].bind(
+        constraints,
         edges,
         x_hat,
         y_hat,
         rho,
-        component_table(stiffness, components, "stiffness"),
+        stiffness,
         (1.0 / contrast) ** 2,
         # With δ infinite, b is 1 and its penalty vanishes.
         contrast * contrast if np.isfinite(contrast) else 0.0,
         *finite_scales(scales),
-        components,
-        sets,
-        count,
+        rho.shape[0],
+        weights.shape[0] // 2,
+        constraints.shape[0] // 3,
         along_line,
         grid.serial,
         -(-grid.height // ROWS),
@@ -146,7 +127,6 @@ def advancer(
         previous,
         partial,
     )
-    launch = bind_kernel(grid, _advance, arguments)
 
     def run() -> Sums:
         launch()
@@ -162,7 +142,7 @@ def advancer(
 
 
 @lane_kernel
-def _advance(
+def _update(
     terms: LaneArray(3),  # (3 count, H+2, S+2)
     edges: LaneArray(3),  # (2, H+2, S+2)
     x_hat: LaneArray(1),  # (S+2,)
@@ -192,7 +172,7 @@ def _advance(
         for index in range(height * blocks):
             stride = rho.shape[2] & SMALL
             planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
-            _advance_block(
+            _update_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                 squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
                 along_line, weights, tensor, previous, partial, stride, planes,
@@ -206,9 +186,11 @@ def _advance(
                 band = task // chunk
                 stride = rho.shape[2] & SMALL
                 planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
-                for row in range(band * height // bands, (band + 1) * height // bands):
+                for row in range(
+                    first_row(band, height, bands), first_row(band + 1, height, bands)
+                ):
                     for block in range(blocks):
-                        _advance_block(
+                        _update_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                             squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
                             along_line, weights, tensor, previous, partial, stride, planes, row,
@@ -221,7 +203,7 @@ def _advance(
 
 
 @ti.func
-def _advance_block(
+def _update_block(
     terms: ti.template(),
     edges: ti.template(),
     x_hat: ti.template(),
@@ -247,7 +229,7 @@ def _advance_block(
     row,
     block,
 ):
-    """Advance one block of one row."""
+    """Update one block of one row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * x_hat[1]
     data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
@@ -281,7 +263,7 @@ def _advance_block(
                 # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
                 gap = g - before
                 half_smooth += before * square
-                half_smooth += squared_contrast * gap * gap / ti.max(before, TINY)
+                half_smooth += squared_contrast * gap * gap / ti.max(before, LEAST_PIVOT)
                 store(weights, place, both * (1.0 + root))  # g b
         for k in ti.static(range(n)):
             place = i + planes[k]
@@ -293,7 +275,7 @@ def _advance_block(
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 
 
-def _sum(values):
+def _sum(values: list) -> Any:
     total = values[0]
     for value in values[1:]:
         total = total + value

@@ -10,13 +10,13 @@ import numpy as np
 from rich.console import Console
 
 import tisfm
+from tests.rendered import static_scene
 from tisfm.datasets import find_pairs
 from tisfm.evaluation.files import EvaluationWriter
 from tisfm.evaluation.pairs import evaluate
 from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import write_png
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import static_scene
 
 H, W = 40, 56
 SCENES = [static_scene("sideways", H, W, seed=seed) for seed in (0, 1)]

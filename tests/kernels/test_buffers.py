@@ -6,9 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-from tisfm.kernels.layout.buffers import ALIGNMENT, LEAST, Buffers
+from tisfm.kernels.layout.buffers import ALIGNMENT, SMALLEST_KEPT, Buffers
 
-COUNT = LEAST  # floats: four times what is kept at least
+COUNT = SMALLEST_KEPT  # floats: four times what is kept at least
 
 
 def address(array):

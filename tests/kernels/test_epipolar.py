@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
+from tests.lanes import LANES
+from tests.pairwise import pairwise
+from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import static_scene
 from tisfm.scenes.ready import STATIC_KINDS
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
 TWIST = (0.4, -0.3, 0.8, 0.02, -0.05, 0.03)
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-each_lanes = pytest.mark.parametrize("lanes", [16, 8, 1])
+each_lanes = pytest.mark.parametrize("lanes", LANES)
 
 
 @pytest.mark.parametrize("kind", STATIC_KINDS)
@@ -44,7 +46,7 @@ def test_displacement_and_direction(size, lanes, make_problem):
     from tisfm.kernels.rigid.epipolar import displacement
 
     problem = make_problem(*size, 1, lanes)
-    field = problem.field
+    field = problem.unknowns
     inverse_depth = np.abs(problem.rho) + 1
     field.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
@@ -72,31 +74,41 @@ def split(constraints):
     return [constraints] if len(constraints) < 3 else [constraints[:1], constraints[1:]]
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("label", [0, 1])
-@pytest.mark.parametrize(("alpha", "tolerated"), [(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)])
-def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem):
+@pairwise(
+    ways=3,
+    size=SIZES,
+    lanes=LANES,
+    count=[1, 2, 3],
+    held=[(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)],
+    label=[0, 1],
+)
+def test_motion_system(size, lanes, count, held, label, make_problem):
+    alpha, tolerated = held
     from tisfm.kernels.rigid.motion_system import motion_system
 
     problem = make_problem(*size, 1, lanes)
-    grid, field = problem.grid, problem.field
+    unknowns = problem.unknowns
     constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
     terms = reference.tensors_of(split(constraints))
     scales = (2.0, 0.5)[: len(terms)]
     inverse_depth = np.abs(problem.rho) + 1
-    field.rho[...] = problem.to_lanes(inverse_depth)
+    unknowns.rho[...] = problem.to_lanes(inverse_depth)
     poses, motions = two_motions()
     labels = problem.to_lanes(chequered(*size)[None])
     rng = np.random.default_rng(7)
-    weights = problem.from_lanes(field.edges) * rng.uniform(0.1, 1, (2, *size))
+    weights = problem.from_lanes(unknowns.edges) * rng.uniform(0.1, 1, (2, *size))
     matrix, vector = motion_system(
-        grid, problem.to_lanes(constraints.reshape(-1, *size)), field.rho, labels,
-        problem.to_lanes(weights),
-        field.x_hat, field.y_hat, motions=motions, label=label,
-        focal=problem.camera.focal, scales=scales, alpha=alpha, tolerated=tolerated,
-    )  # fmt: skip
+        problem.system(weights),
+        problem.to_lanes(constraints.reshape(-1, *size)),
+        unknowns.rho,
+        labels,
+        motions=motions,
+        label=label,
+        focal=problem.camera.focal,
+        scales=scales,
+        held=alpha,
+        tolerated=tolerated,
+    )
     identity = reference.motion_matrix(problem.camera, *size, 2)
     moved = reference.displacement(inverse_depth[0], problem.camera, *poses[label])
     tensor = reference.robust_tensor(terms, identity, moved, scales)
@@ -119,9 +131,7 @@ def test_motion_system(size, lanes, count, label, alpha, tolerated, make_problem
     np.testing.assert_allclose(vector, expected[1], rtol=1e-3, atol=1e-4 * np.abs(vector).max())
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pairwise(size=SIZES, lanes=LANES, count=[1, 2, 3])
 def test_along(size, lanes, count, make_problem):
     from tisfm.kernels.rigid.epipolar import along
 
@@ -132,7 +142,7 @@ def test_along(size, lanes, count, make_problem):
     out = problem.grid.allocate(3 * count)
     along(
         problem.grid, problem.to_lanes(constraints.reshape(-1, *size)), problem.to_lanes(flow),
-        problem.to_lanes(direction), problem.field.rho, out,
+        problem.to_lanes(direction), problem.unknowns.rho, out,
     )  # fmt: skip
     terms = reference.tensors_of(split(constraints))
     expected = reference.along(terms, flow, direction, problem.rho[0])
@@ -159,7 +169,7 @@ def test_motions_are_checked(motions, make_problem):
     from tisfm.kernels.rigid.epipolar import displacement
 
     problem = make_problem(5, 7, 1, 1)
-    field, grid = problem.field, problem.grid
+    field, grid = problem.unknowns, problem.grid
     with pytest.raises((TypeError, ValueError), match="motions is"):
         displacement(
             grid, field.rho, grid.allocate(1), field.x_hat, field.y_hat,

@@ -136,7 +136,7 @@ def test_arrays_of_a_grid_stay_on_the_device(monkeypatch):
         return grids[-1]
 
     lane_grid = runtime.lane_grid
-    monkeypatch.setattr("tisfm.solver.image_pyramid.lane_grid", counted)
+    monkeypatch.setattr("tisfm.solver.coarse_to_fine.lane_grid", counted)
     tisfm.interpret(pair.frame0, pair.frame1, settings=tisfm.Settings.preset("fast"))
     assert grids and all(grid.on_device and grid.lanes == 1 for grid in grids)
     assert isinstance(grids[0].allocate(2), ti.Ndarray)
@@ -179,9 +179,9 @@ def test_no_kernel_for_one_lane_has_float64():
             kernel = value.get(1) if isinstance(value, dict) else value
             if isinstance(kernel, Kernel):
                 found += 1
-                for argument in kernel._call._primal.arguments:
-                    kind = getattr(argument.annotation, "dtype", argument.annotation)
-                    assert kind is not ti.f64, (info.name, argument.name)
+                for annotation in kernel.arguments.annotations:
+                    kind = getattr(annotation, "dtype", annotation)
+                    assert kind is not ti.f64, info.name
     assert found > 15
 
 

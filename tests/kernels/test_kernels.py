@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+from tests.lanes import LANES
+from tests.pairwise import pairwise
 from tisfm import reference
 
 # One pixel per lane, one lane wide, odd, non-square, exactly full strips, wider than high.
 SIZES = [(5, 1), (4, 8), (7, 9), (13, 37), (6, 64), (21, 5)]
 MODELS = [6, 3, 2, 1]
-LANES = [16, 8, 1]
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 each_model = pytest.mark.parametrize("components", MODELS)
 each_lanes = pytest.mark.parametrize("lanes", LANES)
+of_each = pairwise(size=SIZES, components=MODELS, lanes=LANES)
+KINDS = ["paper", "separate", "joint"]  # of weights: without g and s_k, of each component, one
 
 
 def close(actual, expected, scale=1.0):
@@ -46,13 +49,13 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
         np.testing.assert_array_equal(in_lane, image[np.ix_(rows, columns)])
 
     stack = np.empty((6, *size), np.float32)
-    lanes_to_images(grid, problem.field.rho, stack)
+    lanes_to_images(grid, problem.unknowns.rho, stack)
     np.testing.assert_array_equal(stack, problem.rho)
 
-    lanes_to_images(grid, problem.field.rho, stack[:2], component=3)
+    lanes_to_images(grid, problem.unknowns.rho, stack[:2], component=3)
     np.testing.assert_array_equal(stack[:2], problem.rho[3:5])
     with pytest.raises(ValueError, match="component is 5: array has 6, and out takes 2"):
-        lanes_to_images(grid, problem.field.rho, stack[:2], component=5)
+        lanes_to_images(grid, problem.unknowns.rho, stack[:2], component=5)
 
 
 @each_size
@@ -61,7 +64,7 @@ def test_multiply(size, lanes, make_problem):
     from tisfm.kernels.layout.images import multiply
 
     problem = make_problem(*size, 6, lanes)
-    grid, rho = problem.grid, problem.field.rho
+    grid, rho = problem.grid, problem.unknowns.rho
     factor = problem.to_lanes(np.random.default_rng(1).normal(size=(6, *size)))
     expected = rho * factor
     multiply(grid, factor, rho)
@@ -92,12 +95,11 @@ def test_derivatives(size, lanes, scheme, make_problem):
     close(inner, np.array(reference.derivatives(*frames, scheme)), scale=255)
 
 
-@each_size
-@each_model
-@each_lanes
+@of_each
 def test_flow(size, components, lanes, make_problem):
     problem = make_problem(*size, components, lanes)
-    out = problem.field.flow(problem.grid.allocate(2))
+    out = problem.grid.allocate(2)
+    problem.unknowns.bind_flow(out)()
     close(problem.from_lanes(out), reference.flow(problem.motion, problem.rho))
 
 
@@ -202,10 +204,7 @@ CONSTRAINTS = [
 ]
 
 
-@each_size
-@each_lanes
-@pytest.mark.parametrize("constraints", CONSTRAINTS, ids=["brightness", "gradient", "normalized"])
-@pytest.mark.parametrize("contrast", [0.1, np.inf])
+@pairwise(ways=3, size=SIZES, lanes=LANES, constraints=CONSTRAINTS, contrast=[0.1, np.inf])
 def test_constancy_constraints(size, lanes, constraints, contrast, make_problem):
     from tisfm.kernels.data.constraints import constancy_constraints
     from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
@@ -258,7 +257,7 @@ def test_constancy_constraints_refuse_bad_weights(make_problem):
 def smoothness_of(problem, contrast, kind):
     """Return the reference's smoothness, s_k, and g in lanes."""
     if kind == "paper":
-        return reference.Smoothness(contrast=contrast), 1.0, problem.field.edges
+        return reference.Smoothness(contrast=contrast), 1.0, problem.unknowns.edges
     n, height, width = problem.rho.shape
     g = np.random.default_rng(8).uniform(0.1, 2, size=(2, height, width))
     g[0, :, -1] = g[1, -1] = 0
@@ -286,26 +285,55 @@ def kernel_weights(problem, rho, smoothness):
     [
         ({"scales": (0.0,)}, "scales"),
         ({"scales": (1.0, 1.0, 1.0)}, "scales"),
-        ({"stiffness": (1.0, 1.0)}, "stiffness is .*: expected 3 positive numbers"),
-        ({"stiffness": (1.0, 1.0, 0.0)}, "expected 3 positive numbers"),
-        ({"stiffness": (1.0, 1.0, np.inf)}, "expected 3 positive numbers"),
-        ({"stiffness": np.ones(2, np.float32)}, "expected 3 positive numbers"),
-        ({"stiffness": np.zeros(3, np.float32)}, "expected 3 positive numbers"),
         ({"contrast": 0.0}, "contrast is 0"),
     ],
 )
-def test_advance_refuses_bad_values(change, match, make_problem):
-    from tisfm.kernels.solve.weight_update import advance
+def test_a_weight_update_refuses_bad_values(change, match, make_problem):
+    problem = make_problem(5, 7, 3, 1)
+    system, unknowns = problem.system(np.ones((6, 5, 7))), problem.unknowns
+    constraints = problem.to_lanes(problem.constraints[0])
+    options = {"contrast": 1.0, "scales": (1.0,)} | change
+    with pytest.raises(ValueError, match=match):
+        system.bind_weight_update(
+            unknowns.rho, problem.grid.allocate(3), constraints, unknowns.edges, **options
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"stiffness": (1.0, 1.0, 0.0)}, "stiffness is .*: expected 3 positive numbers"),
+        ({"stiffness": (1.0, 1.0, np.inf)}, "expected 3 positive numbers"),
+        ({"stiffness": np.zeros(3, np.float32)}, "expected 3 positive numbers"),
+        ({"stiffness": (1.0, 1.0)}, "weights has 6 components: expected 2, or 2 for each of 2"),
+        ({"alpha": -1.0}, "alpha is .*: expected 3 positive numbers"),
+        ({"alpha": np.nan}, "alpha is .*: expected 3 positive numbers"),
+        (
+            {"tensor": np.zeros((5, 7, 9), np.float32)},
+            r"tensor is \(5, 7, 9\): expected \(6, 7, 10\)",
+        ),
+        ({"tensor": None}, "tensor is NoneType: expected a NumPy array"),
+        ({"x_hat": np.zeros(9, np.float32)}, "x_hat is"),
+        ({"y_hat": np.zeros(9, np.float32)}, "y_hat is"),
+    ],
+)
+def test_a_linear_system_is_checked_once_when_it_is_made(change, match, make_problem):
+    from dataclasses import replace
+
+    system = make_problem(5, 7, 3, 1).system(np.ones((6, 5, 7)))
+    with pytest.raises((TypeError, ValueError), match=match):
+        replace(system, **change)
+
+
+def test_tensor_and_weights_cannot_be_swapped(make_problem):
+    """Of equal shapes they would, by position: they are named."""
+    from tisfm.kernels.solve.linear_system import LinearSystem
 
     problem = make_problem(5, 7, 3, 1)
-    grid, field = problem.grid, problem.field
-    arrays = [grid.allocate(k) for k in (6, 6, 3)]
-    terms = problem.to_lanes(problem.constraints[0])
-    options = {"alpha": 1.0, "contrast": 1.0, "scales": (1.0,), "stiffness": 1.0} | change
-    with pytest.raises(ValueError, match=match):
-        advance(
-            grid, terms, field.edges, field.x_hat, field.y_hat, field.rho, *arrays, **options,
-        )  # fmt: skip
+    system = problem.system(np.ones((6, 5, 7)))
+    arrays = (system.tensor, system.weights, system.x_hat, system.y_hat)
+    with pytest.raises(TypeError, match="positional"):
+        LinearSystem(problem.grid, *arrays, 1.0, (1.0, 1.0, 1.0))
 
 
 @each_size
@@ -339,68 +367,46 @@ def test_image_edges_check_their_arguments():
             image_edges(grid, frame, out, rate=rate)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (64, 9), (131, 20)], ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
-@pytest.mark.parametrize("relaxation", [1.0, 1.9])
+@pairwise(
+    ways=3,
+    size=[*SIZES, (64, 9), (131, 20)],
+    components=MODELS,
+    lanes=LANES,
+    kind=KINDS,
+    solver=["cholesky", "closed_form"],
+    relaxation=[1.0, 1.9],
+)
 def test_one_sweep_is_the_reference_sweep(
     size, components, lanes, solver, kind, relaxation, make_problem
 ):
     """On one band of rows, and on several (from 64 rows on)."""
-    from tisfm.kernels.solve.relaxation import sweep
-
     problem = make_problem(*size, components, lanes, channels=2)
     # Condition numbers of B up to about 100, whatever the least g and s_k.
-    field, alpha = problem.field, 40.0 if kind == "paper" else 1000.0
+    rho, alpha = problem.unknowns.rho, 40.0 if kind == "paper" else 1000.0
     smoothness, stiffness, _ = smoothness_of(problem, 1.0, kind)
     weights = reference.edge_weights(problem.rho, smoothness)
-    sweep(
-        problem.grid,
-        problem.tensor_lanes,
-        problem.to_lanes(kernel_weights(problem, problem.rho, smoothness)),
-        field.x_hat,
-        field.y_hat,
-        field.rho,
-        alpha=alpha * np.broadcast_to(stiffness, components),
-        relaxation=relaxation,
-        solver=solver,
+    system = problem.system(
+        kernel_weights(problem, problem.rho, smoothness), alpha=alpha, stiffness=stiffness
     )
+    system.sweep(rho, relaxation=relaxation, solver=solver)
     expected = problem.rho.copy()
     reference.sweep_red_black(
         problem.tensor, problem.motion, weights, expected, alpha=alpha, relaxation=relaxation
     )
-    np.testing.assert_allclose(problem.from_lanes(field.rho), expected, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(problem.from_lanes(rho), expected, rtol=1e-4, atol=1e-4)
     assert np.abs(expected - problem.rho).max() > 0.1
-    np.testing.assert_array_equal(field.rho, problem.to_lanes(problem.from_lanes(field.rho)))
+    np.testing.assert_array_equal(rho, problem.to_lanes(problem.from_lanes(rho)))
 
 
-@each_lanes
-@pytest.mark.parametrize("components", [1, 2, 3, 6])
-@pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
-@pytest.mark.parametrize("joint", [True, False])
+@pairwise(components=MODELS, lanes=LANES, solver=["cholesky", "closed_form"], joint=[True, False])
 def test_a_pixel_without_an_open_edge_goes_by_its_data(
     components, lanes, solver, joint, make_problem
 ):
-    from tisfm.kernels.solve.relaxation import sweep
-
     problem = make_problem(6, 16, components, lanes)
-    field = problem.field
-    closed = problem.grid.allocate(2 if joint else 2 * components)
-    sweep(
-        problem.grid,
-        problem.tensor_lanes,
-        closed,
-        field.x_hat,
-        field.y_hat,
-        field.rho,
-        alpha=np.geomspace(0.5, 10, components),
-        relaxation=1.0,
-        solver=solver,
-        sweeps=20,
-    )
-    found = problem.from_lanes(field.rho).astype(float)
+    closed = np.zeros((2 if joint else 2 * components, 6, 16))
+    system = problem.system(closed, stiffness=np.geomspace(0.5, 10, components))
+    system.sweep(problem.unknowns.rho, relaxation=1.0, solver=solver, sweeps=20)
+    found = problem.from_lanes(problem.unknowns.rho).astype(float)
     motion = np.zeros((2, 1, 6, 16)) if components == 1 else problem.motion
     if components == 1:
         motion[0] = 1
@@ -416,70 +422,54 @@ def test_a_pixel_without_an_open_edge_goes_by_its_data(
 @each_lanes
 @each_model
 def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
-    from tisfm.kernels.solve.relaxation import sweep
-
     results = []
     for solver in ("cholesky", "closed_form"):
         problem = make_problem(19, 43, components, lanes)
-        weights = problem.to_lanes(
-            reference.edge_weights(problem.rho, reference.Smoothness(contrast=0.3))
-        )
-        field = problem.field
-        tables = (field.x_hat, field.y_hat, field.rho)
-        sweep(
-            problem.grid,
-            problem.tensor_lanes,
-            weights,
-            *tables,
-            alpha=40.0,
-            relaxation=1.5,
-            solver=solver,
-            sweeps=50,
-        )
-        results.append(problem.from_lanes(field.rho))
+        weights = reference.edge_weights(problem.rho, reference.Smoothness(contrast=0.3))
+        rho = problem.unknowns.rho
+        problem.system(weights, alpha=40.0).sweep(rho, relaxation=1.5, solver=solver, sweeps=50)
+        results.append(problem.from_lanes(rho))
     difference = np.linalg.norm(results[0] - results[1]) / np.linalg.norm(results[0])
     assert difference < 1e-4
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
-@pytest.mark.parametrize("contrast", [0.03, 0.3, 600.0, np.inf])
-@pytest.mark.parametrize(
-    ("scales", "count"),
-    [((np.inf,), 1), ((5.0,), 2), ((3.0, np.inf), 3), ((3.0, 50.0), 3)],
-    ids=["quadratic", "gradient", "one quadratic", "both"],
+@pairwise(
+    ways=3,
+    size=SIZES,
+    components=MODELS,
+    contrast=[0.03, 0.3, 600.0, np.inf],
+    data=["quadratic", "gradient", "one quadratic", "both"],
+    lanes=LANES,
+    kind=KINDS,
 )
-def test_advance(size, components, lanes, kind, contrast, scales, count, make_problem):
-    from tisfm.kernels.solve.weight_update import advance
-
+def test_weight_update(size, components, contrast, data, lanes, kind, make_problem):
+    count, scales = {
+        "quadratic": (1, (np.inf,)),
+        "gradient": (2, (5.0,)),
+        "one quadratic": (3, (3.0, np.inf)),
+        "both": (3, (3.0, 50.0)),
+    }[data]
     problem = make_problem(*size, components, lanes)
-    grid, field = problem.grid, problem.field
     constraints = make_problem(*size, components, lanes, seed=1, channels=count).constraints
     split = [constraints] if count < 3 else [constraints[:1], constraints[1:]]
     terms = reference.tensors_of(split)
     smoothness, stiffness, edges = smoothness_of(problem, contrast, kind)
     before = np.random.default_rng(5).normal(size=problem.rho.shape).astype(np.float32)
     old_weights = reference.edge_weights(before.astype(float), smoothness)
-    weights = problem.to_lanes(kernel_weights(problem, before.astype(float), smoothness))
-    tensor = problem.to_lanes(0.5 * problem.tensor)
-    previous = problem.to_lanes(before)
-    sums = advance(
-        grid,
+    problem.tensor_lanes[...] *= 0.5
+    system = problem.system(
+        kernel_weights(problem, before.astype(float), smoothness), alpha=40.0, stiffness=stiffness
+    )
+    weights, tensor, previous = system.weights, system.tensor, problem.to_lanes(before)
+    update = system.bind_weight_update(
+        problem.unknowns.rho,
+        previous,
         problem.to_lanes(constraints.reshape(-1, *size)),
         edges,
-        field.x_hat,
-        field.y_hat,
-        field.rho,
-        weights,
-        tensor,
-        previous,
-        alpha=40.0,
         contrast=contrast,
         scales=scales,
-        stiffness=stiffness,
     )
+    sums = update()
     where = (problem.motion, problem.rho)
     expected = reference.robust_tensor(terms, *where, scales)
     close(problem.from_lanes(tensor), expected, scale=np.abs(expected).max())
@@ -501,23 +491,24 @@ def test_advance(size, components, lanes, kind, contrast, scales, count, make_pr
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-@each_lanes
-@pytest.mark.parametrize("count", [1, 3])
-def test_advance_along_a_line(size, lanes, count, make_problem):
-    from tisfm.kernels.solve.weight_update import advance
-
+@pairwise(size=SIZES, lanes=LANES, count=[1, 3])
+def test_weight_update_along_a_line(size, lanes, count, make_problem):
     problem = make_problem(*size, 1, lanes)
-    grid, field = problem.grid, problem.field
     constraints = make_problem(*size, 1, lanes, seed=1, channels=count).constraints
     split = [constraints] if count < 3 else [constraints[:1], constraints[1:]]
     scales = (3.0, 50.0)[: len(split)]
-    weights, tensor = grid.allocate(2), grid.allocate(6)
-    sums = advance(
-        grid, problem.to_lanes(constraints.reshape(-1, *size)), field.edges,
-        field.x_hat, field.y_hat, field.rho, weights, tensor, grid.allocate(1),
-        alpha=40.0, contrast=0.3, scales=scales, along_line=True,
-    )  # fmt: skip
+    problem.tensor_lanes[...] = 0
+    system, unknowns = problem.system(np.zeros((2, *size)), alpha=40.0), problem.unknowns
+    tensor = system.tensor
+    sums = system.bind_weight_update(
+        unknowns.rho,
+        problem.grid.allocate(1),
+        problem.to_lanes(constraints.reshape(-1, *size)),
+        unknowns.edges,
+        contrast=0.3,
+        scales=scales,
+        along_line=True,
+    )()
     where = (problem.motion, problem.rho)
     terms = reference.tensors_of(split)
     expected = reference.robust_tensor(terms, *where, scales)
@@ -553,7 +544,7 @@ def test_motion_fields(size, components, by_pixel, make_problem):
 @pytest.mark.parametrize("size", [*SIZES, (24, 64), (25, 63), (27, 66)], ids=str)
 @pytest.mark.parametrize("factor", [2, 4])
 def test_enlarged_is_prolonged(size, factor):
-    from tisfm.solver.resampling import enlarged, reduced
+    from tisfm.solver.sampling import enlarged, reduced
 
     for up in (0, 1):  # sizes of levels are rounded, either way
         shape = tuple(max(1, side // factor + up) for side in size)
@@ -567,47 +558,33 @@ def test_enlarged_is_prolonged(size, factor):
         close(means, factor * (within + 0.5) - 0.5)
 
 
-@pytest.mark.parametrize("size", [*SIZES, (12, 64), (10, 32)], ids=lambda s: f"{s[0]}x{s[1]}")
-@each_model
-@each_lanes
-@pytest.mark.parametrize("ratio", [0.5, 0.73, 1.0])
+@pairwise(size=[*SIZES, (12, 64), (10, 32)], components=MODELS, lanes=LANES, ratio=[0.5, 0.73, 1.0])
 def test_prolong(size, components, lanes, ratio, make_problem):
     from tisfm.kernels.layout.lanes import LaneGrid
-    from tisfm.solver.unknowns import Field
+    from tisfm.solver.unknowns import Unknowns
 
     problem = make_problem(*size, components, lanes)
     shape = tuple(max(1, round(ratio * side)) for side in size)
     coarse = np.random.default_rng(6).normal(size=(components, *shape)).astype(np.float32)
-    below = Field(LaneGrid(*shape, lanes), problem.camera, components)
+    below = Unknowns(LaneGrid(*shape, lanes), problem.camera, components)
     below.set_images(coarse)
-    problem.field.rho[...] = 0
-    problem.field.start_from(below, ratio)
+    problem.unknowns.rho[...] = 0
+    problem.unknowns.start_from(below, ratio)
     expected = reference.prolong(coarse.astype(np.float64), size, ratio)
-    close(problem.from_lanes(problem.field.rho), expected, scale=10)
-    assert not padding(problem, problem.field.rho).any()
+    close(problem.from_lanes(problem.unknowns.rho), expected, scale=10)
+    assert not padding(problem, problem.unknowns.rho).any()
 
 
-@each_size
-@each_model
-@each_lanes
-@pytest.mark.parametrize("kind", ["paper", "separate", "joint"])
-def test_evidence(size, components, lanes, kind, make_problem):
-    from tisfm.kernels.solve.data_precision import evidence
-
+@pairwise(size=SIZES, components=MODELS, lanes=LANES, kind=KINDS)
+def test_data_precision(size, components, lanes, kind, make_problem):
     problem = make_problem(*size, components, lanes)
     smoothness, stiffness, _ = smoothness_of(problem, 1.0, kind)
     weights = reference.edge_weights(problem.rho, smoothness)
-    out, field = problem.grid.allocate(7), problem.field
-    evidence(
-        problem.grid,
-        problem.tensor_lanes,
-        problem.to_lanes(kernel_weights(problem, problem.rho, smoothness)),
-        field.x_hat,
-        field.y_hat,
-        field.rho,
-        out,
-        alpha=40.0 * np.broadcast_to(stiffness, components),
+    out = problem.grid.allocate(7)
+    system = problem.system(
+        kernel_weights(problem, problem.rho, smoothness), alpha=40.0, stiffness=stiffness
     )
+    system.precision(problem.unknowns.rho, out)
     actual = problem.from_lanes(out)
     np.testing.assert_array_equal(actual[:3], problem.tensor[:3])
 
@@ -637,9 +614,9 @@ def test_share_of_data(size, freedom):
     j, m = roots @ np.swapaxes(roots, -1, -2)
     residual = rng.uniform(0, 2, size)
     entries = [matrix[..., i, k] for matrix in (j, m) for i, k in ((0, 0), (0, 1), (1, 1))]
-    evidence = np.array([*entries[:3], residual, *entries[3:]], np.float32)
+    precision = np.array([*entries[:3], residual, *entries[3:]], np.float32)
     out = np.empty(size, np.float32)
-    share_of_data(evidence, out, tolerated=0.3, freedom=freedom)
+    share_of_data(precision, out, tolerated=0.3, freedom=freedom)
     product = j @ m
     share = np.trace(product @ np.linalg.inv(np.eye(2) + product), axis1=-2, axis2=-1) / freedom
     close(out, share / (1 + residual / 0.3))
@@ -648,22 +625,22 @@ def test_share_of_data(size, freedom):
 def test_share_of_data_checks_its_arguments():
     from tisfm.kernels.solve.data_precision import share_of_data
 
-    evidence, out = np.ones((7, 5, 6), np.float32), np.empty((5, 6), np.float32)
-    with pytest.raises(ValueError, match=r"evidence is \(7, 5, 6\): expected \(7, 6, 5\)"):
-        share_of_data(evidence, np.empty((6, 5), np.float32), tolerated=1.0, freedom=2)
+    precision, out = np.ones((7, 5, 6), np.float32), np.empty((5, 6), np.float32)
+    with pytest.raises(ValueError, match=r"precision is \(7, 5, 6\): expected \(7, 6, 5\)"):
+        share_of_data(precision, np.empty((6, 5), np.float32), tolerated=1.0, freedom=2)
     with pytest.raises(TypeError, match="out is float64: expected a NumPy array of float32"):
-        share_of_data(evidence, out.astype(float), tolerated=1.0, freedom=2)
+        share_of_data(precision, out.astype(float), tolerated=1.0, freedom=2)
     for values, match in (
         ({"freedom": 3}, "freedom is 3: expected 1 or 2"),
         ({"tolerated": 0.0}, "tolerated is 0.0: expected a positive value"),
     ):
         with pytest.raises(ValueError, match=match):
-            share_of_data(evidence, out, **{"tolerated": 1.0, "freedom": 2} | values)
+            share_of_data(precision, out, **{"tolerated": 1.0, "freedom": 2} | values)
 
 
 @each_size
 @pytest.mark.parametrize("any_order", [False, True])
-def test_claims_and_who_loses_them(size, any_order):
+def test_splatting_and_who_loses_them(size, any_order):
     from tisfm.kernels.data.forward_splatting import defeated, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
@@ -675,37 +652,37 @@ def test_claims_and_who_loses_them(size, any_order):
     flow[0, -1, -1] = 0.0
     flow[1, -1, -1] = 0.0  # to the last corner itself
     residual = rng.uniform(0, 5, size).astype(np.float32)
-    claims = aligned_zeros((*size, 4))
-    claims[...] = 7
-    splat(flow, residual, claims, any_order=any_order)
-    close(np.moveaxis(claims, -1, 0), reference.claims(flow, residual))
+    sums = aligned_zeros((*size, 4))
+    sums[...] = 7
+    splat(flow, residual, sums, any_order=any_order)
+    close(np.moveaxis(sums, -1, 0), reference.splat(flow, residual))
 
     out = np.full(size, 9, np.int32)
-    defeated(flow, residual, claims, out, density=1.2, apart=0.1)
+    defeated(flow, residual, sums, out, density=1.2, apart=0.1)
     expected = reference.defeated(flow, residual, density=1.2, apart=0.1)
     np.testing.assert_array_equal(out, expected)
     if min(size) > 4:
         assert 0 < expected.mean() < 0.5
 
 
-def test_claims_check_their_arrays():
+def test_splatting_check_their_arrays():
     from tisfm.kernels.data.forward_splatting import defeated, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
-    claims, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
+    sums, out = aligned_zeros((5, 6, 4)), np.zeros((5, 6), np.int32)
     with pytest.raises(ValueError, match=r"flow is \(2, 6, 5\): expected \(2, 5, 6\)"):
-        splat(np.zeros((2, 6, 5), np.float32), residual, claims)
+        splat(np.zeros((2, 6, 5), np.float32), residual, sums)
     with pytest.raises(TypeError, match="residual is float64: expected a NumPy array of float32"):
-        splat(flow, residual.astype(np.float64), claims)
-    with pytest.raises(ValueError, match="claims must be C-contiguous"):
+        splat(flow, residual.astype(np.float64), sums)
+    with pytest.raises(ValueError, match="sums must be C-contiguous"):
         splat(flow, residual, np.zeros((5, 4, 6), np.float32).transpose(0, 2, 1))
     offset = aligned_zeros((5 * 6 * 4 + 1,))[1:].reshape(5, 6, 4)
     for call in (
         lambda: splat(flow, residual, offset),
         lambda: defeated(flow, residual, offset, out, density=1.2, apart=0.1),
     ):
-        with pytest.raises(ValueError, match="claims must be aligned to 64 bytes"):
+        with pytest.raises(ValueError, match="sums must be aligned to 64 bytes"):
             call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
-        defeated(flow, residual, claims, out > 0, density=1.2, apart=0.1)
+        defeated(flow, residual, sums, out > 0, density=1.2, apart=0.1)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene
 from tisfm import reference
 from tisfm.metrics import depth_errors
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture, static_scene
+from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture
 
 SIZES = [(5, 1), (1, 7), (7, 9), (24, 33)]
 TWIST = (0.9, 0.2, 0.4, 0.01, -0.02, 0.03)
@@ -211,17 +212,17 @@ def test_the_sweep_is_what_finds_it(poles, monkeypatch):
 
 def start_of(scene, monkeypatch, entries=2**25):
     import tisfm.motion.plane_sweep
-    from tisfm.solver.image_pyramid import Pyramid
+    from tisfm.motion.problems import pyramid_of
 
     monkeypatch.setattr(tisfm.motion.plane_sweep, "ENTRIES", entries)
     frames = [frame.astype(np.float32) for frame in (scene.frame0, scene.frame1)]
     settings = tisfm.Settings(motion="camera")
-    pyramid = Pyramid(*frames, scene.camera, settings)
+    pyramid = pyramid_of(*frames, scene.camera, settings)
     rotation, translation = rigid_motion(scene.motions[0])
     motion = np.column_stack([rotation, translation / np.linalg.norm(translation)])
     flow = (scene.flow[::2, ::2] / 2).astype(np.float32)
     trust = np.ones(flow.shape[:2], np.float32)
-    return tisfm.motion.plane_sweep.depth_start(pyramid, scene.camera, motion, 1, flow, trust)
+    return tisfm.motion.plane_sweep.depth_start(pyramid, motion, 1, flow, trust)
 
 
 def test_little_parallax_needs_no_sweep(monkeypatch):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene, two_blocks
 from tisfm.motion.egomotion import camera_motion, triangulate
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
 
 SIZE = (120, 160)

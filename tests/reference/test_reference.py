@@ -101,7 +101,7 @@ def random_problem(components, *, seed=0, shape=(9, 12), real=False, focal=15.0)
     motion = reference.motion_matrix(camera, *shape, components)
     zero = np.zeros((2, *shape))
     if real:
-        from tisfm.scenes import two_blocks
+        from tests.rendered import two_blocks
 
         pair = two_blocks(60, 80, seed=seed)
         rows, columns = (slice(20, 20 + n) for n in shape)

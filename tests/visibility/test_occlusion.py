@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import static_scene, two_blocks
 from tisfm.metrics import endpoint_error_map
-from tisfm.scenes import Scene, static_scene, two_blocks
+from tisfm.scenes import Scene
 from tisfm.scenes.geometry import Box, Plane
 from tisfm.scenes.texture import Texture
 from tisfm.visibility.occlusion import leaves_image, occlusion
@@ -192,8 +193,8 @@ def test_errors_are_larger_where_occluded_and_confidence_knows():
 @pytest.mark.parametrize("extra", [0, 1])
 def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     """At odd sizes, too, where levels are not half as large: an exact flow leaves no residual."""
-    from tisfm.solver.image_pyramid import Pyramid
-    from tisfm.visibility.occlusion import _residual_of
+    from tisfm.motion.problems import pyramid_of
+    from tisfm.visibility.occlusion import _residual_of, occlusion_in
 
     pair = passing_block(4)
     grey = [
@@ -204,15 +205,15 @@ def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     flow = np.ascontiguousarray(np.moveaxis(flow, -1, 0), dtype=np.float32)
     hidden = np.pad(~pair.visible, ((0, extra), (0, extra)), mode="edge")
     settings = tisfm.Settings.preset("fast")
-    pyramid = Pyramid(*grey, pair.camera, settings)
-    found = pyramid.occlusion(flow, level=1)
+    pyramid = pyramid_of(*grey, pair.camera, settings)
+    found = occlusion_in(pyramid, flow, settings, level=1)
     precision, recall = precision_and_recall(found, hidden)
     assert precision > 0.8
     assert recall > 0.8
     rng = np.random.default_rng(0)
     texture = cv2.GaussianBlur(rng.uniform(0, 255, (90, 190)).astype(np.float32), (0, 0), 3)
     frames = [np.ascontiguousarray(texture[: 80 + extra, k : k + 120 + extra]) for k in (20, 0)]
-    pyramid = Pyramid(*frames, pair.camera, settings)
+    pyramid = pyramid_of(*frames, pair.camera, settings)
     flow = np.zeros((2, *frames[0].shape), np.float32)
     flow[0] = 20
     levels = pyramid.frames0[1], pyramid.frames1[1]

@@ -94,7 +94,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         blocks.add_row("Horn–Schunck", *_flow_cells(baseline, moving), _NONE, _NONE, seconds)
         progress.advance(task)
 
-        readings = _readings_table(height, width)
+        models = _models_table(height, width)
         shown = {}
         for label, scene, changed in (
             ("field, at rest", still, settings),
@@ -103,7 +103,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         ):
             result, seconds = _timed(_interpretation(scene, changed))
             shown[changed] = result
-            readings.add_row(label, *_reading_cells(result, scene), result.status, seconds)
+            models.add_row(label, *_model_cells(result, scene), result.status, seconds)
             progress.advance(task)
         _write(writer, moving, known[settings], baseline)
         _write(camera_writer, still, shown[camera_settings])
@@ -118,7 +118,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         )
         progress.advance(task)
     print_whole(blocks)
-    print_whole(readings)
+    print_whole(models)
     tell(
         f"Pictures and data in {output}: look at demo_figure.png first, and at "
         "camera/demo_figure.png and objects/demo_figure.png."
@@ -183,7 +183,7 @@ def _blocks_table(height: int, width: int) -> Table:
     return _with_columns(table, "EPE, px", "angle, °", "|ΔZ|/Z")
 
 
-def _readings_table(height: int, width: int) -> Table:
+def _models_table(height: int, width: int) -> Table:
     table = Table(
         title=f"Motion as a field, of the camera and of objects, {height} × {width} px",
         caption="Depth after scaling by the median, and the share of its errors that are below "
@@ -210,7 +210,7 @@ def _flow_cells(flow: np.ndarray, scene: SyntheticPair) -> tuple[str, str]:
     )
 
 
-def _reading_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
+def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
     """Return errors of depth, flow and motion; what moves alike shares one scale of depth."""
     _, part = np.unique(scene.motions, axis=0, return_inverse=True)
     parts = part.reshape(-1)[scene.labels]

@@ -298,7 +298,7 @@ class PairWriter:
 def _figure(
     name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **shown: Any
 ) -> "Figure":
-    """Draw what suits the reading of motion; `shown` are truth and limits, the same for all."""
+    """Draw what suits the motion model; `shown` are truth and limits, the same for all."""
     arrays = result.frame, result.inverse_depth, result.flow
     if result.motions is None or result.inverse_depth_std is None:
         return comparison_figure(

@@ -3,6 +3,8 @@
 Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, stereo pairs with a disparity, and sequences with
 poses: New Tsukuba and 7-Scenes. Nothing is downloaded: `find_pairs` finds what lies in a folder,
 and reads it when asked to.
+
+May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `camera` and `rigid`.
 """
 
 from tisfm.datasets.finding import find_pairs

@@ -2,6 +2,8 @@
 
 Readers refuse a file that is not complete, with a `FormatError` that names it; writers leave a
 complete file or none.
+
+May import: nothing of `tisfm`.
 """
 
 from tisfm.formats.atomic import atomic_write

@@ -12,8 +12,8 @@ CORRELATED = 0.5
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
-TINY = 1e-12
-LEAST = 0.02  # px: distances from the best that are no smaller in real frames
+LEAST_DISTANCE = 0.02  # px: distances from the best that are no smaller in real frames
+FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
 
 
 def unrelated(
@@ -32,21 +32,13 @@ def unrelated(
     trust : (H, W) float32
         Its confidence; not all 0.
     """
-    height, width = frame0.shape
     # Brightness may be on any scale, and squares lose digits far from 0.
-    mean, unit = frame0.mean(), frame0.std()
+    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
-    rows, columns = np.mgrid[:height, :width].astype(np.float32)
-    moved = cv2.remap(
-        frame1,
-        columns + flow[..., 0],
-        rows + flow[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    moved = _moved(frame1, flow)
     mean0, mean1 = _mean(frame0), _mean(moved)
     product = _variance(frame0, mean0) * _variance(moved, mean1)
-    alike = (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, TINY))
+    alike = (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
     order = np.argsort(alike, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
     median = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
@@ -72,7 +64,7 @@ def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status
     inverse : float, optional
         The same for the inverse of the pose; not for a rotation alone.
     """
-    tolerated = OFF * max(best, LEAST)
+    tolerated = OFF * max(best, LEAST_DISTANCE)
     if off <= tolerated:
         return None
     if inverse is not None and inverse <= tolerated:
@@ -87,6 +79,27 @@ def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status
         f"the pose given does not explain the images: they move to {off:.2g} px beside where it "
         f"can take points, the motion that fits best to {best:.2g} px; {advice}",
     )
+
+
+def _moved(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return an image sampled where a flow, (H, W, 2), leads, bilinearly; beyond, it repeats.
+
+    OpenCV's `remap` takes no image with a side of 32,767 px or more.
+    """
+    height, width = image.shape
+    flow = np.nan_to_num(flow)  # where it diverged
+    x = np.clip(flow[..., 0] + np.arange(width, dtype=np.float32), 0, width - 1)
+    y = np.clip(flow[..., 1] + np.arange(height, dtype=np.float32)[:, None], 0, height - 1)
+    left = np.minimum(x.astype(np.intp), width - 2)
+    top = np.minimum(y.astype(np.intp), height - 2)
+    across, down = x - left.astype(np.float32), y - top.astype(np.float32)
+    site = top * width + left
+    values = image.ravel()
+    above = values[site] + across * (values[site + 1] - values[site])
+    site += width
+    below = values[site] + across * (values[site + 1] - values[site])
+    moved: np.ndarray = above + down * (below - above)
+    return moved
 
 
 def _mean(image: np.ndarray) -> np.ndarray:

@@ -1,37 +1,23 @@
 """One rigid motion of the camera, and inverse depth at every pixel: ``motion="camera"``."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from tisfm.camera import Camera
 from tisfm.interpretation import Status
-from tisfm.motion.agreement import mismatch, unrelated
-from tisfm.motion.egomotion import CameraMotion, camera_motion, distance_from_rays
-from tisfm.motion.field import Reading, unmoved
+from tisfm.motion.estimate import Estimate
+from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import depth_start
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
-from tisfm.solver.image_pyramid import Iteration, Pyramid, coarse_to_fine
-from tisfm.visibility.confidence import confidence
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.solver.image_pyramid import ImagePyramid
 
-WARPS = 2  # at least, on the level of that field
 START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
-# Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
-# On hand-held sequences depth below the other two was hardly better than a constant: less than a
-# pixel of parallax drowns in what lens and shutter do, which the residual does not show.
-SEEN, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 6.0, 9.0
-FINEST = 0.005  # px of the level: no flow is better than that
-STILL = 0.1  # px: median flow of a camera that stands still
 
 
-def camera_reading(
-    pyramid: Pyramid, camera: Camera, settings: Settings, pose: KnownPose | None
-) -> Reading:
+def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose | None) -> Estimate:
     """Find one rigid motion and the inverse depth of every pixel, both from the images directly.
 
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
@@ -39,20 +25,18 @@ def camera_reading(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        A pinhole, of the finest level.
+    pyramid : ImagePyramid
     settings : Settings
     pose : KnownPose or None
         What is known of the motion.
     """
-    shape = pyramid.frames0[0].shape
-    labels = np.zeros(shape, np.int32)
+    camera, level = pyramid.cameras[0], pyramid.last
+    labels = np.zeros(pyramid.shape, np.int32)
     if pose is not None and pose.translation is not None and not pose.translation.any():
         return without_depth(
             pyramid,
-            camera,
             settings,
+            level=level,
             rotation=pose.rotation,
             translation=pose.translation,
             status=Status(
@@ -61,9 +45,9 @@ def camera_reading(
             ),
             history=[],
         )
-    start = first_motion(pyramid, camera, settings, pose=pose, pixels=START)
+    start = first_motion(pyramid, settings, pose=pose, pixels=START)
     if start.status is not None:
-        return only_turned(pyramid, camera, settings, start, start.status)
+        return only_turned(pyramid, settings, start, start.status, level=level)
     motions = scaled_translations(start.matrix[None], labels, camera)
     refine: Refinement = "motion"
     unit = None
@@ -73,186 +57,26 @@ def camera_reading(
     solution = rigid_depth(
         pyramid,
         settings,
-        camera,
         motions,
         labels,
+        last=level,
         refine=refine,
-        start=depth_start(pyramid, camera, motions[0], start.level, start.flow, start.trust),
+        start=depth_start(pyramid, motions[0], start.level, start.flow, start.trust),
     )
-    reading = with_depth(solution, labels, camera, settings, unit=unit)
-    return reading if start.doubt is None else replace(reading, status=start.doubt)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FirstMotion:
-    """The motion that most of a flow field shows, or the pose that is known.
-
-    Attributes
-    ----------
-    rotation, translation : (3, 3) and (3,) float64
-        ‖t‖ = 1 unless it was given, or 0 where none is seen.
-    residual : float
-        Of the fit, px of the finest level.
-    status : Status or None
-        Why there is no depth to go on to, None if there is.
-    doubt : Status or None
-        Why the pose given may be wrong.
-    history : list of (level, warp, Iteration)
-    flow : (h, w, 2) float32
-        The flow field, px of its level.
-    trust : (h, w) float32
-        Its confidence.
-    level : int
-        Of the flow field.
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    residual: float
-    status: Status | None
-    doubt: Status | None
-    history: list[tuple[int, int, Iteration]]
-    flow: np.ndarray
-    trust: np.ndarray
-    level: int
-
-    @property
-    def matrix(self) -> np.ndarray:
-        """R and t, (3, 4)."""
-        return np.column_stack([self.rotation, self.translation])
-
-
-def first_motion(
-    pyramid: Pyramid,
-    camera: Camera,
-    settings: Settings,
-    *,
-    pose: KnownPose | None = None,
-    pixels: float = math.inf,
-) -> FirstMotion:
-    """Fit a motion to the flow field of a level, or judge a known one by it.
-
-    A pose with translation needs no parallax: where there is little, depth is far or uncertain.
-
-    Parameters
-    ----------
-    pyramid : Pyramid
-    camera : Camera
-        Of the finest level.
-    settings : Settings
-    pose : KnownPose, optional
-        What is known of the motion; its translation, if any, is not 0.
-    pixels : float
-        Of the level, at least: the coarsest that has as many, by default the finest.
-    """
-    large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
-    level = max(large, default=0)
-    solution = coarse_to_fine(
-        pyramid,
-        replace(settings, warps=max(settings.warps, WARPS)),
-        components=settings.components,
-        contrast=settings.contrast_for(camera.focal),
-        finest=level,
-    )
-    field = solution.field
-    flow = field.to_images(field.flow(field.grid.allocate(2)))
-    with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
-        trust = confidence(
-            solution.minimiser.evidence(),
-            leaves_image(flow),
-            normalized=settings.normalization is not None,
-        )
-    flow = np.moveaxis(flow, 0, -1)
-    given = pose or KnownPose(rotation=np.eye(3), translation=None)
-    still = FirstMotion(
-        rotation=given.rotation,
-        translation=np.zeros(3) if given.translation is None else given.translation,
-        residual=0.0,
-        status=unmoved(solution, textured=pyramid.contrast > 0),
-        doubt=None,
-        history=solution.history,
-        flow=flow,
-        trust=trust,
-        level=level,
-    )
-    if still.status is not None:
-        return still
-    scale = pyramid.scale(level)
-    coarse = camera.scaled(scale, *pyramid.frames0[0].shape)
-    try:
-        found = camera_motion(flow, trust, coarse)
-    except ValueError as error:
-        message = f"{error}: take sharper frames of more texture"
-        return replace(still, status=Status("no_texture", message))
-    apart = unrelated(pyramid.frames0[level], pyramid.frames1[level], flow, trust)
-    if apart is not None:
-        return replace(still, status=apart)
-    doubt = None
-    if given.translation is not None:
-        off, back = (
-            distance_from_rays(flow, trust, coarse, turn, offset) / scale
-            for turn, offset in (
-                (given.rotation, given.translation),
-                (given.rotation.T, -given.rotation.T @ given.translation),
-            )
-        )
-        residual = found.residual / scale
-        return replace(still, residual=residual, doubt=mismatch(off, residual, inverse=back))
-    if pose is not None:
-        best = found.residual / scale
-        found = camera_motion(flow, trust, coarse, rotation=pose.rotation)
-        doubt = mismatch(found.residual / scale, best)
-    moved = float(np.median(np.linalg.norm(flow, axis=-1))) / scale
-    status = _parallax_status(found, scale, moved)
-    known = replace(
-        still,
-        residual=found.residual / scale,
-        status=None if status is None else doubt or status,
-        doubt=doubt,
-    )
-    if status == "no_motion":
-        return known
-    if status == "pure_rotation":
-        return replace(known, rotation=found.rotation_alone)
-    return replace(known, rotation=found.rotation, translation=found.translation)
+    estimate = replace(with_depth(solution, labels, camera, settings, unit=unit), level=level)
+    return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 
 def only_turned(
-    pyramid: Pyramid, camera: Camera, settings: Settings, start: FirstMotion, status: Status
-) -> Reading:
+    pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
+) -> Estimate:
     """Return what is left of a first motion whose depth is not to be seen, and why."""
     return without_depth(
         pyramid,
-        camera,
         settings,
+        level=level,
         rotation=start.rotation,
         translation=start.translation,
         status=status,
         history=start.history,
-    )
-
-
-def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:
-    """Tell whether the flow shows more than a rotation; lengths of `found` are of a level."""
-    parallax, residual = found.parallax / scale, max(found.residual, FINEST) / scale
-    share = parallax / residual
-    if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
-        return None
-    seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
-    if share >= SEEN:
-        return Status(
-            "little_parallax",
-            f"too little parallax to see depth by: {seen}; take frames further apart, or move the "
-            "camera sideways",
-        )
-    if moved < max(STILL, 3 * residual):
-        return Status(
-            "no_motion",
-            f"too little parallax to see depth by: the image moves by {moved:.2g} px, no more than "
-            "noise; take frames further apart in time",
-        )
-    return Status(
-        "pure_rotation",
-        f"too little parallax to see depth by: the camera only turned, {seen}; it has to change "
-        "its place",
     )

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.visibility.confidence import median
 
 SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are neighbours
@@ -17,7 +18,12 @@ SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
+FEWEST = 8  # confident samples, at least: essential matrices are drawn from 5, and more decide
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
+
+
+class TooFewPixelsError(ValueError):
+    """Too few pixels of a flow field are trusted to fit a motion to them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +90,10 @@ def camera_motion(
 
     Raises
     ------
+    TooFewPixelsError
+        A ValueError: if too few pixels are trusted.
     ValueError
-        If too few pixels are trusted, or the camera has distortion.
+        If the camera has distortion.
 
     References
     ----------
@@ -96,6 +104,8 @@ def camera_motion(
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
     rays = _correspondences(flow, confidence, camera)
     few = rays.every(max(1, rays.trust.size // FEW))
+    if few.confident.sum() < FEWEST:  # they lie in a small part of the image
+        few = rays
     free = _Free(unknowns=6 if rotation is None else 3, near=near)
     starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
     candidates = [_refine(few, start, free, iterations=STARTING) for start in starts]
@@ -146,8 +156,8 @@ def distance_from_rays(
 
     Raises
     ------
-    ValueError
-        If too few pixels are trusted.
+    TooFewPixelsError
+        A ValueError: if too few pixels are trusted.
     """
     rays = _correspondences(flow, confidence, camera)
     nearest = _nearest(rays, rotation, translation / np.linalg.norm(translation))
@@ -175,6 +185,11 @@ class _Rays:
     after: np.ndarray
     trust: np.ndarray
     focal: float
+
+    @property
+    def confident(self) -> np.ndarray:
+        """Which of them essential matrices are drawn from, (N,) bool."""
+        return self.trust > CONFIDENT
 
     def every(self, stride: int) -> "_Rays":
         """Return one of `stride` of them, at even distances."""
@@ -266,10 +281,11 @@ def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -
     moved = flow[rows, columns].astype(np.float64)
     trust = confidence[rows, columns].astype(np.float64)
     taken = (trust > 0) & np.isfinite(moved).all(axis=1)
-    if (trust[taken] > CONFIDENT).sum() < 8:
-        raise ValueError(
-            f"only {int((trust > CONFIDENT).sum())} of {trust.size} sampled pixels have a "
-            f"confidence above {CONFIDENT}: the camera's motion needs at least 8"
+    confident = int((trust[taken] > CONFIDENT).sum())
+    if confident < FEWEST:
+        raise TooFewPixelsError(
+            f"only {confident} of {trust.size} sampled pixels have a confidence above "
+            f"{CONFIDENT}: the camera's motion needs at least {FEWEST}"
         )
     cx, cy = camera.center_for(height, width)
     start = np.stack([columns - cx, rows - cy])[:, taken]
@@ -287,7 +303,7 @@ def _starts(rays: _Rays) -> list[Pose]:
     Small motions leave room for wrong ones that meet most of the flow within the threshold.
     """
     starts: list[Pose] = [(np.eye(3), axis) for axis in np.eye(3)]
-    chosen = rays.trust > CONFIDENT
+    chosen = rays.confident
     before, after = rays.before[:2, chosen].T.copy(), rays.after[:, chosen].T.copy()
     parameters = cv2.UsacParams()
     parameters.confidence = 0.9999
@@ -300,10 +316,13 @@ def _starts(rays: _Rays) -> list[Pose]:
     identity, none = np.eye(3), np.zeros(5)
     for threshold in THRESHOLDS:
         parameters.threshold = threshold / rays.focal
-        essential, _ = cv2.findEssentialMat(
-            before, after, identity, identity, none, none, parameters
-        )
-        if essential is None or essential.shape[0] < 3:  # no motion at all
+        try:
+            essential, _ = cv2.findEssentialMat(
+                before, after, identity, identity, none, none, parameters
+            )
+        except cv2.error:  # of samples that do not determine one: there is no start from there
+            continue
+        if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
             continue
         first, second, direction = cv2.decomposeEssentialMat(essential[:3])
         smaller = first if np.trace(first) > np.trace(second) else second
@@ -366,7 +385,7 @@ def _nearest(rays: _Rays, rotation: np.ndarray, translation: np.ndarray) -> _Nea
     """Return the points of the epipolar lines of a pose."""
     turned = rotation @ rays.before
     inverse_depth = _inverse_depth(turned, rays.after, translation)
-    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], 0.05)
+    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], NEAREST)
     x = (turned[0] + inverse_depth * translation[0]) * nearness
     y = (turned[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]

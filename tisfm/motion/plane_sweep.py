@@ -5,11 +5,11 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty, aligned_zeros
-from tisfm.kernels.rigid.epipolar import NEAREST
+from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.rigid.plane_sweep import matching_cost
 from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
 from tisfm.runtime import lanes
-from tisfm.solver.image_pyramid import Pyramid
+from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 
 PULL = 0.05  # weight of a pixel's surroundings where its epipolar line is as well seen as theirs
@@ -21,7 +21,9 @@ COARSE = 2**15  # pixels of the level on which the range of depths is found
 LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
 COMMON = (1, 99)  # percentiles: what is nearer or further is rare
 REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
-ENTRIES = 2**25  # of costs, pixels times hypotheses: the sweep is of a level that needs no more
+# Of costs, pixels times hypotheses: the sweep is of a level that needs no more. Where there is
+# none, as in frames that are long and narrow, the largest parallax is not looked for.
+ENTRIES = 2**25
 # Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
 # by more than so many, and its derivatives by more than a quarter of that, are no worse.
 COST = 2.4
@@ -36,8 +38,7 @@ BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
 
 
 def depth_start(
-    pyramid: Pyramid,
-    camera: Camera,
+    pyramid: ImagePyramid,
     motion: np.ndarray,
     level: int,
     flow: np.ndarray,
@@ -50,9 +51,7 @@ def depth_start(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        Of the finest level.
+    pyramid : ImagePyramid
     motion : (3, 4) array
         R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
     level : int
@@ -68,15 +67,14 @@ def depth_start(
     inverse_depth : (H, W) float32
         D, px/frame of that level.
     """
-    size = pyramid.frames0[0].shape
-    depth = triangulated(flow, motion, camera.scaled(pyramid.scale(level), *size))
-    sweep = _Sweep(pyramid, camera, motion, level, depth, trust)
+    depth = triangulated(flow, motion, pyramid.cameras[level])
+    sweep = _Sweep(pyramid, motion, level, depth, trust)
     low, high = sweep.range()
     if high - low < RANGE:
         return level, depth
     low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
     for finer in range(level + 1):
-        entries = (high - low) * pyramid.scale(finer) * pyramid.frames0[finer].size
+        entries = (high - low) * pyramid.scales[finer] * pyramid.frames0[finer].size
         if entries <= ENTRIES:
             break
     return finer, sweep.run(finer, low, high)
@@ -87,14 +85,13 @@ class _Sweep:
 
     def __init__(
         self,
-        pyramid: Pyramid,
-        camera: Camera,
+        pyramid: ImagePyramid,
         motion: np.ndarray,
         level: int,
         guess: np.ndarray,
         trust: np.ndarray,
     ) -> None:
-        self._pyramid, self._camera, self._motion = pyramid, camera, motion
+        self._pyramid, self._motion = pyramid, motion
         self._level, self._guess, self._trust = level, guess, trust
 
     def range(self) -> tuple[float, float]:
@@ -103,26 +100,28 @@ class _Sweep:
         coarse = next(
             (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
         )
-        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scale(self._level)
+        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
         side = max(frames[0].shape)
         depth = self.run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
-        low, high = np.percentile(depth, COMMON) / self._pyramid.scale(coarse)
+        low, high = np.percentile(depth, COMMON) / self._pyramid.scales[coarse]
         return low, high
 
     def run(self, level: int, low: float, high: float) -> np.ndarray:
         """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
         pyramid = self._pyramid
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-        scale, width_height = pyramid.scale(level), frame0.shape[::-1]
+        scale, width_height = pyramid.scales[level], frame0.shape[::-1]
         guess = cv2.resize(self._guess, width_height) * np.float32(
-            scale / pyramid.scale(self._level)
+            scale / pyramid.scales[self._level]
         )
+        hypotheses = np.arange(low * scale, high * scale + 1)
+        hypotheses = hypotheses[: max(2, ENTRIES // frame0.size)]
         return swept(
             frame0,
             frame1,
             self._motion,
-            self._camera.scaled(scale, *pyramid.frames0[0].shape),
-            np.arange(low * scale, high * scale + 1),
+            pyramid.cameras[level],
+            hypotheses,
             guess,
             cv2.resize(self._trust, width_height),
         )

@@ -1,6 +1,5 @@
 """Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,15 +9,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, multiply
-from tisfm.kernels.layout.lanes import on_host
-from tisfm.kernels.layout.launch import Replay
+from tisfm.kernels.layout.lanes import LaneData, on_host
+from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
 from tisfm.motion.egomotion import spin_prior
+from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
-from tisfm.solver.half_quadratic import Iteration
-from tisfm.solver.image_pyramid import Pyramid
-from tisfm.solver.unknowns import Field, LaneData
+from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
+from tisfm.solver.half_quadratic import HalfQuadratic
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import ROUNDING, median
 
 REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
@@ -28,7 +30,6 @@ QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
-TINY = 1e-12
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
@@ -48,19 +49,22 @@ class RigidSolution:
         R and t of each motion; t of a length such that D is in px/frame, as an average.
     inverse_depth : (H, W) float32
         D = f·d, signed.
-    evidence : (7, h, w) float32
+    precision : (7, h, w) float32
         Of `tisfm.kernels.solve.data_precision`, on the level that it ended on.
+    level : int
+        Which that is.
     density : float
-        Sampling density of that level over the finest's.
+        Its sampling density over the finest's.
     history : list of (level, warp, Iteration)
     converged : bool
     """
 
     motions: np.ndarray
     inverse_depth: np.ndarray
-    evidence: np.ndarray
+    precision: np.ndarray
+    level: int
     density: float
-    history: list[tuple[int, int, Iteration]]
+    history: Records
     converged: bool
 
     def deviation(self) -> np.ndarray:
@@ -71,15 +75,15 @@ class RigidSolution:
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
         pixel's edges weigh, and the unit is the residual there.
         """
-        window, evidence = (WINDOW, WINDOW), self.evidence
-        precision = cv2.blur(evidence[0], window)
-        precision += TINY
-        residual = cv2.blur(evidence[3], window)
+        window, known = (WINDOW, WINDOW), self.precision
+        precision = cv2.blur(known[0], window)
+        precision += LEAST_DIVISOR
+        residual = cv2.blur(known[3], window)
         # Where nothing is seen, nothing is violated either.
-        seen = evidence[0] > ROUNDING * evidence[0].max()
-        usual = median(evidence[3][seen]) if seen.any() else 0.0
+        seen = known[0] > ROUNDING * known[0].max()
+        usual = median(known[3][seen]) if seen.any() else 0.0
         np.maximum(residual, usual, out=residual)
-        spread = evidence[4] * np.float32(1 / np.pi)  # 1/(4πκ)
+        spread = known[4] * np.float32(1 / np.pi)  # 1/(4πκ)
         precision *= spread
         np.reciprocal(precision, out=precision)
         np.log1p(precision, out=precision)
@@ -95,19 +99,19 @@ class RigidSolution:
 
 
 def rigid_depth(
-    pyramid: Pyramid,
+    pyramid: ImagePyramid,
     settings: Settings,
-    camera: Camera,
     motions: np.ndarray,
     labels: np.ndarray,
     *,
+    last: int = 0,
     refine: Refinement = "motion",
     support: np.ndarray | None = None,
     start: tuple[int, np.ndarray] | None = None,
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
-    The data are those of `coarse_to_fine`, weighted as `settings.depth_brightness`,
+    The data are those of a flow field, weighted as `settings.depth_brightness`,
     `settings.gradient` and `settings.depth_normalization` say and seen along epipolar lines only;
     displacements are exact. The unknown is in px/frame, whatever the motion, because translations
     are given a length by which D moves a pixel, on average, by D px/frame. An edge between two
@@ -115,14 +119,14 @@ def rigid_depth(
 
     Parameters
     ----------
-    pyramid : Pyramid
+    pyramid : ImagePyramid
     settings : Settings
-    camera : Camera
-        Of the finest level.
     motions : (K, 3, 4) array
         R and t of each motion.
     labels : (H, W) int array
         Which motion a pixel has.
+    last : int
+        The level to end on, unless `start` begins on a finer one.
     refine : {"none", "translation", "motion"}
         What of the motions is refined on the finer levels, jointly with depth.
     support : (H, W) bool array, optional
@@ -131,58 +135,54 @@ def rigid_depth(
         The level to start on and D there, for motions of the length that `scaled_translations`
         gives them; by default the coarsest level, and zero.
     """
-    motions = scaled_translations(motions, labels, camera)
-    history: list[tuple[int, int, Iteration]] = []
-    coarse: Field | None = None
+    motions = scaled_translations(motions, labels, pyramid.cameras[0])
+    history: Records = []
+    coarse: Unknowns | None = None
     noise = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
     warps = [settings.warps * WARPS] + coarsest * [
         settings.coarse_warps if start is None else settings.warps
     ]
-    last = min(pyramid.last(settings), coarsest)
+    last = min(last, coarsest)
     for level in reversed(range(last, coarsest + 1)):
-        field = pyramid.field(level, 1, coarse)
+        state = _Level(
+            pyramid, level, settings, labels, coarse, support=support, count=len(motions)
+        )
         if level == coarsest and depth is not None:
-            field.set_images(depth[None])
-        focal = camera.focal * pyramid.scale(level)
-        state = _Level(pyramid, level, field, labels, focal, settings, support, count=len(motions))
+            state.unknowns.set_images(depth[None])
         for warp in range(warps[level - last]):
-            restricted = state.linearise(motions)
-            state.minimiser.alpha = settings.depth_smoothness * max(1.0, noise.max() / QUIET)
-            iterations, converged = state.minimiser.minimise(restricted)
+            state.linearise(motions)
+            state.minimiser.set_alpha(settings.depth_smoothness * max(1.0, noise.max() / QUIET))
+            state.minimiser.update()  # depth was despeckled
+            iterations, converged = state.minimiser.minimise()
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
             noise = state.noise(motions)
-            if refine != "none" and (level == last or pyramid.scale(level) >= REFINED):
+            if refine != "none" and (level == last or pyramid.scales[level] >= REFINED):
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refined(motions, unknowns, noise)
-        coarse = field
-    state.minimiser.renew(restricted)  # depth was despeckled
+        coarse = state.unknowns
+    state.minimiser.update()  # depth was despeckled
     return RigidSolution(
         motions=motions,
-        inverse_depth=pyramid.images(field, last)[0],
-        evidence=state.minimiser.evidence(),
-        density=pyramid.scale(last),
+        inverse_depth=at_finest(pyramid, state.unknowns, last)[0],
+        precision=state.unknowns.precision(state.minimiser.system),
+        level=last,
+        density=pyramid.scales[last],
         history=history,
         converged=converged,
     )
 
 
 def residual_under(
-    pyramid: Pyramid,
-    settings: Settings,
-    camera: Camera,
-    motion: np.ndarray,
-    inverse_depth: np.ndarray,
+    pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, inverse_depth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how badly one motion and depth meet the images, and their flow.
 
     Parameters
     ----------
-    pyramid : Pyramid
+    pyramid : ImagePyramid
     settings : Settings
-    camera : Camera
-        Of the finest level.
     motion : (3, 4) array
         R and t, of the length that `inverse_depth` is for.
     inverse_depth : (H, W) float32
@@ -194,13 +194,13 @@ def residual_under(
         Squared, px²; 0 where the flow leaves the image.
     flow : (2, H, W) float32
     """
-    field = pyramid.field(0, 1, None)
-    field.set_images(inverse_depth[None])
     labels = np.zeros(inverse_depth.shape, np.int32)
-    state = _Level(pyramid, 0, field, labels, camera.focal, settings, count=1)
-    restricted = state.linearise(motion[None])
-    state.minimiser.renew(restricted)
-    return state.minimiser.residual(), field.to_images(state.flow)
+    state = _Level(pyramid, 0, settings, labels, count=1)
+    state.unknowns.set_images(inverse_depth[None])
+    state.linearise(motion[None])
+    state.minimiser.update()
+    residual = state.unknowns.residual(state.minimiser.system)
+    return residual, state.unknowns.to_images(state.flow)
 
 
 class _Level:
@@ -208,18 +208,19 @@ class _Level:
 
     def __init__(
         self,
-        pyramid: Pyramid,
+        pyramid: ImagePyramid,
         level: int,
-        field: Field,
-        labels: np.ndarray,
-        focal: float,
         settings: Settings,
-        support: np.ndarray | None = None,
+        labels: np.ndarray,
+        coarse: Unknowns | None = None,
         *,
+        support: np.ndarray | None = None,
         count: int,
     ) -> None:
-        self._field, self._focal = field, focal
-        grid = field.grid
+        self._focal = pyramid.cameras[level].focal
+        problem = depth_problem(settings, self._focal)
+        self.unknowns = unknowns = unknowns_on(pyramid, level, problem, coarse)
+        grid = unknowns.grid
         size = (grid.width, grid.height)
         resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
@@ -231,74 +232,67 @@ class _Level:
         sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         self._samples = [np.flatnonzero(sample == label) for label in range(count)]
         if labels.any():
-            multiply(grid, _within(field, resized), field.edges)
+            multiply(grid, _within(unknowns, resized), unknowns.edges)
         counted: np.ndarray | None = None
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        elif labels.any() and pyramid.scale(level) >= REFINED:
+        elif labels.any() and pyramid.scales[level] >= REFINED:
             # Stencils that reach over a boundary see two motions.
             counted = (~_mixed(resized)).astype(np.float32)
-        self._support: LaneData | None = None
-        if counted is not None:
-            self._support = grid.allocate(1)
-            image_to_lanes(grid, np.sqrt(counted), self._support)  # of what is squared
-        self._data_term = pyramid.data_term(level, grid, settings, depth=True)
-        self.minimiser = pyramid.minimiser(
-            field,
-            self._data_term,
-            settings,
-            alpha=settings.depth_smoothness,
-            contrast=settings.contrast_for(focal),
-            stiffness=(1.0,),
+        data_term = data_term_on(pyramid, level, problem, unknowns)
+        self._constraints, self._scales = data_term.constraints, data_term.scales
+        restricted = grid.allocate(self._constraints.shape[0])
+        self.minimiser = HalfQuadratic(
+            unknowns,
+            restricted,
+            scales=self._scales,
+            smoothness=problem.smoothness,
+            effort=problem.effort,
         )
-        self.flow, self._direction = (grid.allocate(2, zeros=False) for _ in range(2))
-        self._restricted = grid.allocate(3 * self._data_term.constraints)
-        self._terms: LaneData | None = None
+        self.flow, direction = (grid.allocate(2, zeros=False) for _ in range(2))
         self._motions = np.zeros((count, 3, 4), np.float32)
-        self._linearise = Replay(self._linearisation(), on_device=grid.on_device)
+        steps = [
+            displacement.bind(
+                grid,
+                unknowns.rho,
+                self._labels,
+                unknowns.x_hat,
+                unknowns.y_hat,
+                self.flow,
+                direction,
+                motions=self._motions,
+                focal=self._focal,
+            ),
+            data_term.bind_linearise(self.flow),
+            along.bind(grid, self._constraints, self.flow, direction, unknowns.rho, restricted),
+        ]
+        if counted is not None:
+            weight = grid.allocate(1)
+            image_to_lanes(grid, np.sqrt(counted), weight)  # of what is squared
+            steps.append(multiply.bind(grid, weight, restricted))
+        self._linearise = in_turn(*steps)
 
-    def _linearisation(self) -> Callable[[], LaneData]:
-        """Return what is launched again and again, without a reference to this object."""
-        field, data_term, support = self._field, self._data_term, self._support
-        flow, direction, restricted = self.flow, self._direction, self._restricted
-        labels, motions, focal = self._labels, self._motions, self._focal
-        x_hat, y_hat, depth = field.x_hat, field.y_hat, field.rho
-
-        def linearise() -> LaneData:
-            displacement(
-                field.grid, depth, labels, x_hat, y_hat, flow, direction,
-                motions=motions, focal=focal,
-            )  # fmt: skip
-            terms = data_term.linearise(flow)
-            along(field.grid, terms, flow, direction, depth, restricted)
-            if support is not None:
-                multiply(field.grid, support, restricted)
-            return terms
-
-        return linearise
-
-    def linearise(self, motions: np.ndarray) -> LaneData:
-        """Return the data about the current depth, restricted to epipolar lines."""
+    def linearise(self, motions: np.ndarray) -> None:
+        """Find the data about the current depth, and restrict them to epipolar lines."""
         self._motions[...] = motions
-        self._terms = self._linearise()
-        return self._restricted
+        self._linearise()
 
     def despeckle(self) -> None:
         """Replace depth by its median over a small window: single pixels go their own way."""
-        depth = self._field.images()[0]
+        depth = self.unknowns.images()[0]
         alone = len(self._motions) == 1
         medians = (
             cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
         )
-        image_to_lanes(self._field.grid, medians, self._field.rho)
+        image_to_lanes(self.unknowns.grid, medians, self.unknowns.rho)
 
     def noise(self, motions: np.ndarray) -> np.ndarray:
         """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
 
         Of a sample of rows, and with the weights that the last iteration solved for.
         """
-        depth = on_host(self._field.rho)[0, self._rows, 1:-1]
-        tensor = on_host(self.minimiser.tensor)[:, self._rows, 1:-1]
+        depth = on_host(self.unknowns.rho)[0, self._rows, 1:-1]
+        tensor = on_host(self.minimiser.system.tensor)[:, self._rows, 1:-1]
         residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
         noise = np.zeros(len(motions))
         for label, motion in enumerate(motions):
@@ -309,24 +303,21 @@ class _Level:
 
     def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
         """Return the motions after a step of Gauss–Newton on the last linearisation."""
-        field = self._field
+        system = self.minimiser.system
         motions = motions.copy()
         current = motions.astype(np.float32)
         for label, motion in enumerate(motions):
             matrix, vector = motion_system(
-                field.grid,
-                self._terms,
-                field.rho,
+                system,
+                self._constraints,
+                self.unknowns.rho,
                 self._labels,
-                self.minimiser.weights,
-                field.x_hat,
-                field.y_hat,
                 motions=current,
                 label=label,
                 focal=self._focal,
-                scales=self._data_term.scales,
-                alpha=HELD * self.minimiser.alpha,
-                tolerated=(OUTLYING * float(noise[label])) ** 2 + TINY,
+                scales=self._scales,
+                held=HELD * system.alpha,
+                tolerated=(OUTLYING * float(noise[label])) ** 2 + LEAST_DIVISOR,
             )
             if label > 0:  # objects hardly spin relative to the background
                 stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
@@ -408,9 +399,9 @@ def _stepped(
     return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
 
 
-def _within(field: Field, labels: np.ndarray) -> LaneData:
+def _within(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
     """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
-    grid = field.grid
+    grid = unknowns.grid
     same = np.zeros((2, *labels.shape), np.float32)
     same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
     same[1, :-1] = labels[1:] == labels[:-1]

@@ -7,11 +7,13 @@ from tisfm.camera import Camera
 from tisfm.interpretation import Status
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import rigid_fields
-from tisfm.motion.field import Reading, ended
+from tisfm.motion.estimate import Estimate, ended
+from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.rigid import rigid_twist
 from tisfm.settings import Settings
-from tisfm.solver.image_pyramid import Iteration, Pyramid
+from tisfm.solver.coarse_to_fine import Records, data_term_on, minimiser_on, unknowns_on
+from tisfm.solver.image_pyramid import ImagePyramid
 
 
 def with_depth(
@@ -22,7 +24,7 @@ def with_depth(
     *,
     unit: float | None = None,
     unseen: int | None = None,
-) -> Reading:
+) -> Estimate:
     """Bring a solution to ‖T‖ = 1 and depth in that unit.
 
     Parameters
@@ -58,12 +60,13 @@ def with_depth(
     deviation *= factor
     np.copyto(deviation, np.inf, where=factor == 0)
     flow, rho = _fields(solution.inverse_depth, labels, solution.motions, twists, for_twist, camera)
-    return Reading(
+    return Estimate(
         rho=rho,
         flow=flow,
         inverse_depth=solution.inverse_depth * factor,
         inverse_depth_std=deviation,
-        evidence=solution.evidence,
+        precision=solution.precision,
+        level=solution.level,
         normalized=settings.depth_normalization is not None,
         freedom=1,
         history=solution.history,
@@ -74,41 +77,38 @@ def with_depth(
 
 
 def without_depth(
-    pyramid: Pyramid,
-    camera: Camera,
+    pyramid: ImagePyramid,
     settings: Settings,
     *,
+    level: int,
     rotation: np.ndarray,
     translation: np.ndarray,
     status: Status,
-    history: list[tuple[int, int, Iteration]],
-) -> Reading:
+    history: Records,
+) -> Estimate:
     """Return the flow of a rotation, without depth; the translation is only reported."""
-    height, width = pyramid.frames0[0].shape
-    field = pyramid.field(0, 2, None)
-    data_term = pyramid.data_term(0, field.grid, settings)
-    minimiser = pyramid.minimiser(
-        field,
-        data_term,
-        settings,
-        alpha=settings.alpha,
-        contrast=settings.contrast_for(camera.focal),
-        stiffness=(1.0, 1.0),
-    )
+    height, width = pyramid.shape
+    camera = pyramid.cameras[0]
+    problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # of the flow itself
+    unknowns = unknowns_on(pyramid, 0, problem)
+    data_term = data_term_on(pyramid, 0, problem, unknowns)
+    minimiser = minimiser_on(problem, unknowns, data_term)
     twists = rigid_twist(rotation, translation)[None]
     if twists[0, :3].any():
         twists[0, :3] /= np.linalg.norm(twists[0, :3])
     nothing, labels = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
     motion = np.column_stack([rotation, np.zeros(3)])
     flow, rho = _fields(nothing, labels, motion[None], twists, np.zeros(1), camera)
-    field.set_images(flow)
-    minimiser.renew(data_term.linearise(field.flow(field.grid.allocate(2))))
-    return Reading(
+    unknowns.set_images(flow)
+    data_term.bind_linearise(unknowns.rho)()
+    minimiser.update()
+    return Estimate(
         rho=rho,
         flow=flow,
         inverse_depth=nothing,
         inverse_depth_std=np.full_like(nothing, np.inf),
-        evidence=minimiser.evidence(),
+        precision=unknowns.precision(minimiser.system),
+        level=level,
         normalized=settings.normalization is not None,
         freedom=2,
         history=history,

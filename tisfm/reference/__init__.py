@@ -17,6 +17,8 @@ Departures from the paper, beyond that scaling:
 Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
 the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)
 has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
+
+May import: of the top level `camera` and `settings`.
 """
 
 from tisfm.reference.data import (
@@ -36,6 +38,7 @@ from tisfm.reference.energies import (
     half_quadratic_energy,
 )
 from tisfm.reference.epipolar import along, displacement, motion_system
+from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
     warp,
@@ -63,7 +66,6 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
-from tisfm.reference.uniqueness import claims, defeated
 
 __all__ = [
     "Minimisation",
@@ -72,7 +74,6 @@ __all__ = [
     "along",
     "aubert",
     "brightness_tensor",
-    "claims",
     "coarse_to_fine",
     "constancy_constraints",
     "constancy_tensors",
@@ -97,6 +98,7 @@ __all__ = [
     "robust_energy",
     "robust_tensor",
     "smoothness_energy",
+    "splat",
     "sweep_lexicographic",
     "sweep_red_black",
     "tensors_of",

@@ -9,6 +9,8 @@ Grey levels are painted on the surfaces, so brightness constancy holds exactly u
 and quantisation. The paint is band-limited and measured in scene units: the picture does not
 depend on the size at which it is rendered, except that waves too short for the pixels fade out.
 The ready scenes add shorter waves to larger pictures, unless told how many.
+
+May import: of the top level `camera`, `checks` and `rigid`.
 """
 
 from tisfm.rigid import rigid_motion

@@ -2,6 +2,8 @@
 
 Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a range takes it as
 `limit`, so that all pictures of a sequence can share one.
+
+May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `frames`.
 """
 
 from tisfm.show.anaglyph import anaglyph, dubois, second_view

@@ -102,7 +102,7 @@ def dubois(
     ----------
     left, right : (H, W) or (H, W, 3) array_like
         Views of the left and right eye, sRGB: uint8, uint16 (divided by 257), or float (times 255
-        if both lie in [0, 1]).
+        if both are in [0, 1], but for overshoots).
     matrices : {"2009", "crt"}
         Least-squares matrices: the set of 2009, or the original set for CRT displays.
     linear : bool

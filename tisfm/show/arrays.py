@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.frames import in_unit_range
+
 
 def as_map(name: str, values: ArrayLike) -> NDArray[np.floating[Any]]:
     """Return an (H, W) map of real numbers as floats, or raise an error that names it."""
@@ -52,8 +54,9 @@ def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
     Parameters
     ----------
     *images : ndarray
-        uint8 as it is; uint16 divided by 257; floats times 255 if all of them lie in [0, 1], else
-        as they are, like other integers. NaN becomes black.
+        uint8 as it is; uint16 divided by 257; floats times 255 if all of them are in [0, 1], but
+        for overshoots (`tisfm.frames.in_unit_range`), else as they are, like other integers. NaN
+        becomes black.
 
     Returns
     -------
@@ -61,9 +64,7 @@ def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
         The pictures, rounded and clipped.
     """
     floats = [image for image in images if image.dtype.kind == "f"]
-    unit = all(
-        np.nanmin(image, initial=0) >= 0 and np.nanmax(image, initial=0) <= 1 for image in floats
-    )
+    unit = all(in_unit_range(np.nan_to_num(image, nan=0.0)) for image in floats)
     factors = {"uint16": 1 / 257, "float": 255.0 if unit else 1.0}
     converted = []
     for image in images:

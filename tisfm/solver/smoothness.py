@@ -1,13 +1,42 @@
-"""Where the image has edges, motion may have them: the image-driven factor of the smoothness."""
+"""The smoothness of the unknowns: how strong it is, and where it may break.
+
+Where the image has edges, motion may have them: that is the image-driven factor.
+"""
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from tisfm.kernels.data.image_edges import image_edges
-from tisfm.kernels.layout.lanes import LaneGrid
-from tisfm.solver.unknowns import LaneData
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
 FAINTEST = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smoothness:
+    """α Σ g Φ_δ over all edges (eq. 6, 14).
+
+    Attributes
+    ----------
+    alpha : float
+        α = λ̂β.
+    contrast : float
+        δ, px/frame; infinite for quadratic smoothness.
+    stiffness : tuple of n floats
+        s_k of each unknown.
+    joint : bool
+        Whether an edge is one for all unknowns.
+    image_edges : float
+        κ of the image-driven factor; 0 for g = 1.
+    """
+
+    alpha: float
+    contrast: float
+    stiffness: tuple[float, ...]
+    joint: bool
+    image_edges: float
 
 
 def mean_step(frame: np.ndarray) -> float:

@@ -1,21 +1,20 @@
 """The unknown ρ̂ on one level of the pyramid, in lanes."""
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
-from tisfm.kernels.layout.lanes import LaneGrid, aligned_empty, aligned_zeros
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_empty, aligned_zeros
 from tisfm.kernels.model.flow import flow
 from tisfm.kernels.solve.coarsening import correct, interpolation_columns
+from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.kernels.solve.prolongation import prolong
 
-LaneData = Any  # a lane array: of NumPy, or ti.ndarray where arrays stay on a device
 
-
-class Field:
+class Unknowns:
     """ρ̂, zero at first, with the geometry of its level.
 
     Parameters
@@ -55,12 +54,12 @@ class Field:
         """
         return self.grid.open_edges()
 
-    def start_from(self, coarse: "Field", ratio: float) -> None:
+    def start_from(self, coarse: "Unknowns", ratio: float) -> None:
         """Set ρ̂, which must be zero, from that of a coarser level.
 
         Parameters
         ----------
-        coarse : Field
+        coarse : Unknowns
         ratio : float
             Sampling density of the coarser level over this one's.
         """
@@ -80,9 +79,30 @@ class Field:
         for component, values in enumerate(rho):
             image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
-    def flow(self, out: LaneData) -> LaneData:
-        """Write the image motion (eq. 25) to a lane array of 2 components, and return it."""
-        flow(self.grid, self.rho, self.x_hat, self.y_hat, out)
+    def bind_flow(self, out: LaneData) -> Callable[[], None]:
+        """Return what writes the image motion (eq. 25) to a lane array of 2 components."""
+        return flow.bind(self.grid, self.rho, self.x_hat, self.y_hat, out)
+
+    def flow(self) -> np.ndarray:
+        """Return the image motion (eq. 25), (2, H, W) float32, px/frame of this level."""
+        out = self.grid.allocate(2, zeros=False)
+        self.bind_flow(out)()
+        return self.to_images(out)
+
+    def precision(self, system: LinearSystem) -> np.ndarray:
+        """Return what data and neighbours each say of a pixel's flow, (7, H, W) float32.
+
+        See `tisfm.kernels.solve.data_precision`; the residual is the robust one.
+        """
+        return self.to_images(self._precision(system))
+
+    def residual(self, system: LinearSystem) -> np.ndarray:
+        """Return the squared residual alone, (H, W) float32."""
+        return self.to_image(self._precision(system), 3)
+
+    def _precision(self, system: LinearSystem) -> LaneData:
+        out = self.grid.allocate(7, zeros=False)
+        system.precision(self.rho, out)
         return out
 
     def images(self) -> np.ndarray:

@@ -14,7 +14,7 @@ QUIET, QUIET_GREY = 0.05, 0.5
 
 
 def confidence(
-    evidence: np.ndarray, occlusion: np.ndarray, *, normalized: bool, freedom: int = 2
+    precision: np.ndarray, occlusion: np.ndarray, *, normalized: bool, freedom: int = 2
 ) -> np.ndarray:
     """Combine what the data determine with how well they are met.
 
@@ -29,7 +29,7 @@ def confidence(
 
     Parameters
     ----------
-    evidence : (7, h, w) float32
+    precision : (7, h, w) float32
         J11, J12, J22, squared residual, M11, M12, M22 (`data_precision`). Modified.
         Of the frame, or of a coarser level of its pyramid: then confidence is interpolated.
     occlusion : (H, W) bool
@@ -42,23 +42,24 @@ def confidence(
     Returns
     -------
     (H, W) float32
-        In [0, 1]; 0 where occluded.
+        In [0, 1]; 0 where occluded, and where the motion diverged so far that there is no number.
     """
     runtime.start()  # before kernels are imported
     from tisfm.kernels.solve.data_precision import share_of_data
 
     # Without a gradient there is no residual: uniform parts say nothing of what is usual.
-    gradient = evidence[0] + evidence[2]
+    gradient = precision[0] + precision[2]
     textured = gradient > ROUNDING * gradient.max()
     for k in range(4):
-        cv2.boxFilter(evidence[k], -1, (WINDOW, WINDOW), dst=evidence[k], normalize=k == 3)
-    usual = median(evidence[3][textured]) if textured.any() else 0.0
+        cv2.boxFilter(precision[k], -1, (WINDOW, WINDOW), dst=precision[k], normalize=k == 3)
+    usual = median(precision[3][textured]) if textured.any() else 0.0
     # In this order: where motion diverged, the median may be no number.
     tolerated = TOLERATED * max((QUIET if normalized else QUIET_GREY) ** 2, usual)
-    share = np.empty_like(evidence[3])
-    share_of_data(evidence, share, tolerated=tolerated, freedom=freedom)
+    share = np.empty_like(precision[3])
+    share_of_data(precision, share, tolerated=tolerated, freedom=freedom)
     if share.shape != occlusion.shape:
         share = cv2.resize(share, occlusion.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    np.nan_to_num(share, copy=False, nan=0)
     share[occlusion] = 0
     return np.clip(share, 0, 1, out=share)
 

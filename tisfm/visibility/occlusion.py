@@ -1,11 +1,16 @@
 """Which pixels of frame 0 are not visible in frame 1."""
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from tisfm import runtime
 from tisfm.settings import Settings
-from tisfm.solver.sampling import sample
+from tisfm.solver.sampling import enlarged, reduced, sample
+
+if TYPE_CHECKING:
+    from tisfm.solver.image_pyramid import ImagePyramid
 
 DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
 # px/frame from the mean of all that go to a place, the pixel itself included: two pixels that move
@@ -71,11 +76,37 @@ def occlusion(
         flow = np.clip(flow, -FAR, FAR)
         flow[np.isnan(flow)] = FAR
     residual = _residual_of(frame0, frame1, flow, settings, factor, taps1)
-    claims = aligned_empty((*residual.shape, 4))
+    sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
-    splat(flow, residual, claims, any_order=any_order)
-    defeated(flow, residual, claims, hidden, density=DENSITY, apart=APART)
+    splat(flow, residual, sums, any_order=any_order)
+    defeated(flow, residual, sums, hidden, density=DENSITY, apart=APART)
     return hidden.astype(bool) | leaves
+
+
+def occlusion_in(
+    pyramid: "ImagePyramid",
+    flow: np.ndarray,
+    settings: Settings,
+    *,
+    leaves: np.ndarray | None = None,
+    level: int = 0,
+) -> np.ndarray:
+    """Find which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
+
+    As `occlusion` does; the frames of `level` tell how well the flow meets them, where its pixels
+    are whole numbers of others.
+    """
+    if pyramid.factor != 0.5:
+        level = 0
+    return occlusion(
+        pyramid.frames0[level],
+        pyramid.frames1[level],
+        flow,
+        settings,
+        factor=2**level,
+        taps1=pyramid.taps1(level),
+        leaves=leaves,
+    )
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:
@@ -101,8 +132,6 @@ def _residual_of(
     """Return the residual of every pixel of the flow, (H, W), judged by the frames' pixels."""
     if factor == 1:
         return _residual(frame0, sample(frame1, flow, taps1), settings)
-    from tisfm.solver.resampling import enlarged, reduced
-
     coarse = reduced(flow, factor, *frame0.shape) / np.float32(factor)
     residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
     return enlarged(residual[None], factor, *flow.shape[1:])[0]

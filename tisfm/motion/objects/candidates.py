@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import camera_motion, triangulate
+from tisfm.kernels.model.constants import NEAREST
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.potts import Potts
 
 PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
@@ -14,7 +15,7 @@ SMALLEST = 0.002  # of the pixels: what is smaller is no object
 EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
 CLEARLY = 0.6  # of the median distance under a common motion, at most, under one of its own
 FASTEST_SPIN = 0.2  # rad/frame
-CONFIDENT = 0.02  # least weight of a pixel
+LEAST_WEIGHT = 0.02  # of a pixel, where labels are assigned
 
 
 def motion_candidates(
@@ -89,7 +90,7 @@ class _Search:
         self._flow, self._trust, self._camera = flow, trust, camera
         self._tolerated = tolerated
         self._potts = Potts(frame)
-        self._weight = np.maximum(trust, CONFIDENT)
+        self._weight = np.maximum(trust, LEAST_WEIGHT)
         self.smallest = smallest_object(trust.size)
 
     def run(self, background: np.ndarray, most: int) -> tuple[list[np.ndarray], np.ndarray]:
@@ -158,7 +159,7 @@ class _Search:
     def _fit(self, mine: np.ndarray) -> np.ndarray | None:
         try:
             found = camera_motion(self._flow, self._trust * mine, self._camera)
-        except ValueError:  # too few are trusted
+        except TooFewPixelsError:
             return None
         # Nothing seen from frame to frame spins faster: such a fit is one of noise.
         spin = np.linalg.norm(cv2.Rodrigues(found.rotation)[0])
@@ -188,7 +189,7 @@ class _Search:
         if translation.any():
             inverse_depth = np.maximum(triangulate(before, after, rotation, translation), 0)
             moved += inverse_depth[:, None] * translation
-        projected = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
+        projected = moved[:, :2] / np.maximum(moved[:, 2:], NEAREST)
         distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
         return distance.reshape(height, width)
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.field import Reading
+from tisfm.motion.estimate import Estimate
 
 APART = 3  # px from the boundary, on both sides, where depths are read
 FEWEST = 8  # columns that a contact needs
 LOWEST = 0.5  # of an object's rows: what touches the floor is its lower half
 
 
-def aligned(reading: Reading, hidden: np.ndarray) -> Reading:
+def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
     """Bring objects to the scale of the background below them, where they stand on it.
 
     From motion alone every object has a scale of its own. In each column of an object the lowest
@@ -22,33 +22,33 @@ def aligned(reading: Reading, hidden: np.ndarray) -> Reading:
 
     Parameters
     ----------
-    reading : Reading
+    estimate : Estimate
         With motions, labels and inverse depth; the background is label 0.
     hidden : (H, W) bool
         Where depth is not to be read.
 
     Returns
     -------
-    Reading
+    Estimate
         Inverse depth and its deviation in the background's unit; an object's T likewise, so that
         its length is no longer 1.
     """
-    motions, labels = reading.motions, reading.labels
-    if motions is None or labels is None or reading.inverse_depth_std is None:
-        return reading
+    motions, labels = estimate.motions, estimate.labels
+    if motions is None or labels is None or estimate.inverse_depth_std is None:
+        return estimate
     scales = np.ones(len(motions))
     for label in range(1, len(motions)):
-        scale = _contact(reading.inverse_depth, labels, hidden, label)
+        scale = _contact(estimate.inverse_depth, labels, hidden, label)
         if scale is not None and motions[label, :3].any():
             scales[label] = scale
     twists = motions.copy()
     twists[:, :3] /= scales[:, None]
     per_pixel = scales.astype(np.float32)[labels]
     return replace(
-        reading,
+        estimate,
         motions=twists,
-        inverse_depth=reading.inverse_depth * per_pixel,
-        inverse_depth_std=reading.inverse_depth_std * per_pixel,
+        inverse_depth=estimate.inverse_depth * per_pixel,
+        inverse_depth_std=estimate.inverse_depth_std * per_pixel,
     )
 
 
@@ -68,6 +68,10 @@ def _contact(
     columns, above, below = columns[seen], above[seen], below[seen]
     touches = (labels[below, columns] == 0) & mine[above, columns]
     touches &= ~hidden[below, columns] & ~hidden[above, columns]
-    ratio = inverse_depth[below, columns] / np.where(touches, inverse_depth[above, columns], 1)
-    ratio = ratio[touches & (ratio > 0) & np.isfinite(ratio)]
+    columns, above, below = columns[touches], above[touches], below[touches]
+    # In double precision no quotient overflows.
+    standing, ground = (inverse_depth[rows, columns].astype(float) for rows in (above, below))
+    known = (standing != 0) & np.isfinite(standing) & np.isfinite(ground)
+    ratio = ground[known] / standing[known]
+    ratio = ratio[ratio > 0]
     return float(np.median(ratio)) if len(ratio) >= FEWEST else None

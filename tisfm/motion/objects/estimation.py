@@ -4,28 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.camera import Camera
-from tisfm.motion.camera import first_motion, only_turned
-from tisfm.motion.field import Reading
+from tisfm.motion.camera import only_turned
+from tisfm.motion.estimate import Estimate
+from tisfm.motion.first_motion import first_motion
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
-from tisfm.settings import Settings
-from tisfm.solver.image_pyramid import Pyramid
+from tisfm.settings import MOST_SMOOTHNESS, Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.visibility.occlusion import occlusion_in
 
 # Things show less parallax than a scene does, so that their depth has more noise: it takes more of
 # its neighbours' to even that out.
 SMOOTHER = 4 / 3
 
 
-def objects_reading(
-    pyramid: Pyramid,
-    camera: Camera,
-    settings: Settings,
-    grey0: np.ndarray,
-) -> Reading:
+def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray) -> Estimate:
     """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
 
     The largest motion, the background's, is fitted to the flow field. Others are fitted to what it
@@ -36,9 +32,7 @@ def objects_reading(
 
     Parameters
     ----------
-    pyramid : Pyramid
-    camera : Camera
-        A pinhole, of the finest level.
+    pyramid : ImagePyramid
     settings : Settings
     grey0 : (H, W) float32
         Grey levels of frame 0 on the 8-bit scale.
@@ -51,10 +45,11 @@ def objects_reading(
         outer_iterations=max(settings.outer_iterations, 10),
         sweeps=max(settings.sweeps, 8),
     )
-    start = first_motion(pyramid, camera, settings)
+    camera = pyramid.cameras[0]
+    start = first_motion(pyramid, settings)
     if start.status in ("no_texture", "no_motion") and not start.flow.any():
-        return only_turned(pyramid, camera, settings, start, start.status)
-    hidden = pyramid.occlusion(np.moveaxis(start.flow, -1, 0))
+        return only_turned(pyramid, settings, start, start.status, level=0)
+    hidden = occlusion_in(pyramid, np.moveaxis(start.flow, -1, 0), settings)
     motions, labels = motion_candidates(
         start.flow,
         np.where(hidden, 0, start.trust),
@@ -64,7 +59,7 @@ def objects_reading(
         start.residual,
         most=settings.max_objects,
     )
-    layering = Layering(pyramid, settings, camera, grey0)
+    layering = Layering(pyramid, settings, grey0)
     layers = layering.fitted(motions, labels, hidden)
     if len(motions) > 1:
         layers = layering.pruned(layers)
@@ -73,20 +68,22 @@ def objects_reading(
     layers = layering.with_floating(layers, most=settings.max_objects)
     motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
-        return only_turned(pyramid, camera, settings, start, start.status)
+        return only_turned(pyramid, settings, start, start.status, level=0)
     order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))
     labels = rank[labels]
     solution = rigid_depth(
         pyramid,
-        replace(settings, depth_smoothness=SMOOTHER * settings.depth_smoothness),
-        camera,
+        replace(
+            settings,
+            depth_smoothness=min(SMOOTHER * settings.depth_smoothness, MOST_SMOOTHNESS),
+        ),
         np.stack([motions[k] for k in order]),
         labels,
     )
-    reading = with_depth(
+    estimate = with_depth(
         solution, labels, camera, settings, unseen=int(rank[0]) if start.status else None
     )
-    reading = replace(reading, history=start.history + reading.history)
-    return aligned(reading, hidden) if settings.align_scales else reading
+    estimate = replace(estimate, history=start.history + estimate.history)
+    return aligned(estimate, hidden) if settings.align_scales else estimate

@@ -16,7 +16,7 @@ SURE = 2.0  # standard deviations by which something is nearer
 NEARER = 1.3  # times: rooms are full of lamps and leaves that hang, but hardly so far before all
 GROUND = 0.9  # of the depth around a thing: at least as near is what lies below it at the border
 LOWEST = 3  # rows at the border
-MOST = 255  # parts
+MOST_PARTS = 255  # parts
 FAINTEST = 0.05  # of the median: less inverse depth is as good as none
 
 
@@ -68,7 +68,7 @@ def floating(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) ->
     floats = np.zeros(parts.shape, np.uint8)
     for part in np.argsort(-areas, kind="stable"):
         mine = parts == part
-        if areas[part] < smallest * scale**2 or floats.max() == MOST:
+        if areas[part] < smallest * scale**2 or floats.max() == MOST_PARTS:
             break
         ground = highest[-LOWEST:, mine.any(axis=0)]
         if np.median(ground) >= GROUND * np.median(around[mine]):

@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tisfm.camera import Camera
-from tisfm.motion.egomotion import camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.floating import floating
 from tisfm.motion.objects.potts import Potts
 from tisfm.motion.rigid_depth import RigidSolution, residual_under, rigid_depth
 from tisfm.settings import Settings
-from tisfm.solver.image_pyramid import Pyramid
+from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import QUIET, QUIET_GREY
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
 WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
 TOLERATED = 3.0  # of the median residual: a unit of cost
@@ -62,21 +61,19 @@ class Layering:
 
     Parameters
     ----------
-    pyramid : Pyramid
+    pyramid : ImagePyramid
     settings : Settings
-    camera : Camera
     grey0 : (H, W) float32
         Grey levels of frame 0.
     """
 
     def __init__(
         self,
-        pyramid: Pyramid,
+        pyramid: ImagePyramid,
         settings: Settings,
-        camera: Camera,
         grey0: np.ndarray,
     ) -> None:
-        self._pyramid, self._camera = pyramid, camera
+        self._pyramid = pyramid
         # Surfaces need not be exact to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._potts = Potts(grey0)
@@ -125,7 +122,7 @@ class Layering:
             costs[~reach] = UNREACHED
             for _ in range(2):
                 composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
-                hidden = self._pyramid.occlusion(composed)
+                hidden = occlusion_in(self._pyramid, composed, self._settings)
                 weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
                 labels = self._potts.assign(costs, weight)
         return Layers(
@@ -222,8 +219,9 @@ class Layering:
             mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
-                found = camera_motion(flow, np.where(mine, trust, 0), self._camera, near=near)
-            except ValueError:
+                camera = self._pyramid.cameras[0]
+                found = camera_motion(flow, np.where(mine, trust, 0), camera, near=near)
+            except TooFewPixelsError:
                 motions.append(motion)
                 continue
             still = not motion[:, 3].any()
@@ -237,7 +235,6 @@ class Layering:
         return rigid_depth(
             self._pyramid,
             self._settings,
-            self._camera,
             motion[None],
             np.zeros(support.shape, np.int32),
             refine="none",
@@ -249,7 +246,6 @@ class Layering:
         return residual_under(
             self._pyramid,
             self._settings,
-            self._camera,
             surface.motions[0],
             surface.inverse_depth,
         )

@@ -7,14 +7,18 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.runtime import lane_grid
-from tisfm.solver.half_quadratic import HalfQuadratic
-from tisfm.solver.smoothness import image_edges_in_lanes
-from tisfm.solver.unknowns import Field
+from tisfm.solver.half_quadratic import Effort, HalfQuadratic
+from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
+from tisfm.solver.unknowns import Unknowns
 
-SMOOTHNESS = 20.0
-CONTRAST = 0.05  # of a share of a label: total variation, but for the smallest steps
-EDGES = 5.0  # κ: boundaries lie on edges of the image
-ITERATIONS, SWEEPS, TOLERANCE = 12, 10, 5e-3
+SMOOTHNESS = Smoothness(
+    alpha=20.0,
+    contrast=0.05,  # of a share of a label: total variation, but for the smallest steps
+    stiffness=(1.0,),
+    joint=True,
+    image_edges=5.0,  # boundaries lie on edges of the image
+)
+EFFORT = Effort(outer_iterations=12, sweeps=10, relaxation=1.9, tolerance=5e-3, solver="cholesky")
 
 
 class Potts:
@@ -38,7 +42,7 @@ class Potts:
 
     def __init__(self, frame: np.ndarray) -> None:
         self._grid = lane_grid(*frame.shape)
-        self._edges = image_edges_in_lanes(self._grid, frame, EDGES)
+        self._edges = image_edges_in_lanes(self._grid, frame, SMOOTHNESS.image_edges)
 
     def assign(self, costs: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return the labels, (H, W) int32.
@@ -59,28 +63,19 @@ class Potts:
 
     def _smoothed(self, share: np.ndarray, weight: np.ndarray) -> np.ndarray:
         grid = self._grid
-        field = Field(grid, Camera(), 1)
-        field.edges = self._edges
-        field.set_images(share[None].astype(np.float32))
-        minimiser = HalfQuadratic(
-            field,
-            alpha=SMOOTHNESS,
-            contrast=CONTRAST,
-            outer_iterations=ITERATIONS,
-            sweeps=SWEEPS,
-            relaxation=1.9,
-            tolerance=TOLERANCE,
-            solver="cholesky",
-            scales=(math.inf,),
-            stiffness=(1.0,),
-            joint=True,
-        )
+        unknowns = Unknowns(grid, Camera(), 1)
+        unknowns.edges = self._edges
+        unknowns.set_images(share[None].astype(np.float32))
         # weight · (p − share)² as a constraint on the flow (p, 0).
         root = np.sqrt(weight).astype(np.float32)
-        terms = grid.allocate(3)
+        constraints = grid.allocate(3)
         for component, values in ((0, root), (2, -root * share)):
             image_to_lanes(
-                grid, np.ascontiguousarray(values, np.float32), terms, component=component
+                grid, np.ascontiguousarray(values, np.float32), constraints, component=component
             )
-        minimiser.minimise(terms)
-        return field.images()[0]
+        minimiser = HalfQuadratic(
+            unknowns, constraints, scales=(math.inf,), smoothness=SMOOTHNESS, effort=EFFORT
+        )
+        minimiser.update()
+        minimiser.minimise()
+        return unknowns.images()[0]

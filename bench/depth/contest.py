@@ -1,0 +1,219 @@
+"""Methods of depth run on the same pairs, in turns, and scored."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+
+from bench.depth.methods import Method
+from bench.depth.pairs import HARDLY_MOVED, DepthPair, Entry
+from bench.depth.scores import Score, score
+from bench.shared.contest import MethodFailure
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import static_scene
+
+WARM_UP = (96, 128)  # px
+LEAST_ERROR = 1e-6  # of errors whose logarithm is taken
+WRONG = {"direction": 90.0, "abs_rel_limited": 1.0}  # what a failure counts as among thresholds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Pairs whose errors are summed up together."""
+
+    name: str
+    pairs: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthContest:
+    """All that one run measured.
+
+    Attributes
+    ----------
+    conditions : dict
+        Machine, versions and options.
+    methods : tuple of str
+    groups : tuple of Group
+    scores : tuple of Score
+    missing : dict
+        What was asked for and could not be had → the reason.
+    """
+
+    conditions: dict[str, Any]
+    methods: tuple[str, ...]
+    groups: tuple[Group, ...]
+    scores: tuple[Score, ...]
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def thresholds(self, method: str) -> list[float]:
+        """Return the thresholds a method ran with; none for one that has no such thing."""
+        return sorted({s.threshold for s in self._of(method) if s.threshold is not None})
+
+    def best_threshold(self, method: str) -> float | None:
+        """Return the threshold of the least product of errors, see `typical_errors`."""
+        candidates = self.thresholds(method)
+        if not candidates:
+            return None
+        return min(candidates, key=lambda t: float(np.prod(self.typical_errors(method, t))))
+
+    def typical_errors(self, method: str, threshold: float | None) -> tuple[float, float]:
+        """Return the geometric means over pairs of direction error, degrees, and of abs-rel.
+
+        Pairs whose pose is given have no essential matrix, and those of a camera that hardly moved
+        no direction to be found: they do not count.
+        """
+        known = [s for s in self._at(method, threshold) if s.group != HARDLY_MOVED]
+        posed = {s.pair for s in self.scores if s.direction is not None}
+        deep = {s.pair for s in self.scores if s.abs_rel_limited is not None} & posed
+        return (
+            _geometric([_value(s, "direction") for s in known if s.pair in posed]),
+            _geometric([_value(s, "abs_rel_limited") for s in known if s.pair in deep]),
+        )
+
+    def best(self, method: str, group: Group) -> list[Score]:
+        """Return the scores of a method on a group, at its best threshold."""
+        threshold = self.best_threshold(method)
+        return [s for s in self._at(method, threshold) if s.pair in group.pairs]
+
+    def failures(self) -> dict[str, str]:
+        """Return "method on pair" → what happened, at the best thresholds."""
+        return {
+            f"{s.method} on {s.pair}": s.failure
+            for method in self.methods
+            for s in self._at(method, self.best_threshold(method))
+            if s.failure
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        best = {name: self.best_threshold(name) for name in self.methods}
+        return asdict(self) | {"best_thresholds": best}
+
+    def _at(self, method: str, threshold: float | None) -> list[Score]:
+        """Return the scores at a threshold, and those of calls that failed before there is one."""
+        return [s for s in self._of(method) if s.threshold in (threshold, None)]
+
+    def _of(self, method: str) -> list[Score]:
+        return [s for s in self.scores if s.method == method]
+
+
+def hold(
+    methods: Sequence[Method],
+    entries: Sequence[Entry],
+    *,
+    rounds: int,
+    conditions: dict[str, Any],
+    missing: dict[str, str],
+    step: Callable[[str], None] = lambda text: None,
+) -> DepthContest:
+    """Run every method on every pair, in turns: in each round, each method once.
+
+    Parameters
+    ----------
+    methods, entries : sequence
+    rounds : int
+        Timed calls of each method and pair; the first is the one that is scored. Before the first
+        pair every method runs on small scenes, where kernels are compiled.
+    conditions, missing : dict
+        As in `DepthContest`.
+    step : callable
+        Called with what comes next, before every call.
+
+    Raises
+    ------
+    ValueError
+        If there is no pair, or no method can run.
+    """
+    if not entries:
+        raise ValueError("there is no pair to measure on")
+    missing, ready = dict(missing), []
+    for method in methods:
+        step(f"{method.name}: first calls")
+        try:
+            for pair in _small_pairs():
+                method.run(pair)
+            ready.append(method)
+        except MethodFailure as failure:
+            missing[method.name] = str(failure)
+    if not ready:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in missing.items())
+        raise ValueError(f"no method can run: {reasons}")
+    scores: list[Score] = []
+    members: dict[str, list[str]] = {}
+    for entry in entries:
+        pair = entry.load()
+        members.setdefault(entry.group, []).append(entry.name)
+        scores += _measure(ready, pair, rounds, step)
+    return DepthContest(
+        conditions=conditions,
+        methods=tuple(method.name for method in ready),
+        groups=tuple(Group(name=name, pairs=tuple(pairs)) for name, pairs in members.items()),
+        scores=tuple(scores),
+        missing=missing,
+    )
+
+
+def mean_median_worst(values: Sequence[float]) -> tuple[float, float, float] | None:
+    """Return the three, or None of nothing."""
+    return (fmean(values), median(values), max(values)) if values else None
+
+
+def _measure(
+    methods: Sequence[Method], pair: DepthPair, rounds: int, step: Callable[[str], None]
+) -> list[Score]:
+    """Run all methods on one pair."""
+    scored: dict[tuple[str, float | None], Score] = {}
+    times: dict[tuple[str, float | None], list[tuple[float, float | None]]] = {}
+    for turn in range(rounds):
+        for method in methods:
+            step(f"{pair.name}: {method.name}")
+            try:
+                estimates = method.run(pair)
+            except MethodFailure as failure:
+                found = Score(
+                    method=method.name, pair=pair.name, group=pair.group, failure=str(failure)
+                )
+                scored.setdefault((method.name, None), found)
+                continue
+            for estimate in estimates:
+                key = (estimate.method, estimate.threshold)
+                if turn == 0:
+                    scored[key] = score(estimate, pair)
+                times.setdefault(key, []).append((estimate.seconds, estimate.flow_seconds))
+    return [_timed(found, times.get(key, [])) for key, found in scored.items()]
+
+
+def _timed(found: Score, times: list[tuple[float, float | None]]) -> Score:
+    flows = [flow for _, flow in times if flow is not None]
+    return replace(
+        found,
+        seconds=median(s for s, _ in times) if times else None,
+        flow_seconds=median(flows) if flows else None,
+    )
+
+
+def _small_pairs() -> list[DepthPair]:
+    """Return a scene whose pose is to be found, and the same with its pose given."""
+    scene = static_scene("sideways+rotation", *WARM_UP)
+    pair = DepthPair(
+        name="warm-up",
+        group="",
+        frame0=scene.frame0,
+        frame1=scene.frame1,
+        camera=scene.camera,
+        depth=scene.depth,
+        pose=pose_matrix(scene.motions[0]),
+    )
+    return [pair, replace(pair, pose_given=True)]
+
+
+def _value(found: Score, name: str) -> float:
+    value = getattr(found, name)
+    return WRONG[name] if value is None else max(value, LEAST_ERROR)
+
+
+def _geometric(values: Sequence[float]) -> float:
+    return float(np.exp(np.mean(np.log(values)))) if values else 1.0

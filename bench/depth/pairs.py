@@ -1,0 +1,186 @@
+"""Pairs whose depth or motion of the camera is known: rendered scenes and real sequences."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.shared.sequences import FlowPair
+from tisfm.camera import Camera
+from tisfm.datasets import LAYOUTS, DatasetPair, Layout
+from tisfm.datasets.depth_maps import read_depth
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import SyntheticPair, static_scene, two_blocks
+from tisfm.scenes.ready import STATIC_KINDS
+
+SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
+BLOCK_SEEDS = (0, 1)
+AT_REST = 2  # labels below are the background's and the floor's
+
+MOVING = "two blocks"
+HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
+RENDERED_STUDIO = "New Tsukuba"
+STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthPair:
+    """Two frames, their camera, and what is known of depth and motion.
+
+    Attributes
+    ----------
+    name, group : str
+    frame0, frame1 : (H, W) or (H, W, 3) uint8
+    camera : Camera
+    depth : (H, W) array or None
+        True depth of frame 0, NaN where unknown.
+    raw_depth : (H, W) array or None
+        The same as the depth camera gave it, where that is another camera.
+    pose : (4, 4) float64 or None
+        True motion of what is at rest, P₁ = R P₀ + t.
+    pose_given : bool
+        Whether methods are told the pose.
+    movers : (H, W) int array or None
+        0 at rest, other numbers for what moves on its own; None where nothing does.
+    visible : (H, W) bool array or None
+        What is seen in frame 1 as well, where that is known.
+    """
+
+    name: str
+    group: str
+    frame0: NDArray
+    frame1: NDArray
+    camera: Camera
+    depth: NDArray | None = None
+    raw_depth: NDArray | None = None
+    pose: NDArray | None = None
+    pose_given: bool = False
+    movers: NDArray | None = None
+    visible: NDArray | None = None
+
+    def flow_pair(self) -> FlowPair:
+        """Return the frames as methods of flow take them; their truth is unknown."""
+        nothing = np.full((*self.frame0.shape[:2], 2), np.nan)
+        return FlowPair(
+            name=self.name, group=self.group, frame0=self.frame0, frame1=self.frame1, truth=nothing
+        )
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A pair that can be loaded or rendered when its turn comes."""
+
+    name: str
+    group: str
+    load: Callable[[], DepthPair]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection:
+    """Pairs of a sequence with poses: the frames i and i + `step` for i in `first`."""
+
+    group: str
+    folder: str
+    first: range
+    step: int
+
+
+SELECTIONS: dict[Layout, list[Selection]] = {
+    "new_tsukuba": [
+        Selection(group=RENDERED_STUDIO, folder="new_tsukuba", first=range(0, 74, 3), step=1)
+    ],
+    "sevenscenes": [
+        Selection(group=HAND_HELD, folder="sevenscenes", first=range(41, 57), step=3),
+        Selection(group=HARDLY_MOVED, folder="sevenscenes", first=range(0, 20, 3), step=3),
+    ],
+}
+STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
+
+
+def scene_entries(height: int, width: int) -> list[Entry]:
+    """Return rendered scenes: static ones by kind of motion and focal length, and two blocks."""
+    entries = []
+    for kind in STATIC_KINDS:
+        for seed, focal in enumerate(SCENE_FOCALS):
+            name = f"{kind}-f{focal:g}"
+            group = f"scenes, {kind}"
+            load = partial(_scene, name, group, kind, seed, focal, height, width)
+            entries.append(Entry(name, group, load))
+    for seed in BLOCK_SEEDS:
+        name = f"two-blocks-{seed}"
+        entries.append(Entry(name, MOVING, partial(_blocks, name, seed, height, width)))
+    return entries
+
+
+def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
+    """Return the pairs found in a folder of sequences, and group → why others are missing."""
+    entries: list[Entry] = []
+    missing: dict[str, str] = {}
+    for layout, selections in SELECTIONS.items():
+        for selection in selections:
+            found = list(_selected(data, layout, selection))
+            if not found:
+                missing[selection.group] = f"none of its frames in {selection.folder}"
+            entries += found
+    for folder, group in STEREO_FOLDERS.items():
+        pairs = list(LAYOUTS["stereo"].find(data / folder))
+        if not pairs:
+            missing[group] = f"no {LAYOUTS['stereo'].expected} in {folder}"
+        entries += [Entry(p.name, group, partial(_loaded, p, p.name, group)) for p in pairs]
+    return entries, missing
+
+
+def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entry]:
+    for pair in LAYOUTS[layout].find(data / selection.folder, step=selection.step):
+        number = int("".join(filter(str.isdigit, pair.name)))
+        if number in selection.first:
+            load = partial(_loaded, pair, pair.name, selection.group)
+            yield Entry(pair.name, selection.group, load)
+
+
+def _loaded(pair: DatasetPair, name: str, group: str) -> DepthPair:
+    loaded = pair.load()
+    return DepthPair(
+        name=name,
+        group=group,
+        frame0=loaded.frame0,
+        frame1=loaded.frame1,
+        camera=loaded.camera or Camera(),  # of a stereo pair: its depth is of any focal length
+        depth=loaded.depth,
+        raw_depth=None if pair.depth is None else read_depth(pair.depth),
+        pose=loaded.pose,
+        pose_given=loaded.pose_given,
+    )
+
+
+def _scene(
+    name: str, group: str, kind: str, seed: int, focal: float, height: int, width: int
+) -> DepthPair:
+    pair = static_scene(kind, height, width, seed=seed, focal=focal * width / 320)
+    return rendered(name, group, pair)
+
+
+def _blocks(name: str, seed: int, height: int, width: int) -> DepthPair:
+    pair = two_blocks(height, width, seed=seed)
+    movers = np.where(pair.labels < AT_REST, 0, pair.labels)
+    return rendered(name, MOVING, pair, movers)
+
+
+def rendered(
+    name: str, group: str, pair: SyntheticPair, movers: NDArray | None = None
+) -> DepthPair:
+    """Return a rendered scene as a pair whose depth and motion are known."""
+    return DepthPair(
+        name=name,
+        group=group,
+        frame0=pair.frame0,
+        frame1=pair.frame1,
+        camera=pair.camera,
+        depth=pair.depth,
+        pose=pose_matrix(pair.motions[0]),
+        movers=movers,
+        visible=pair.visible,
+    )

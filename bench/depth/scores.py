@@ -1,0 +1,149 @@
+"""Errors of an estimate of depth and motion."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.depth.methods import Estimate
+from bench.depth.pairs import DepthPair
+from tisfm.evaluation.pairs import LITTLE_PARALLAX
+from tisfm.metrics import depth_errors, pose_errors
+
+HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """A method on a pair. What the pair's truth or the method does not give is None.
+
+    Attributes
+    ----------
+    method, pair, group : str
+    threshold : float or None
+        Of the essential matrix, px.
+    status, failure : str
+    seconds, flow_seconds : float
+        Medians of the wall time: of the call, and of its flow where that comes first.
+    abs_rel, delta1, density : float or None
+        As in `tisfm.metrics.DepthErrors`, after scaling by the median.
+    abs_rel_limited : float or None
+        The same after depth that is farther than `HORIZON` medians, or behind the camera, was put
+        there, so that every pixel counts and few do not decide.
+    abs_rel_raw : float or None
+        `abs_rel` with the depth as the depth camera gave it.
+    abs_rel_rest, abs_rel_movers : float or None
+        Where things move on their own: of what is at rest, and of the rest, each thing scaled by
+        its own median.
+    within : float or None
+        Share of the visible pixels whose inverse depth, in the scale of the others, is off by less
+        than its standard deviation.
+    direction, rotation : float or None
+        As in `tisfm.metrics.PoseErrors`, degrees.
+    """
+
+    method: str
+    pair: str
+    group: str
+    threshold: float | None = None
+    status: str = ""
+    failure: str = ""
+    seconds: float | None = None
+    flow_seconds: float | None = None
+    abs_rel: float | None = None
+    abs_rel_limited: float | None = None
+    abs_rel_raw: float | None = None
+    abs_rel_rest: float | None = None
+    abs_rel_movers: float | None = None
+    delta1: float | None = None
+    density: float | None = None
+    within: float | None = None
+    direction: float | None = None
+    rotation: float | None = None
+
+    @property
+    def without_depth(self) -> bool:
+        """Whether the method itself says that there is no depth to see."""
+        return self.status in LITTLE_PARALLAX
+
+
+def score(estimate: Estimate, pair: DepthPair) -> Score:
+    """Compare an estimate with the truth of its pair."""
+    found = Score(
+        method=estimate.method,
+        pair=pair.name,
+        group=pair.group,
+        threshold=estimate.threshold,
+        status=estimate.status,
+        failure=estimate.failure,
+        seconds=estimate.seconds,
+        flow_seconds=estimate.flow_seconds,
+    )
+    if estimate.pose is not None and pair.pose is not None and not pair.pose_given:
+        errors = pose_errors(estimate.pose, pair.pose)
+        seen = estimate.inverse_depth is not None
+        direction = errors.direction if seen else None
+        found = replace(found, direction=direction, rotation=errors.rotation)
+    if estimate.inverse_depth is None or pair.depth is None:
+        return found
+    depth, inverse_depth = depth_of(estimate.inverse_depth), estimate.inverse_depth
+    try:
+        errors_of_depth = depth_errors(depth, pair.depth)
+    except ValueError as error:
+        return replace(found, failure=f"its depth cannot be compared: {error}")
+    raw = None if pair.raw_depth is None else depth_errors(depth, pair.raw_depth).abs_rel
+    return replace(
+        found,
+        abs_rel=errors_of_depth.abs_rel,
+        abs_rel_limited=depth_errors(limited(depth), pair.depth).abs_rel,
+        abs_rel_raw=raw,
+        abs_rel_rest=_of_parts(depth, pair, at_rest=True),
+        abs_rel_movers=_of_parts(depth, pair, at_rest=False),
+        delta1=errors_of_depth.delta1,
+        density=errors_of_depth.density,
+        within=_within(inverse_depth, estimate, pair, errors_of_depth.scale),
+    )
+
+
+def depth_of(inverse_depth: NDArray) -> NDArray[np.float64]:
+    """Return depth, (H, W), NaN where the inverse depth is not above 0."""
+    depth = np.full(inverse_depth.shape, np.nan)
+    np.divide(1, inverse_depth, out=depth, where=inverse_depth > 0)
+    return depth
+
+
+def limited(depth: NDArray) -> NDArray[np.float64]:
+    """Return depth, (H, W), of which none is beyond `HORIZON` medians, nor unknown."""
+    horizon = HORIZON * float(np.nanmedian(depth))
+    return np.where(depth < horizon, depth, horizon)  # False for NaN
+
+
+def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:
+    """Return abs-rel of what is at rest or of the movers, each part in its own scale."""
+    if pair.movers is None or pair.depth is None:
+        return None
+    parts = [part for part in np.unique(pair.movers) if (part == 0) == at_rest]
+    total, pixels = 0.0, 0
+    for part in parts:
+        mine = pair.movers == part
+        try:
+            error = depth_errors(limited(depth), pair.depth, mine).abs_rel
+        except ValueError:
+            return None
+        total, pixels = total + error * mine.sum(), pixels + int(mine.sum())
+    return total / pixels if pixels else None
+
+
+def _within(
+    inverse_depth: NDArray, estimate: Estimate, pair: DepthPair, scale: float
+) -> float | None:
+    """Return the share of visible pixels off by less than their standard deviation."""
+    if estimate.deviation is None or pair.depth is None:
+        return None
+    counted = np.isfinite(pair.depth) & (pair.depth > 0)
+    visible = estimate.visible if pair.visible is None else pair.visible
+    if visible is not None:
+        counted &= visible
+    truth = 1 / pair.depth[counted]
+    error = np.abs(inverse_depth[counted] / scale - truth)
+    return float((error <= estimate.deviation[counted] / scale).mean()) if len(truth) else None

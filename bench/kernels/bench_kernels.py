@@ -1,0 +1,202 @@
+"""Every kernel, and the step of the NumPy reference that it replaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from bench.kernels.depth_steps import DepthOperations, DepthReferences
+from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
+from bench.kernels.operations import FieldOperations
+from bench.kernels.references import FieldReferences
+from bench.kernels.traffic import TRAFFIC
+from bench.shared.agreement import check
+from bench.shared.problems import ALPHA, RELAXATION, Problem
+from tisfm import reference, runtime
+
+MODELS = {6: "rigid", 3: "translation"}
+DEPTH = 1  # unknown per pixel, along an epipolar line
+SOLVERS = ("cholesky", "closed_form")
+EDGES = ("separate", "joint")  # for each component, or for all
+LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image takes its time
+
+# Of the largest value of a component. A few roundings; more where B has condition numbers of some
+# hundreds, and where a residual is the difference of much larger numbers. `defeated` decides by
+# thresholds, and some pixels of thousands lie so near one that rounding decides.
+TOLERANCE = 1e-6
+TOLERANCES = {
+    "restrict_residual": 1e-5,
+    "sweep": 1e-4,
+    "sweep_unfused": 1e-4,
+    "data_precision": 1e-4,
+    "share_of_data": 1e-5,  # of determinants, which are such differences
+    "update": 1e-4,
+    "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
+    "defeated": 1e-2,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kernel in one of its variants."""
+
+    kernel: str
+    components: int = 0  # unknowns per pixel; 0 where they do not matter
+    scheme: str = ""
+    solver: str = ""
+
+    @property
+    def name(self) -> str:
+        return f"{self.kernel} {self.scheme}".strip()
+
+    @property
+    def model(self) -> str:
+        return {**MODELS, DEPTH: "depth"}.get(self.components, "")
+
+    @property
+    def in_lanes(self) -> bool:
+        """Whether the kernel works on lane arrays, and is another for each lane count."""
+        return self.kernel not in WITHOUT_LANES
+
+    def __str__(self) -> str:
+        return "-".join(filter(None, (self.kernel, self.scheme, self.model, self.solver)))
+
+    def without_solver(self) -> "Case":
+        """Return the case of the reference, which has one solver."""
+        return Case(self.kernel, self.components, self.scheme)
+
+    def tolerance(self, problem: Problem) -> float:
+        if self.kernel in AT_PLACES:
+            # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
+            return AT_PLACES[self.kernel] * problem.width * 2.0**-22
+        if self.kernel == "constancy_constraints":
+            # The robust weights are of (p, q)·(u, v) + c, a difference of numbers as large as ∇I·u.
+            return TOLERANCE * max(1.0, 1.5 * np.abs(problem.flow).max())
+        return TOLERANCES.get(self.kernel, TOLERANCE)
+
+    def label(self, problem: Problem) -> dict:
+        size = [problem.height, problem.width]
+        return {"kernel": self.name, "size": size, "model": self.model}
+
+
+# Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
+AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4}
+# On plain images, or vectors of their own.
+WITHOUT_LANES = (
+    "splat",
+    "defeated",
+    "share_of_data",
+    "motion_fields",
+    "matching_cost",
+    "cheapest",
+    "rigid_fields",
+)
+PLAIN = (
+    "image_to_lanes",
+    "warp",
+    "constancy_constraints",
+    "image_edges",
+    "multiply",
+    "share_of_data",
+    "splat",
+    "defeated",
+    "displacement",
+    "along",
+    "motion_system",
+    "matching_cost",
+    "aggregate",
+    "cheapest",
+    "rigid_fields",
+)
+PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "data_precision")
+MULTIGRID = ("relayout", "correct", "descend")
+MULTIGRID_PER_EDGES = ("coarsen_system", "restrict_residual", "plane")
+CASES = [
+    *(Case(kernel) for kernel in PLAIN),
+    *(Case("derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),
+    *(Case(kernel, components) for kernel in PER_MODEL for components in MODELS),
+    *(
+        Case("sweep", components, scheme=scheme, solver=solver)
+        for components in MODELS
+        for scheme in EDGES
+        for solver in SOLVERS
+    ),
+    Case("sweep", DEPTH, scheme="line", solver="closed_form"),
+    Case("sweep_unfused", 6, scheme="joint", solver="closed_form"),
+    *(Case("update", components, scheme=scheme) for components in MODELS for scheme in EDGES),
+    Case("update", DEPTH, scheme="line"),
+    *(Case(kernel, 6) for kernel in MULTIGRID),
+    *(Case(kernel, 6, scheme=scheme) for kernel in MULTIGRID_PER_EDGES for scheme in EDGES),
+]
+REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
+
+
+class Operations(FieldOperations, MultigridOperations, DepthOperations):
+    """All kernels."""
+
+
+class References(FieldReferences, MultigridReferences, DepthReferences):
+    """What they stand beside."""
+
+
+def reference_run(problem, case):
+    """Return the reference's call; its first answer is kept for the checks of the kernels."""
+    run = getattr(References(problem, case.components or 6, case.scheme), case.kernel)()
+    if case not in problem.expected:
+        problem.expected[case] = np.array(run())
+    return run
+
+
+@pytest.mark.parametrize("case", REFERENCE_CASES, ids=str)
+def bench_numpy(problem, case, measure):
+    run = reference_run(problem, case)
+    measure(run, implementation="numpy", **case.label(problem))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def bench_taichi(problem, case, lanes, measure, pytestconfig):
+    if not case.in_lanes and str(lanes) != pytestconfig.getoption("lanes").split(",")[0]:
+        pytest.skip("it is the same kernel for every lane count")
+    components = case.components or 6
+    operations = Operations(
+        problem,
+        lanes,
+        components,
+        scheme=case.scheme,
+        solver=case.solver,
+        on_device=runtime.on_gpu(),
+    )
+    run, read = getattr(operations, case.kernel)()
+    reference_case = case.without_solver()
+    if reference_case not in problem.expected:
+        reference_run(problem, reference_case)
+    expected = problem.expected[reference_case]
+    error = check(read(run()), expected, case.tolerance(problem))
+
+    def call():
+        run()
+        ti.sync()
+
+    measure(
+        call,
+        implementation="taichi",
+        lanes=lanes if case.in_lanes else 0,
+        solver=case.solver,
+        bytes_per_pixel=TRAFFIC[case.name].bytes_per_pixel(components, lanes),
+        disagreement=error,
+        **case.label(problem),
+    )
+
+
+def bench_sweep_lexicographic(measure):
+    """Time the reference's plain loop, rigid model: quoted, compared with nothing."""
+    problem = Problem(*LEXICOGRAPHIC_SIZE)
+    arguments = (problem.tensor, problem.motion, problem.weights(6), problem.rho.copy())
+    measure(
+        lambda: reference.sweep_lexicographic(*arguments, alpha=ALPHA, relaxation=RELAXATION),
+        implementation="numpy",
+        kernel="sweep_lexicographic",
+        size=LEXICOGRAPHIC_SIZE,
+        model="rigid",
+    )

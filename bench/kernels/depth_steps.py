@@ -1,0 +1,206 @@
+"""Both sides of the kernels that motion models of rigid motions need besides those of a field."""
+
+import numpy as np
+
+from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
+from bench.shared.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED, Problem
+from tisfm import reference
+from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
+from tisfm.kernels.model import readout
+from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global
+
+HELD = 3.0  # weight of the smoothness of depth while the motion changes
+TINY = 1e-6  # in place of a curvature of costs
+
+
+class DepthOperations(TaichiSide):
+    """The kernels, by their wrappers."""
+
+    def displacement(self) -> Timed:
+        arguments, out = self._geometry(), [self.grid.allocate(2) for _ in range(2)]
+        options = self._motions()
+        return (
+            lambda: epipolar.displacement(self.grid, *arguments, *out, **options),
+            lambda _: np.concatenate([self.read(array) for array in out]),
+        )
+
+    def along(self) -> Timed:
+        p = self.problem
+        moved, direction = np.split(displaced(p), 2)
+        inputs = [self.lay(array) for array in (p.constraints, moved, direction, p.inverse_depth)]
+        out = self.grid.allocate(len(p.constraints))
+        return lambda: epipolar.along(self.grid, *inputs, out), lambda _: self.read(out)
+
+    def motion_system(self) -> Timed:
+        p = self.problem
+        inverse_depth, labels, *_ = self._geometry()
+        arguments = (
+            self.system_of(p.weights(1), 1),
+            self.lay(p.constraints),
+            inverse_depth,
+            labels,
+        )
+        options = {"label": 0, "scales": SCALES, "held": HELD, "tolerated": TOLERATED}
+        options |= self._motions()
+        return (
+            lambda: motion_system.motion_system(*arguments, **options),
+            lambda found: np.column_stack(found),
+        )
+
+    def matching_cost(self) -> Timed:
+        p, count = self.problem, len(HYPOTHESES)
+        arrays = []
+        for features in p.features:
+            arrays.append(aligned_zeros((p.height, p.width, 4)))
+            arrays[-1][..., :3] = np.moveaxis(features, 0, -1)
+        out = aligned_zeros((p.height, p.width, count))
+        arguments = [array.astype(np.float32) for array in (p.guess, p.trust, p.motions[0])]
+        options = {
+            "center": p.camera.center_for(p.height, p.width),
+            "focal": p.camera.focal,
+            "first": HYPOTHESES[0],
+            "step": HYPOTHESES[1] - HYPOTHESES[0],
+            "count": count,
+            "near": NEAR,
+        }
+        return (
+            lambda: plane_sweep.matching_cost(*arrays, *arguments, out, **options),
+            lambda _: np.moveaxis(out * p.decided, -1, 0),
+        )
+
+    def aggregate(self) -> Timed:
+        p, lanes = self.problem, self.grid.lanes
+        shape = (p.height, p.width, len(HYPOTHESES) // lanes)
+        cost, out = (aligned_zeros(shape if lanes == 1 else (*shape, lanes)) for _ in range(2))
+        cost[...] = p.cost.reshape(cost.shape)
+        guide = p.features[0, 0].astype(np.float32)
+        return (
+            lambda: semi_global.aggregate(cost, guide, out, **AGGREGATION),
+            lambda _: np.moveaxis(out.reshape(p.cost.shape), -1, 0),
+        )
+
+    def cheapest(self) -> Timed:
+        p = self.problem
+        cost, out = aligned_zeros(p.cost.shape), np.empty((p.height, p.width), np.float32)
+        cost[...] = p.cost
+        return (
+            lambda: semi_global.cheapest(cost, out, count=len(HYPOTHESES)),
+            lambda _: out[None],
+        )
+
+    def rigid_fields(self) -> Timed:
+        p, grid = self.problem, self.grid
+        depth, labels = p.inverse_depth[0].astype(np.float32), p.labels.astype(np.int32)
+        tables = (-p.motion[0, 2, 0], -p.motion[1, 2, :, 0])
+        fields = [np.empty((n, p.height, p.width), np.float32) for n in (2, 6)]
+        arguments = (depth, labels, *(table.astype(np.float32) for table in tables), *fields)
+        options = self._motions() | {"twists": p.twists, "by_pixel": grid.on_device}
+        return (
+            lambda: readout.rigid_fields(*arguments, **options),
+            lambda _: np.concatenate(fields),
+        )
+
+    def _geometry(self) -> tuple[LaneData, ...]:
+        p, unknowns = self.problem, self.unknowns
+        tables = unknowns.x_hat, unknowns.y_hat
+        return self.lay(p.inverse_depth), self.lay(p.labels[None]), *tables
+
+    def _motions(self) -> dict:
+        p = self.problem
+        return {"motions": p.motions.astype(np.float32), "focal": p.camera.focal}
+
+
+class DepthReferences(NumpySide):
+    """The same by `tisfm.reference`, or in plain NumPy."""
+
+    def displacement(self) -> Run:
+        return lambda: displaced(self.problem)
+
+    def along(self) -> Run:
+        p = self.problem
+        found = displaced(p)
+        terms = p.constraints.reshape(-1, 3, p.height, p.width)
+
+        def run() -> np.ndarray:
+            u, v, a, b = found
+            depth = p.inverse_depth[0]
+            out = np.zeros_like(terms)
+            out[:, 0] = terms[:, 0] * a + terms[:, 1] * b
+            out[:, 2] = terms[:, 0] * u + terms[:, 1] * v + terms[:, 2] - out[:, 0] * depth
+            return out.reshape(-1, p.height, p.width)
+
+        return run
+
+    def motion_system(self) -> Run:
+        p, weights = self.problem, self.problem.weights(1)
+        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+        moved, pose = displaced(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
+
+        def run() -> np.ndarray:
+            tensor = reference.robust_tensor(p.terms, identity, moved, SCALES)
+            squares = sum(reference.residual(term, identity, moved) for term in p.terms)
+            east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
+            around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
+            trusted = (p.labels == 0) / (1 + squares / TOLERATED) ** 2
+            return np.column_stack(
+                reference.motion_system(
+                    tensor * trusted, p.inverse_depth[0], HELD * around, p.camera, *pose
+                )
+            )
+
+        return run
+
+    def matching_cost(self) -> Run:
+        p = self.problem
+        pose = p.motions[0, :, :3], p.motions[0, :, 3]
+
+        def run() -> np.ndarray:
+            cost = reference.matching_cost(*p.features, HYPOTHESES, p.camera, *pose)
+            away = np.abs(HYPOTHESES - p.guess[..., None])
+            cost += p.trust[..., None] * np.minimum(1, away / NEAR)
+            return np.moveaxis(cost * p.decided, -1, 0)
+
+        return run
+
+    def aggregate(self) -> Run:
+        cost, guide = self.problem.cost, self.problem.features[0, 0]
+        return lambda: np.moveaxis(reference.aggregate(cost, guide, **AGGREGATION), -1, 0)
+
+    def cheapest(self) -> Run:
+        cost = self.problem.cost
+
+        def run() -> np.ndarray:
+            best = cost.argmin(2)[..., None]
+            inner = (best > 0) & (best < cost.shape[2] - 1)
+            around = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
+            below, least, above = (np.take_along_axis(cost, place, 2) for place in around)
+            vertex = (below - above) / np.maximum(below + above - 2 * least, TINY) / 2
+            return np.moveaxis(best + inner * np.clip(vertex, -0.5, 0.5), 2, 0)
+
+        return run
+
+    def rigid_fields(self) -> Run:
+        p = self.problem
+        twists = p.twists[p.labels.astype(int)]
+
+        def run() -> np.ndarray:
+            flow = displaced(p)[:2]
+            rho = np.moveaxis(twists, 2, 0).copy()
+            rho[:3] *= p.inverse_depth
+            rho[:2] += flow - reference.flow(p.motion, rho)
+            return np.concatenate([flow, rho])
+
+        return run
+
+
+def displaced(problem: Problem) -> np.ndarray:
+    """Return the flow under the motion of every pixel, and its change with D, (4, H, W)."""
+    focal = problem.camera.focal
+    ray = np.concatenate([-problem.motion[:, 2], np.ones((1, problem.height, problem.width))])
+    poses = problem.motions[problem.labels.astype(int)].transpose(2, 3, 0, 1)
+    translation = poses[:, 3]
+    moved = np.einsum("ijyx,jyx->iyx", poses[:, :3], ray)
+    moved += translation * problem.inverse_depth / focal
+    there = moved[:2] / moved[2]
+    direction = (translation[:2] - there * translation[2]) / moved[2]
+    return np.concatenate([focal * (there - ray[:2]), direction])

@@ -1,0 +1,173 @@
+"""Both sides of the kernels of multigrid: between two grids, and along a direction."""
+
+import numpy as np
+
+from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
+from bench.shared.problems import ALPHA, STEPS
+from tisfm import reference
+from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
+from tisfm.kernels.solve import coarsening, line_search
+
+
+class MultigridOperations(TaichiSide):
+    """The kernels, by their wrappers."""
+
+    def coarsen_system(self) -> Timed:
+        system = self.system()
+        out = [self._halved(array.shape[0]) for array in (system.tensor, system.weights)]
+        return (
+            lambda: system.coarsen(*out),
+            lambda _: np.concatenate([self._read_halved(array) for array in out]),
+        )
+
+    def restrict_residual(self) -> Timed:
+        system, rho, out = self.system(), self.unknowns.rho, self._halved(self.n)
+        return lambda: system.restrict(rho, out), lambda _: self._read_halved(out)
+
+    def relayout(self) -> Timed:
+        coarse = coarsening.coarse_grid(self.grid)
+        array, out = self._lay_halved(self.problem.parents[: self.n]), coarse.allocate(self.n)
+        return lambda: coarsening.relayout(coarse, array, out), lambda _: self._read_halved(out)
+
+    def correct(self) -> Timed:
+        grid, rho = self.grid, self.unknowns.rho
+        coarse = self._lay_halved(self.problem.parents[: self.n])
+        across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
+        return lambda: coarsening.correct(grid, coarse, across, rho), lambda _: self.read(rho)
+
+    def plane(self) -> Timed:
+        arrays, directions = self.system().arrays, self._directions()
+        return (
+            lambda: line_search.plane(self.grid, arrays, *directions),
+            lambda found: np.concatenate([found[0][np.triu_indices(2)], found[1]])[:, None],
+        )
+
+    def descend(self) -> Timed:
+        directions = self._directions()
+        return (
+            lambda: line_search.descend(self.grid, *STEPS, *directions),
+            lambda _: np.concatenate([self.read(array) for array in directions]),
+        )
+
+    def _directions(self) -> tuple[LaneData, LaneData, LaneData]:
+        p = self.problem
+        return self.unknowns.rho, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
+
+    def _halved(self, components: int) -> LaneData:
+        return self.grid.place(aligned_zeros(coarsening.halved_shape(self.grid, components)))
+
+    def _lay_halved(self, stack: np.ndarray) -> LaneData:
+        return self.lay(stack, strip=self.grid.strip // 2)
+
+    def _read_halved(self, array: LaneData) -> np.ndarray:
+        return self.read(array, width=coarsening.coarse_grid(self.grid).width)
+
+
+class MultigridReferences(NumpySide):
+    """The same in plain NumPy; that of `relayout` is a copy."""
+
+    def coarsen_system(self) -> Run:
+        tensor, n = self.problem.tensor, self.n
+        east, south = self.weights()[:n], self.weights()[n:]
+        if self.scheme == "joint":
+            east, south = east[:1], south[:1]
+
+        def run() -> np.ndarray:
+            right, lower = _children(east), _children(south)
+            return np.concatenate(
+                [
+                    _children(tensor).sum(axis=(0, 1)),
+                    0.5 * right[:, 1].sum(axis=0),
+                    0.5 * lower[1].sum(axis=0),
+                ]
+            )
+
+        return run
+
+    def restrict_residual(self) -> Run:
+        n, motion, weights = self.n, self.motion, ALPHA * self.weights()
+        tensor = self.problem.tensor
+
+        def run() -> np.ndarray:
+            east, south = reference.differences(self.rho)
+            east, south = weights[:n] * east, weights[n:] * south
+            residual = east + south
+            residual[:, :, 1:] -= east[:, :, :-1]
+            residual[:, 1:] -= south[:, :-1]
+            for row, slope in zip(motion, _slope(tensor, motion, self.rho), strict=True):
+                residual -= row * slope
+            return _children(residual).sum(axis=(0, 1))
+
+        return run
+
+    def relayout(self) -> Run:
+        return lambda: self.problem.parents[: self.n].copy()
+
+    def correct(self) -> Run:
+        coarse, rho = self.problem.parents[: self.n], self.rho.copy()
+        height, width = rho.shape[1:]
+
+        def run() -> np.ndarray:
+            rows = _interpolated(coarse, height, axis=1)
+            rho[...] += _interpolated(rows, width, axis=2)
+            return rho
+
+        return run
+
+    def plane(self) -> Run:
+        p, n, motion, weights = self.problem, self.n, self.motion, ALPHA * self.weights()
+        before, step = p.previous[:n], p.step[:n]
+        j11, j12, j22, *_ = p.tensor
+
+        def run() -> np.ndarray:
+            directions = self.rho - before, step
+            flows = [reference.flow(motion, way) for way in directions]
+            edges = [np.concatenate(reference.differences(way)) for way in directions]
+            slope = _slope(p.tensor, motion, before)
+            tension = weights * np.concatenate(reference.differences(before))
+            sums = []
+            for i, j in ((0, 0), (0, 1), (1, 1)):
+                (a, b), (c, d) = flows[i], flows[j]
+                data = j11 * a * c + j12 * (a * d + b * c) + j22 * b * d
+                sums.append(data.sum() + (weights * edges[i] * edges[j]).sum())
+            for (a, b), edge in zip(flows, edges, strict=True):
+                sums.append((slope[0] * a + slope[1] * b).sum() + (tension * edge).sum())
+            return np.array(sums)[:, None]
+
+        return run
+
+    def descend(self) -> Run:
+        p, (first, second) = self.problem, STEPS
+        rho = self.rho.copy()
+        before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
+
+        def run() -> np.ndarray:
+            step[...] = first * (rho - before) + second * step
+            rho[...] = before + step
+            before[...] = rho
+            return np.concatenate([rho, before, step])
+
+        return run
+
+
+def _children(stack: np.ndarray) -> np.ndarray:
+    """Return the children of every coarse pixel, 0 where there is none, (2, 2, k, h, w)."""
+    k, height, width = stack.shape
+    padded = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2)))
+    split = padded.reshape(k, padded.shape[1] // 2, 2, padded.shape[2] // 2, 2)
+    return split.transpose(2, 4, 0, 1, 3)
+
+
+def _slope(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Return half the gradient of the data term in the flow, J(u, v)ᵀ + j, (2, H, W)."""
+    u, v = reference.flow(motion, rho)
+    j11, j12, j22, j1, j2, _ = tensor
+    return np.stack([j11 * u + j12 * v + j1, j12 * u + j22 * v + j2])
+
+
+def _interpolated(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
+    """Return ¾ of every fine pixel's parent and ¼ of its neighbour, along an axis."""
+    fine = np.arange(size)
+    parent = fine // 2
+    neighbour = np.clip(parent + 2 * (fine % 2) - 1, 0, coarse.shape[axis] - 1)
+    return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(neighbour, axis)

@@ -1,0 +1,209 @@
+"""The NumPy side: steps of kernels by `tisfm.reference`, or in plain NumPy where it has none."""
+
+import numpy as np
+
+from bench.kernels.sides import NumpySide, Run
+from bench.shared.problems import (
+    ALPHA,
+    CONSTRAINTS,
+    RATE,
+    RATIO,
+    RELAXATION,
+    SCALES,
+    SMOOTHNESS,
+    TOLERATED,
+    UNIQUENESS,
+)
+from tisfm import reference
+from tisfm.kernels.solve.weight_update import LINE
+
+
+class FieldReferences(NumpySide):
+    """The steps on the way from two frames to a field of motion."""
+
+    def image_to_lanes(self) -> Run:
+        image = self.problem.frames[0]
+        return lambda: np.pad(image, 4, mode="edge")[None]  # the border alone: no lanes here
+
+    def lanes_to_images(self) -> Run:
+        return lambda: self.rho.copy()  # a copy alone: there are no lanes to leave
+
+    def derivatives(self) -> Run:
+        return lambda: np.array(reference.derivatives(*self.problem.frames, self.scheme))
+
+    def flow(self) -> Run:
+        return lambda: reference.flow(self.motion, self.rho)
+
+    def warp(self) -> Run:
+        image, flow = self.problem.frames[1], self.problem.flow
+        return lambda: np.array(reference.warp(image, flow))
+
+    def constancy_constraints(self) -> Run:
+        p = self.problem
+        arguments = (tuple(p.gradients), p.flow, p.mask)
+        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+
+        def run() -> np.ndarray:
+            terms = reference.constancy_constraints(*arguments, **CONSTRAINTS)
+            tensors = reference.tensors_of(terms)
+            tensor = reference.robust_tensor(tensors, identity, p.flow, SCALES)
+            return np.concatenate(
+                [*(term.reshape(-1, p.height, p.width) for term in terms), tensor]
+            )
+
+        return run
+
+    def image_edges(self) -> Run:
+        image = self.problem.frames[:1]
+        inside = np.ones((2, *image[0].shape))
+        inside[0, :, -1] = inside[1, -1] = 0
+
+        def run() -> np.ndarray:
+            steps = np.abs(np.concatenate(reference.differences(np.array(image))))
+            edges = inside / (1 + RATE * steps)
+            return edges * (inside.sum() / edges.sum())
+
+        return run
+
+    def multiply(self) -> Run:
+        factor, out = self.problem.signs, self.problem.constraints.copy()
+        return lambda: np.multiply(factor, out, out=out)
+
+    def sweep(self) -> Run:
+        arguments = (self.problem.tensor, self.motion, self.weights())
+        rho = self.rho.copy()
+
+        def run() -> np.ndarray:
+            reference.sweep_red_black(*arguments, rho, alpha=ALPHA, relaxation=RELAXATION)
+            return rho
+
+        return run
+
+    sweep_unfused = sweep
+
+    def update(self) -> Run:
+        joint = self.scheme == "joint"
+        smoothness, terms = SMOOTHNESS[joint], self.problem.terms
+        before = self.weights(), self.problem.tensor
+        previous = self.problem.previous[: self.n].copy()
+
+        def run() -> np.ndarray:
+            nonlocal before
+            weights, tensor = before
+            where = (self.motion, self.rho)
+            reference.robust_energy(terms, *where, SCALES)
+            reference.smoothness_energy(self.rho, smoothness)
+            reference.half_quadratic_energy(tensor, *where, weights, ALPHA, smoothness)
+            np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)
+            previous[...] = self.rho
+            tensor = reference.robust_tensor(terms, *where, SCALES)
+            weights = reference.edge_weights(self.rho, smoothness)
+            before = weights, tensor
+            shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
+            written = list(LINE) if self.scheme == "line" else slice(None)
+            return np.concatenate([tensor[written], *shared])
+
+        return run
+
+    def prolong(self) -> Run:
+        p = self.problem
+        coarse, shape = p.coarse[: self.n], (p.height, p.width)
+        return lambda: reference.prolong(coarse, shape, RATIO)
+
+    def data_precision(self) -> Run:
+        n, motion = self.n, self.motion
+        tensor, weights = self.problem.tensor, self.problem.weights(n)
+
+        def run() -> np.ndarray:
+            u, v = reference.flow(motion, self.rho)
+            j11, j12, j22, j1, j2, jtt = tensor
+            residual = j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt
+            total = weights[:n] + weights[n:]
+            total[:, :, 1:] += weights[:n, :, :-1]
+            total[:, 1:] += weights[n:, :-1]
+            covariance = np.einsum("ckyx,kyx,dkyx->cdyx", motion, 1 / (ALPHA * total), motion)
+            m11, m12, m22 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+            return np.array([j11, j12, j22, residual, m11, m12, m22])
+
+        return run
+
+    def share_of_data(self) -> Run:
+        precision = self.problem.precision
+
+        def run() -> np.ndarray:
+            j11, j12, j22, residual, m11, m12, m22 = precision
+            trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
+            product = np.maximum(j11 * j22 - j12**2, 0) * np.maximum(m11 * m22 - m12**2, 0)
+            share = 1 - (1 + 0.5 * trace) / (1 + trace + product)  # ½ tr[J M (I + J M)⁻¹]
+            return (share / (1 + residual / TOLERATED))[None]
+
+        return run
+
+    def motion_fields(self) -> Run:
+        focal = self.problem.camera.focal
+
+        def run() -> np.ndarray:
+            inverse_depth = np.linalg.norm(self.rho[:3], axis=0) / focal
+            return np.stack([*reference.flow(self.motion, self.rho), inverse_depth])
+
+        return run
+
+    def splat(self) -> Run:
+        # Not tisfm.reference.splat, which is a plain loop.
+        return lambda: _splatted(self.problem.flow, self.problem.residual)
+
+    def defeated(self) -> Run:
+        flow, residual = self.problem.flow, self.problem.residual
+        found = _splatted(flow, residual)
+
+        def run() -> np.ndarray:
+            inside, corners = _arrivals(flow)
+            sums = sum(w * found[:, row, column] for row, column, w in corners)
+            total, badness, u, v = np.split(sums, [1, 2, 3])
+            apart = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
+            loses = total > UNIQUENESS["density"]
+            loses &= apart > UNIQUENESS["apart"] * total
+            loses &= residual[inside] * total > badness
+            out = np.zeros(residual.shape, bool)
+            out[inside] = loses[0]
+            return mask_moments(out)
+
+        return run
+
+
+def mask_moments(mask: np.ndarray) -> np.ndarray:
+    """Return how many pixels a mask has and the sums of their rows and columns, (3, 1).
+
+    A threshold that rounding decides moves them by little.
+    """
+    rows, columns = np.nonzero(mask)
+    return np.array([[len(rows)], [rows.sum()], [columns.sum()]], np.float64)
+
+
+def _arrivals(
+    flow: np.ndarray,
+) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Return which pixels stay inside, and rows, columns and weights around their places."""
+    height, width = flow.shape[1:]
+    x, y = flow[0] + np.arange(width), flow[1] + np.arange(height)[:, None]
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = x[inside], y[inside]
+    left, top = x.astype(int), y.astype(int)
+    across, down = x - left, y - top
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    return inside, [
+        (top, left, (1 - down) * (1 - across)),
+        (top, right, (1 - down) * across),
+        (below, left, down * (1 - across)),
+        (below, right, down * across),
+    ]
+
+
+def _splatted(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel."""
+    inside, corners = _arrivals(flow)
+    values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]
+    places = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])
+    weights = np.concatenate([values * weight for *_, weight in corners], axis=1)
+    sums = [np.bincount(places, weight, minlength=residual.size) for weight in weights]
+    return np.stack(sums).reshape(4, *residual.shape)

@@ -1,0 +1,110 @@
+"""What both sides of a benchmark start from: arrays in lanes for Taichi, images for NumPy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bench.shared.problems import ALPHA, Problem
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros, on_host
+from tisfm.kernels.solve.linear_system import LinearSystem
+from tisfm.solver.unknowns import Unknowns
+
+Timed = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
+Run = Callable[[], np.ndarray]
+
+
+class TaichiSide:
+    """One method per kernel, which returns the call to be timed and a reader of its answer.
+
+    The reader takes what the call returned and gives images, (k, H, W), or sums, (k, …). Calls
+    that work in place go on from where the last one ended, as they do in the solver. On a device,
+    lane arrays are there before the call, and stay.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        lanes: int,
+        components: int,
+        *,
+        scheme: str = "",
+        solver: str = "",
+        on_device: bool = False,
+    ) -> None:
+        self.problem, self.n, self.scheme, self.solver = problem, components, scheme, solver
+        self.grid = LaneGrid(problem.height, problem.width, lanes, on_device=on_device)
+        self.unknowns = Unknowns(self.grid, problem.camera, components)
+        self.unknowns.rho = self.lay(problem.rho[:components])
+
+    def system(self) -> LinearSystem:
+        """Return the linear system of the problem, in lanes."""
+        weights = self.problem.weights(self.n, joint=self.scheme == "joint")
+        sets = weights.reshape(2, self.n, *weights.shape[1:])
+        if self.scheme == "joint":
+            sets = sets[:, :1]
+        return self.system_of(np.concatenate(sets), self.n)
+
+    def system_of(self, weights: np.ndarray, components: int) -> LinearSystem:
+        """Return the linear system of so many unknowns and these weights, (2n or 2, H, W)."""
+        return LinearSystem(
+            grid=self.grid,
+            tensor=self.lay(self.problem.tensor),
+            weights=self.lay(weights),
+            x_hat=self.unknowns.x_hat,
+            y_hat=self.unknowns.y_hat,
+            alpha=ALPHA,
+            stiffness=(1.0,) * components,
+        )
+
+    def lay(self, stack: np.ndarray, strip: int = 0) -> LaneData:
+        """Lay (k, H, W) into a new lane array, halo columns included, without a kernel.
+
+        `strip`: columns per lane, if not those of the grid.
+        """
+        (k, height, width), lanes = stack.shape, self.grid.lanes
+        strip = strip or self.grid.strip
+        shape = (k, height + 2, strip + 2)
+        out = aligned_zeros(shape if lanes == 1 else (*shape, lanes))
+        array = out if lanes > 1 else out[..., None]
+        padded = np.pad(stack, ((0, 0), (0, 0), (0, lanes * strip - width)))
+        array[:, 1:-1, 1:-1] = np.swapaxes(padded.reshape(k, height, lanes, strip), 2, 3)
+        array[:, 1:-1, 0, 1:] = array[:, 1:-1, -2, :-1]
+        array[:, 1:-1, -1, :-1] = array[:, 1:-1, 1, 1:]
+        return self.grid.place(out)
+
+    def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
+        """Lay (H + 2·halo, W + 2·halo) into one component of a lane array, border included."""
+        grid = self.grid
+        columns = np.arange(grid.strip + 2 * halo)[:, None] + grid.strip * np.arange(grid.lanes)
+        table = image[:, np.minimum(columns, image.shape[1] - 1)]
+        return table if grid.lanes > 1 else table[..., 0]
+
+    def read(self, array: LaneData, halo: int = 0, *, width: int = 0) -> np.ndarray:
+        """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border.
+
+        `width`: of the image, if not that of the grid.
+        """
+        array, lanes = on_host(array), self.grid.lanes
+        around = halo or 1
+        strip = array.shape[2] - 2 * around
+        x = np.arange(-halo, (width or self.grid.width) + halo)
+        lane = np.clip(x // strip, 0, lanes - 1)
+        rows = array if halo else array[:, 1:-1]
+        return (rows if lanes > 1 else rows[..., None])[:, :, x - lane * strip + around, lane]
+
+
+class NumpySide:
+    """One method per kernel, which returns the call to be timed; the call returns the answer.
+
+    Calls that work in place go on from where the last one ended, like those they stand beside.
+    """
+
+    def __init__(self, problem: Problem, components: int, scheme: str) -> None:
+        self.problem, self.n, self.scheme = problem, components, scheme
+        self.rho = problem.rho[:components]
+        self.motion = problem.motion[:, :components]
+
+    def weights(self) -> np.ndarray:
+        """Return the weights of edges, one for each component even if joint, (2n, H, W)."""
+        return self.problem.weights(self.n, joint=self.scheme == "joint")

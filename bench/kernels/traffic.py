@@ -1,0 +1,84 @@
+"""How much memory a kernel has to move: the bytes behind every share of bandwidth.
+
+The rule, for kernels and for the stream alike: every array that a kernel must read or write
+counts once, 4 bytes per pixel and component, however often the kernel comes back to it. Not
+counted are halo, padding and column tables, and the reads of cache lines about to be overwritten.
+So a kernel that passes twice over its arrays stays at half the bandwidth at best.
+
+Only `sweep_unfused`, which shows what two passes cost, counts what each of them moves: whole cache
+lines, of which those of 16 lanes hold one color alone.
+"""
+
+from dataclasses import dataclass
+
+from bench.shared.problems import HYPOTHESES
+
+BYTES = 4  # of a float32
+LINE = 64  # bytes of a cache line
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Words per pixel: `read[0]` + `read[1]`·n are read, and so on, for n unknowns per pixel.
+
+    `spared` are those of them that need not be moved where a vector of lanes fills a cache line.
+    """
+
+    read: tuple[float, float]
+    written: tuple[float, float]
+    spared: tuple[float, float] = (0, 0)
+
+    def bytes_per_pixel(self, components: int, lanes: int) -> float:
+        """Return the bytes a pixel of a problem of n = `components` unknowns has to move."""
+        fixed, each = (a + b for a, b in zip(self.read, self.written, strict=True))
+        if lanes * BYTES >= LINE:
+            fixed, each = fixed - self.spared[0], each - self.spared[1]
+        return BYTES * (fixed + each * components)
+
+
+TRAFFIC = {
+    "image_to_lanes": Traffic(read=(1, 0), written=(1, 0)),  # image | lanes
+    "lanes_to_images": Traffic(read=(0, 1), written=(0, 1)),  # ρ̂ | images
+    "derivatives cube": Traffic(read=(2, 0), written=(3, 0)),  # frames | I_x, I_y, I_t
+    "derivatives five_tap": Traffic(read=(2, 0), written=(3, 0)),
+    "flow": Traffic(read=(0, 1), written=(2, 0)),  # ρ̂ | u, v
+    "warp": Traffic(read=(6, 0), written=(2, 0)),  # taps, u, v | warped, mask
+    # ∇I, I_t, u, v, mask | constraints, tensor
+    "constancy_constraints": Traffic(read=(6, 0), written=(15, 0)),
+    "sweep separate": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂
+    "sweep joint": Traffic(read=(7, 1), written=(0, 1)),
+    "sweep line": Traffic(read=(5, 0), written=(1, 0)),  # J11, j1, b, D | D
+    # Each of red and black: tensor, b, ρ̂ | ρ̂. Of its own color alone: tensor | ρ̂.
+    "sweep_unfused joint": Traffic(read=(14, 2), written=(0, 2), spared=(5, 1)),
+    # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
+    "update separate": Traffic(read=(17, 4), written=(6, 3)),
+    "update joint": Traffic(read=(19, 2), written=(8, 1)),
+    # Of the tensor, J11, j1 and J_tt alone.
+    "update line": Traffic(read=(18, 0), written=(6, 0)),
+    "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
+    "data_precision": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
+    "share_of_data": Traffic(read=(7, 0), written=(1, 0)),  # precision | share
+    "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
+    "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
+    "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints
+    "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
+    "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
+    # Of a halved array, a quarter: tensor, b | tensor, b
+    "coarsen_system separate": Traffic(read=(6, 2), written=(1.5, 0.5)),
+    "coarsen_system joint": Traffic(read=(8, 0), written=(2, 0)),
+    "restrict_residual separate": Traffic(read=(5, 3), written=(0, 0.25)),  # as a sweep | residual
+    "restrict_residual joint": Traffic(read=(7, 1), written=(0, 0.25)),
+    "relayout": Traffic(read=(0, 0.25), written=(0, 0.25)),
+    "correct": Traffic(read=(0, 1.25), written=(0, 1)),  # correction, ρ̂ | ρ̂
+    "plane separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, before, step
+    "plane joint": Traffic(read=(7, 3), written=(0, 0)),
+    "descend": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
+    "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
+    "along": Traffic(read=(14, 0), written=(9, 0)),  # constraints, flow, direction, D | constraints
+    "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
+    # features, guess, weight | costs
+    "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
+    "cheapest": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
+    "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂
+    "aggregate": Traffic(read=(1 + len(HYPOTHESES), 0), written=(len(HYPOTHESES), 0)),
+}

@@ -1,0 +1,76 @@
+"""A sweep that passes over memory once for each color, of what the library's does in one pass.
+
+It shows whether relaxing a pixel keeps up with memory where nothing is left in the caches; what
+`tisfm.kernels.solve.relaxation` gains by letting black follow red is the difference.
+"""
+
+import taichi as ti
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import (
+    CHUNK,
+    SMALL,
+    LaneArray,
+    LaneData,
+    first_row,
+    lane_kernel,
+    planes_of,
+    refresh_halo,
+)
+from tisfm.kernels.solve.linear_system import LinearSystem
+from tisfm.kernels.solve.relaxation import BAND, relax_at
+
+
+def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, solver: str) -> None:
+    """Sweep red everywhere and then black, as `LinearSystem.sweep` does.
+
+    For vectors of lanes: with one lane the library itself sweeps so.
+    """
+    grid = system.grid
+    if grid.lanes == 1:
+        raise ValueError("the grid has 1 lane: expected 8 or 16")
+    _sweep_unfused[grid.lanes](
+        *system.arrays,
+        relaxation,
+        system.components,
+        system.sets,
+        solver == "closed_form",
+        max(1, grid.height // BAND),
+        rho,
+    )
+
+
+@lane_kernel
+def _sweep_unfused(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    weights: LaneArray(3),  # (2n or 2, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
+    relaxation: ti.f32,
+    n: ti.template(),
+    sets: ti.template(),
+    closed_form: ti.template(),
+    bands: ti.i32,
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    height = rho.shape[1] - 2
+    pairs = (rho.shape[2] - 2) // 2
+    for color in ti.static(range(2)):
+        for task in range(CHUNK * bands):
+            if task % CHUNK == 0:
+                alphas = ti.static([bind(alpha[k]) for k in range(n)])
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+                band = task // CHUNK
+                for row in range(
+                    first_row(band, height, bands), first_row(band + 1, height, bands)
+                ):
+                    for pair in range(pairs):
+                        s = 2 * pair + (row + color) % 2 + 1
+                        relax_at(
+                            tensor, weights, x_hat, y_hat, rho, alphas, stride, planes,
+                            relaxation, n, sets, closed_form, False, rho, row + 1, s,
+                        )  # fmt: skip
+                    for k in range(n):
+                        refresh_halo(rho, k, row + 1)

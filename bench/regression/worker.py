@@ -1,0 +1,83 @@
+"""Interprets pairs with the tisfm of the folder that it is started in.
+
+The code is given to an interpreter by ``-c``, so that this folder comes first on its path, and not
+the one that this file lies in. It uses NumPy and what tisfm documents, and so runs in older
+checkouts. Argument: the number of threads.
+
+It prints a line of JSON when it is ready, and then one for each on standard input, ``{"pair": PATH,
+"settings": {"name": PRESET, …}, "pose": BOOL, "answer": PATH or null, "times": N}``: the seconds of
+the last of N calls, those of the processor in it and since the process began, and the status. What
+the call raised is the status.
+"""
+
+import json
+import os
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+# An editable installation would find the kernels of the checkout that it was made in.
+sys.meta_path[:] = [f for f in sys.meta_path if getattr(f, "__name__", "") != "_EditableFinder"]
+
+_used, _started = time.process_time(), time.perf_counter()
+import tisfm  # noqa: E402
+
+IMPORT = time.perf_counter() - _started, time.process_time() - _used  # NumPy's is in it
+
+import numpy as np  # noqa: E402
+
+
+def read(path: str) -> dict[str, Any]:
+    """Return a pair as arguments of `tisfm.interpret`, the pose apart."""
+    with np.load(path) as stored:
+        focal, *center = stored["camera"].tolist()
+        pair = {name: stored[name] for name in ("frame0", "frame1", "pose") if name in stored}
+    return pair | {"camera": tisfm.Camera(focal=focal, center=tuple(center))}
+
+
+def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
+    """Interpret a pair, store the result where it is asked for, return times and status."""
+    settings = tisfm.Settings.preset(**request["settings"])
+    given = {name: value for name, value in pair.items() if name != "pose" or request["pose"]}
+    try:
+        for _ in range(request["times"]):
+            used, started = time.process_time(), time.perf_counter()
+            result = tisfm.interpret(**given, settings=settings)
+            seconds, cpu = time.perf_counter() - started, time.process_time() - used
+    except Exception as error:  # of whatever kind: the other checkout may raise another
+        return {"status": " ".join(f"{type(error).__name__}: {error}".split())}
+    if request["answer"]:
+        fields = ("flow", "inverse_depth", "confidence", "occlusion", "labels")
+        values = {name: getattr(result, name) for name in fields}
+        known = {name: value for name, value in values.items() if value is not None}
+        np.savez(request["answer"], **known)
+    return {
+        "status": str(result.status),
+        "seconds": seconds,
+        "cpu": cpu,
+        "process": time.process_time(),
+    }
+
+
+def serve(threads: int) -> None:
+    """Answer requests until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a library prints must not be taken for an answer
+    warnings.simplefilter("ignore")
+    tisfm.runtime.start(threads=threads)
+    loaded = [m for name, m in list(sys.modules.items()) if name.partition(".")[0] == "tisfm"]
+    files = sorted(str(Path(m.__file__).resolve()) for m in loaded if m.__file__)
+    ready = {"files": files, "version": tisfm.__version__, "import": IMPORT}
+    print(json.dumps(ready), file=answers, flush=True)
+    pairs: dict[str, dict[str, Any]] = {}
+    for line in sys.stdin:
+        request = json.loads(line)
+        if request["pair"] not in pairs:
+            pairs[request["pair"]] = read(request["pair"])
+        print(json.dumps(answer(pairs[request["pair"]], request)), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]))

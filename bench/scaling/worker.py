@@ -1,0 +1,143 @@
+"""Times of whole pairs on so many threads, in a process of its own, which `bench.scaling` starts.
+
+One line of JSON comes in on standard input, one goes out on standard output. OpenCV's DIS is timed
+in the same process, on the same threads, in the same rounds.
+"""
+
+import contextlib
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import tisfm
+from bench.shared.contest import QUICK
+from bench.shared.peer_worker import dis
+from tisfm import runtime
+
+PEER = "OpenCV DIS medium"
+
+# Where the time of a pair goes: what each of these takes, less what those that it calls take.
+STAGES = (
+    ("tisfm.pair", "grey_pair", "grey levels"),
+    ("tisfm.solver.image_pyramid", "ImagePyramid.__init__", "pyramids and splines"),
+    ("tisfm.solver.coarse_to_fine", "unknowns_on", "start of a level"),
+    ("tisfm.solver.coarse_to_fine", "data_term_on", "start of a level"),
+    ("tisfm.solver.coarse_to_fine", "minimiser_on", "start of a level"),
+    ("tisfm.solver.coarse_to_fine", "_on_level", "warp, derivatives, constraints"),
+    ("tisfm.solver.half_quadratic", "HalfQuadratic.update", "iterations"),
+    ("tisfm.solver.half_quadratic", "HalfQuadratic.minimise", "iterations"),
+    ("tisfm.solver.unknowns", "Unknowns.precision", "read-out"),
+    ("tisfm.motion.field", "at_finest", "read-out"),
+    ("tisfm.motion.field", "_read_out", "read-out"),
+    ("tisfm.pair", "occlusion_in", "occlusion"),
+    ("tisfm.pair", "confidence", "confidence"),
+    ("tisfm.pair", "interpret", "all else"),
+)
+
+
+class Stopwatch:
+    """Adds up the time of stages, each less the others that run within it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._inside: list[float] = []
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Watch the stages while the context lasts."""
+        originals = []
+        for module, path, label in STAGES:
+            owner: Any = importlib.import_module(module)
+            *outer, name = path.split(".")
+            for part in outer:
+                owner = getattr(owner, part)
+            originals.append((owner, name, getattr(owner, name)))
+            setattr(owner, name, self._timed(originals[-1][2], label))
+        try:
+            yield
+        finally:
+            for owner, name, original in originals:
+                setattr(owner, name, original)
+
+    def _timed(self, function: Callable[..., Any], label: str) -> Callable[..., Any]:
+        def timed(*arguments: Any, **options: Any) -> Any:
+            self._inside.append(0.0)
+            started = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                spent = time.perf_counter() - started
+                inside = self._inside.pop()
+                self.seconds[label] = self.seconds.get(label, 0.0) + spent - inside
+                if self._inside:
+                    self._inside[-1] += spent
+
+        return timed
+
+
+def measure(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the times of every pair and of the peer in every round, and where the time goes."""
+    runtime.start(threads=request["threads"])
+    settings = tisfm.Settings.preset(request["preset"])
+    pairs = {}
+    for name, path in request["pairs"].items():
+        with np.load(path) as file:
+            camera = tisfm.Camera(focal=float(file["focal"]))
+            pairs[name] = (file["frame0"], file["frame1"], camera)
+
+    def interpret(name: str) -> None:
+        from tisfm import pair  # by its module, where the stopwatch looks
+
+        frame0, frame1, camera = pairs[name]
+        pair.interpret(frame0, frame1, camera=camera, settings=settings)
+
+    frames, peer = pairs[request["peer"]][:2], dis("MEDIUM")
+    calls: dict[str, Callable[[], Any]] = {}
+    for name in pairs:
+        calls[name] = partial(interpret, name)
+        if name == request["peer"]:
+            calls[PEER] = partial(peer, *frames)
+    times = in_turns(calls, request["rounds"])
+    beside = {"name": PEER, "size": request["peer"], "times": times.pop(PEER)}
+    shares = {}
+    for name in pairs:
+        watch = Stopwatch()
+        with watch.watching():
+            for _ in range(request["rounds"]):
+                interpret(name)
+        total = sum(watch.seconds.values())
+        shares[name] = {label: seconds / total for label, seconds in watch.seconds.items()}
+    return {"times": times, "shares": shares, "peer": beside, "lanes": runtime.lanes()}
+
+
+def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Return the times of every call in every round, each once per round.
+
+    As in `bench.shared.contest`, a call that is quick runs once more before it is timed.
+    """
+
+    def seconds(call: Callable[[], Any]) -> float:
+        started = time.perf_counter()
+        call()
+        return time.perf_counter() - started
+
+    for call in calls.values():  # which compiles
+        call()
+    pace = {name: seconds(call) for name, call in calls.items()}
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            if pace[name] < QUICK:
+                call()
+            times[name].append(seconds(call))
+    return times
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(json.loads(sys.stdin.readline()))))

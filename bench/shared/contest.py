@@ -1,0 +1,217 @@
+"""Methods timed and scored on the same pairs, in turns, so that all meet the same machine."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from statistics import median
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from bench.shared.sequences import FlowPair
+from tisfm.metrics import angular_error, endpoint_error, outlier_rate
+
+WARM_UP = (96, 128)  # px, of the first call of every method
+QUICK = 0.5  # s; before a timed call that is quicker comes one that is not timed, so that it
+# finds its caches and clock as in a row of such calls, whatever ran meanwhile
+SLOW = 3.0  # s; a slower call is not warmed up for each pair, and takes part in
+SLOW_ROUNDS = 3  # at most this many rounds
+
+
+class MethodFailure(Exception):  # noqa: N818 (it is not our error)
+    """A method gave no flow; the text says why."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Call:
+    """What one call of a method gave: (H, W, 2) flow, wall and processor time in s."""
+
+    flow: NDArray
+    seconds: float
+    cpu: float
+
+
+class Method(Protocol):
+    """A method in a contest."""
+
+    @property
+    def name(self) -> str:
+        """What the tables call it."""
+
+    def run(self, pair: FlowPair) -> Call:
+        """Return the flow of a pair, or raise `MethodFailure`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """One timed call: its round, wall and processor time in s."""
+
+    round: int
+    seconds: float
+    cpu: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """A method on a pair: errors (px, degrees, share) and times, or what went wrong."""
+
+    method: str
+    pair: str
+    epe: float | None = None
+    aae: float | None = None
+    outliers: float | None = None
+    timings: tuple[Timing, ...] = ()
+    failure: str = ""
+
+    @property
+    def seconds(self) -> float | None:
+        """Median of the wall time."""
+        return median(t.seconds for t in self.timings) if self.timings else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairInfo:
+    """A pair, without its pixels."""
+
+    name: str
+    group: str
+    size: tuple[int, int]
+    note: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contest:
+    """All that one run measured.
+
+    Attributes
+    ----------
+    conditions : dict
+        Machine, threads and versions.
+    reference : str
+        The method whose time is the unit of the ratios.
+    missing : dict
+        What was asked for and could not be had → the reason.
+    """
+
+    conditions: dict[str, Any]
+    reference: str
+    methods: tuple[str, ...]
+    pairs: tuple[PairInfo, ...]
+    measurements: tuple[Measurement, ...]
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def of(self, method: str, pair: str) -> Measurement | None:
+        """Return the measurement of a method on a pair."""
+        return next((m for m in self.measurements if (m.method, m.pair) == (method, pair)), None)
+
+    def failures(self) -> dict[str, str]:
+        """Return "method on pair" → what happened."""
+        return {f"{m.method} on {m.pair}": m.failure for m in self.measurements if m.failure}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return asdict(self)
+
+
+def hold(
+    methods: Sequence[Method],
+    pairs: Sequence[FlowPair],
+    *,
+    reference: str,
+    rounds: int,
+    conditions: dict[str, Any],
+    missing: dict[str, str],
+    step: Callable[[str], None] = lambda text: None,
+) -> Contest:
+    """Run every method on every pair, in turns: in each round, each method once.
+
+    Parameters
+    ----------
+    methods, pairs : sequence
+    reference : str
+        The method whose time is the unit of the ratios.
+    rounds : int
+        Timed calls of each method and pair, after one that is not timed; slow methods have
+        fewer, see `SLOW`. The first call's flow is the one that is scored.
+    conditions, missing : dict
+        As in `Contest`.
+    step : callable
+        Called with what comes next, before every call.
+    """
+    if not pairs:
+        raise ValueError("there is no pair to measure on")
+    missing, ready = dict(missing), []
+    pace: dict[str, float] = {}  # s per pixel
+    small = pairs[0].crop(*WARM_UP)
+    for method in methods:
+        step(f"{method.name}: first call")
+        try:
+            method.run(small)
+            pace[method.name] = method.run(small).seconds / math.prod(small.size)
+            ready.append(method)
+        except MethodFailure as failure:
+            missing[method.name] = str(failure)
+    measurements: list[Measurement] = []
+    for pair in pairs:
+        measurements += _measure(ready, pair, rounds, pace, step)
+    return Contest(
+        conditions=conditions,
+        reference=reference,
+        methods=tuple(method.name for method in ready),
+        pairs=tuple(PairInfo(name=p.name, group=p.group, size=p.size, note=p.note) for p in pairs),
+        measurements=tuple(measurements),
+        missing=missing,
+    )
+
+
+def _measure(
+    methods: Sequence[Method],
+    pair: FlowPair,
+    rounds: int,
+    pace: dict[str, float],
+    step: Callable[[str], None],
+) -> list[Measurement]:
+    """Measure all methods on one pair; `pace` is brought up to date."""
+    pixels = math.prod(pair.size)
+    scores: dict[str, Measurement] = {}
+    timings: dict[str, list[Timing]] = {method.name: [] for method in methods}
+    failures: dict[str, str] = {}
+    slow = {method.name for method in methods if pace[method.name] * pixels > SLOW}
+    for turn in range(rounds + 1):  # the 0th is the warm-up
+        for method in methods:
+            name = method.name
+            if name in failures or (name in slow and not 1 <= turn <= SLOW_ROUNDS):
+                continue
+            step(f"{pair.name}: {name}")
+            try:
+                if turn > 0 and pace[name] * pixels < QUICK:
+                    method.run(pair)
+                call = method.run(pair)
+                if name not in scores:
+                    scores[name] = score(call.flow, pair, name)
+            except MethodFailure as failure:
+                failures[name] = str(failure)
+                continue
+            pace[name] = max(pace[name], call.seconds / pixels)
+            if turn > 0:
+                timings[name].append(Timing(round=turn, seconds=call.seconds, cpu=call.cpu))
+    return [
+        Measurement(method=name, pair=pair.name, failure=failures[name])
+        if (name := method.name) in failures
+        else replace(scores[name], timings=tuple(timings[name]))
+        for method in methods
+    ]
+
+
+def score(flow: NDArray, pair: FlowPair, method: str) -> Measurement:
+    """Return the errors of a method's flow; raise `MethodFailure` if there are none."""
+    try:
+        return Measurement(
+            method=method,
+            pair=pair.name,
+            epe=endpoint_error(flow, pair.truth),
+            aae=angular_error(flow, pair.truth),
+            outliers=outlier_rate(flow, pair.truth),
+        )
+    except ValueError as error:
+        raise MethodFailure(f"its flow cannot be scored: {error}") from None

@@ -1,0 +1,132 @@
+"""The processes that run other libraries' methods, and the environment they need."""
+
+import json
+import os
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.shared.contest import Call, MethodFailure
+from bench.shared.sequences import FlowPair
+from bench.shared.worker import LAST_WORDS, Worker, WorkerDied
+
+WORKER = Path(__file__).with_name("peer_worker.py")
+PACKAGES = ("opencv-contrib-python-headless", "scikit-image", "numpy")
+POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def prepare(folder: Path) -> Path:
+    """Make a virtual environment with the peers' libraries; return its interpreter."""
+    if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").exists():
+        raise FileExistsError(f"{folder} is not empty: name a new folder for the environment")
+    venv.create(folder, with_pip=True)
+    scripts = "Scripts" if sys.platform == "win32" else "bin"
+    python = folder / scripts / ("python.exe" if sys.platform == "win32" else "python")
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
+    return python
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What an interpreter can run: versions of its libraries, and name → why not, or ""."""
+
+    versions: dict[str, str]
+    reasons: dict[str, str]
+
+    @property
+    def available(self) -> list[str]:
+        """Names of the methods that can run."""
+        return [name for name, reason in self.reasons.items() if not reason]
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """Name → reason, of those that cannot."""
+        return {name: reason for name, reason in self.reasons.items() if reason}
+
+
+def survey(python: Path) -> Survey:
+    """Ask an interpreter which peers it can run; raise RuntimeError if it cannot be asked."""
+    try:
+        done = subprocess.run(
+            [python, WORKER, "survey"], capture_output=True, text=True, check=True, timeout=120
+        )
+        return Survey(**json.loads(done.stdout.splitlines()[-1]))
+    except (OSError, subprocess.TimeoutExpired, ValueError, IndexError) as error:
+        raise RuntimeError(f"{python} does not run the peers' worker: {error}") from None
+    except subprocess.CalledProcessError as error:
+        words = " ".join(error.stderr.split("\n")[-1 - LAST_WORDS :])
+        raise RuntimeError(f"{python} does not run the peers' worker: {words}") from None
+
+
+def find_peers(python: Path | None) -> tuple[Path, Survey]:
+    """Return an interpreter, this one by default, and what it runs; nothing where it cannot say."""
+    python = python or Path(sys.executable)
+    try:
+        return python, survey(python)
+    except RuntimeError as error:
+        return python, Survey({}, {"all peers": str(error)})
+
+
+class Peer:
+    """A method of another library. Its worker starts when needed, and again after it died.
+
+    Parameters
+    ----------
+    name : str
+        One of `Survey.available`.
+    python : Path
+        The interpreter it runs in.
+    threads : int
+        Bound on OpenCV's, OpenMP's and BLAS's threads.
+    folder : Path
+        Where frames and flows are exchanged.
+    timeout : float
+        s; a call that takes longer ends the worker.
+    """
+
+    def __init__(
+        self, name: str, *, python: Path, threads: int, folder: Path, timeout: float = 900.0
+    ) -> None:
+        self.name = name
+        self._folder = folder
+        self._worker = Worker(
+            [python, WORKER, "serve", name, str(threads)],
+            environment=os.environ | dict.fromkeys(POOLS, str(threads)),
+            messages=folder / f"{_file_name(name)}.txt",
+            timeout=timeout,
+        )
+
+    def run(self, pair: FlowPair) -> Call:
+        """Return the flow of a pair, or raise `MethodFailure`; frames are given in grey."""
+        flow = self._folder / f"{_file_name(self.name)}.npy"
+        frames = [_stored_grey(self._folder, pair, index) for index in (0, 1)]
+        try:
+            answer = self._worker.ask({"frames": [str(path) for path in frames], "flow": str(flow)})
+        except WorkerDied as death:
+            raise MethodFailure(str(death)) from None
+        if "error" in answer:
+            raise MethodFailure(answer["error"])
+        return Call(flow=np.load(flow), seconds=answer["seconds"], cpu=answer["cpu"])
+
+    def close(self) -> None:
+        """End the worker."""
+        self._worker.close()
+
+
+def _stored_grey(folder: Path, pair: FlowPair, index: int) -> Path:
+    path = folder / f"{pair.name}-{index}.npy"
+    if not path.exists():
+        frame = (pair.frame0, pair.frame1)[index]
+        if frame.ndim == 3:
+            frame = cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY)
+        np.save(path, np.ascontiguousarray(frame))
+    return path
+
+
+def _file_name(name: str) -> str:
+    return name.replace(" ", "-")

@@ -1,0 +1,116 @@
+"""A process that answers each line of JSON on its standard input with one of its own."""
+
+import contextlib
+import json
+import subprocess
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+LAST_WORDS = 3  # lines of a dead worker's messages
+PATIENCE = 20.0  # s that a worker has to end by itself
+
+
+class WorkerDied(Exception):  # noqa: N818 (the error is the worker's)
+    """A worker ended without an answer; the text says how."""
+
+
+class Worker:
+    """A worker process. It starts when it is first asked, and again after it died.
+
+    Its first line, before any question, says that it is ready.
+
+    Parameters
+    ----------
+    command : sequence of str or Path
+    environment : mapping
+    messages : Path
+        Where its standard error goes.
+    folder : Path, optional
+        Where it runs.
+    timeout : float
+        s; a question that takes longer ends the worker.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str | Path],
+        *,
+        environment: Mapping[str, str],
+        messages: Path,
+        folder: Path | None = None,
+        timeout: float = 900.0,
+    ) -> None:
+        self.ready: dict[str, Any] = {}
+        self._command, self._environment, self._folder = command, environment, folder
+        self._messages, self._timeout = messages, timeout
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start the process, unless it runs; return when it is ready."""
+        if self._process is not None:
+            return
+        with self._messages.open("w", encoding="utf-8") as messages:
+            self._process = subprocess.Popen(
+                self._command,
+                env=self._environment,
+                cwd=self._folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=messages,
+                text=True,
+                encoding="utf-8",
+            )
+        self.ready = self._converse(self._process, None)
+
+    def ask(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer; raise `WorkerDied` if there is none."""
+        self.start()
+        assert self._process is not None
+        return self._converse(self._process, question)
+
+    def close(self, patience: float = PATIENCE) -> None:
+        """End the worker: it may finish by itself for so many seconds."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        assert process.stdin is not None and process.stdout is not None
+        with contextlib.suppress(OSError):  # what was left in it cannot be written any more
+            process.stdin.close()
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdout.close()
+
+    def _converse(
+        self, process: "subprocess.Popen[str]", question: Mapping[str, Any] | None
+    ) -> dict[str, Any]:
+        assert process.stdin is not None and process.stdout is not None
+        alarm = threading.Timer(self._timeout, process.kill)
+        alarm.start()
+        try:
+            if question is not None:
+                process.stdin.write(json.dumps(question) + "\n")
+                process.stdin.flush()
+            line = process.stdout.readline()
+        except OSError:  # the pipe is broken
+            line = ""
+        finally:
+            late = not alarm.is_alive()
+            alarm.cancel()
+        if not line:
+            reason = self._end_of(process, late)
+            self.close(patience=0)
+            raise WorkerDied(reason)
+        return json.loads(line)
+
+    def _end_of(self, process: "subprocess.Popen[str]", late: bool) -> str:
+        if late:
+            return f"its process was ended after {self._timeout:g} s without an answer"
+        code = process.wait()
+        words = self._messages.read_text(encoding="utf-8", errors="replace").strip()
+        last = " ".join(words.splitlines()[-LAST_WORDS:])
+        return f"its process died with status {code}" + (f": {last}" if last else "")

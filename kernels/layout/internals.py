@@ -1,0 +1,143 @@
+"""What is used of Taichi beyond its documented interface: all of it is here.
+
+The release that it was written for is pinned in pyproject.toml. Another one needs this module
+looked through, and the tests of `tests/kernels/test_launch.py`.
+"""
+
+from typing import Any
+
+import taichi as ti
+from taichi.lang import impl
+from taichi.lang.impl import expr_init
+
+bind = expr_init  # names a value while a kernel is compiled, so that it is computed once
+
+_HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
+_FLOATS, _INTEGERS = (ti.f32, ti.f64), (ti.i32,)
+
+
+def is_running() -> bool:
+    """Return whether Taichi's runtime has been started."""
+    return impl.get_runtime().prog is not None
+
+
+def program() -> Any:
+    """Return the running program, which ``ti.init`` and ``ti.reset`` replace."""
+    return impl.get_runtime().prog
+
+
+def configuration() -> Any:
+    """Return the options of the running program, or of the next one."""
+    return impl.current_cfg()
+
+
+def arch() -> str:
+    """Return where the running program computes: "cpu", or Taichi's name of the arch."""
+    name: str = impl.current_cfg().arch.name
+    return "cpu" if name in _HOSTS else name
+
+
+def materialize() -> None:
+    """Finish what ``ti.init`` leaves to the first kernel, in this thread."""
+    impl.get_runtime().materialize()
+
+
+def checks_indices() -> bool:
+    """Return whether an application had Taichi check every index, while a kernel is compiled."""
+    return bool(impl.current_cfg().debug)
+
+
+def subscript(array: Any, indices: list) -> Any:
+    """Return an element of a kernel argument, while the kernel is compiled."""
+    compiling = impl.get_runtime().compiling_callable
+    return impl.subscript(compiling.ast_builder(), array, *indices)
+
+
+def element_shape(array: Any) -> tuple[int, ...]:
+    """Return the shape of the elements of a kernel argument, while the kernel is compiled."""
+    shape: tuple[int, ...] = array.element_shape()
+    return shape
+
+
+class Arguments:
+    """The arguments of a kernel by kind, each with its place among those of a launch.
+
+    Attributes
+    ----------
+    count : int
+    names : list of str
+    annotations : list
+    constants : list of int
+        Indices of those that are known while compiling (``ti.template()``).
+    arrays : list of (index, slot, axes)
+        `axes` of its shape are no element's: a slice's stop.
+    floats, integers : list of (index, slot)
+    """
+
+    def __init__(self, kernel: Any) -> None:
+        self.names: list[str] = []
+        self.annotations: list[Any] = []
+        self.constants: list[int] = []
+        self.arrays: list[tuple[int, int, int | None]] = []
+        self.floats: list[tuple[int, int]] = []
+        self.integers: list[tuple[int, int]] = []
+        slot = 0
+        for index, argument in enumerate(kernel._primal.arguments):
+            self.names.append(argument.name)
+            kind = argument.annotation
+            self.annotations.append(kind)
+            if isinstance(kind, ti.template):
+                self.constants.append(index)
+                continue
+            if any(kind is real for real in _FLOATS):
+                self.floats.append((index, slot))
+            elif any(kind is whole for whole in _INTEGERS):
+                self.integers.append((index, slot))
+            else:
+                element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
+                self.arrays.append((index, slot, -element or None))
+            slot += 1
+        self.count = len(self.names)
+
+
+def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
+    """Compile a kernel for such arguments; return it as contexts and as launches need it."""
+    primal = kernel._primal
+    found = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+    running = impl.get_runtime().prog
+    return found, running.compile_kernel(running.config(), running.get_device_caps(), found)
+
+
+def launch(running: Any, ready: Any, arguments: Any) -> None:
+    """Run what `compiled` gave for launches, with a context of its arguments."""
+    running.launch_kernel(ready, arguments)
+
+
+def context(found: Any, kinds: Arguments, arguments: tuple) -> Any:
+    """Return the context of a launch: its arguments, arrays by their address.
+
+    Raises
+    ------
+    TypeError
+        If an argument is not of the kind that the kernel takes.
+    """
+    made = found.make_launch_context()
+    for index, slot, axes in kinds.arrays:
+        array = arguments[index]
+        if isinstance(array, ti.Ndarray):
+            made.set_arg_ndarray((slot,), array.arr)
+            continue
+        try:
+            address = array.__array_interface__["data"][0]
+        except AttributeError:
+            raise TypeError(
+                f"{kinds.names[index]} is of type {type(array).__name__}: expected an array"
+            ) from None
+        made.set_arg_external_array_with_shape(
+            (slot,), address, array.nbytes, array.shape[:axes], 0
+        )
+    for index, slot in kinds.floats:
+        made.set_arg_float((slot,), float(arguments[index]))
+    for index, slot in kinds.integers:
+        made.set_arg_int((slot,), int(arguments[index]))
+    return made

@@ -1,0 +1,213 @@
+"""The linear system of fixed weights (eq. 16, 22–23), and all that is done with it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid
+from tisfm.kernels.model.edges import component_table
+from tisfm.kernels.model.robust import check_constraints
+from tisfm.kernels.solve.coarsening import coarsen_system, restrict_residual
+from tisfm.kernels.solve.data_precision import data_precision
+from tisfm.kernels.solve.line_search import line_search
+from tisfm.kernels.solve.relaxation import bind_sweeps
+from tisfm.kernels.solve.weight_update import Sums, bind_update
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearSystem:
+    """(GᵀJG + diag α_k b̄_k) ρ̂ = Σ α_k b_k,N ρ̂_N − Gᵀj at every pixel, N its four neighbours.
+
+    Its arrays are checked once, here. They are read where they lie: whoever writes to them changes
+    the system.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        Motion tensor (J11, J12, J22, j1, j2, J_tt).
+    weights : lane array, 2n components, or 2 for all components alike
+        g·b of every edge: the eastern ones, then the southern ones (`tisfm.kernels.model.edges`).
+    x_hat : column table
+        Normalised column coordinate x/f.
+    y_hat : (H + 2,) float32
+        Normalised row coordinate y/f, row 0 being the halo.
+    alpha : float
+        α = λ̂β.
+    stiffness : sequence of n floats
+        s_k, by which α_k = α s_k: as many as there are unknowns at a pixel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array is not one of the grid, or alpha or a stiffness is not positive and finite.
+    """
+
+    grid: LaneGrid
+    tensor: LaneData
+    weights: LaneData
+    x_hat: LaneData
+    y_hat: LaneData
+    alpha: float
+    stiffness: Sequence[float] | np.ndarray
+
+    def __post_init__(self) -> None:
+        grid = self.grid
+        grid.check(self.tensor, 6, "tensor")
+        grid.check(self.weights, self.weights.shape[0], "weights")
+        if self.weights.shape[0] not in (2, 2 * self.components):
+            raise ValueError(
+                f"weights has {self.weights.shape[0]} components: expected 2, or 2 for each of "
+                f"{self.components} unknowns"
+            )
+        grid.check_columns(self.x_hat, "x_hat")
+        grid.check_rows(self.y_hat, "y_hat")
+        component_table(self.alphas, self.components, "alpha")
+
+    @property
+    def components(self) -> int:
+        """Unknowns at a pixel, n."""
+        return len(self.stiffness)
+
+    @property
+    def sets(self) -> int:
+        """Weights that an edge has: n, or 1 for all components alike."""
+        return int(self.weights.shape[0]) // 2
+
+    @cached_property
+    def alphas(self) -> np.ndarray:
+        """α_k, (n,) float32."""
+        return np.float32(self.alpha) * component_table(
+            self.stiffness, self.components, "stiffness"
+        )
+
+    @cached_property
+    def arrays(self) -> tuple[LaneData, ...]:
+        """Tensor, weights, x̂, ŷ and α_k: the first five arguments of every kernel of a system."""
+        return self.tensor, self.weights, self.x_hat, self.y_hat, self.alphas
+
+    def sweep(
+        self,
+        rho: LaneData,
+        *,
+        relaxation: float,
+        solver: str = "cholesky",
+        sweeps: int = 1,
+        source: LaneData | None = None,
+    ) -> None:
+        """Run full red–black sweeps; `rho` is modified in place, halo included.
+
+        Parameters
+        ----------
+        rho : lane array, n components
+            ρ̂, px/frame.
+        relaxation : float
+            In (0, 2); 1 is Gauss–Seidel.
+        solver : {"cholesky", "closed_form"}
+        sweeps : int
+        source : lane array, n components, optional
+            Right-hand side c in place of −Gᵀj: then j is not read.
+        """
+        self.bind_sweep(rho, relaxation=relaxation, solver=solver, sweeps=sweeps, source=source)()
+
+    def bind_sweep(
+        self,
+        rho: LaneData,
+        *,
+        relaxation: float,
+        solver: str = "cholesky",
+        sweeps: int = 1,
+        source: LaneData | None = None,
+    ) -> Callable[[], None]:
+        """Return what runs such sweeps at every call."""
+        self._check(rho=rho, source=rho if source is None else source)
+        return bind_sweeps(
+            self.grid,
+            self.arrays,
+            rho,
+            source,
+            relaxation=relaxation,
+            solver=solver,
+            sweeps=sweeps,
+        )
+
+    def bind_weight_update(
+        self,
+        rho: LaneData,
+        previous: LaneData,
+        constraints: LaneData,
+        edges: LaneData,
+        *,
+        contrast: float,
+        scales: Sequence[float],
+        along_line: bool = False,
+    ) -> Callable[[], Sums]:
+        """Return what measures ρ̂, and renews weights and tensor for it, at every call.
+
+        The arguments are those of `tisfm.kernels.solve.weight_update.bind_update`.
+        """
+        self._check(rho=rho, previous=previous)
+        self.grid.check(edges, 2, "edges")
+        check_constraints(self.grid, constraints, scales)
+        return bind_update(
+            self.grid,
+            self.arrays,
+            rho,
+            previous,
+            constraints,
+            edges,
+            alpha=self.alpha,
+            stiffness=component_table(self.stiffness, self.components, "stiffness"),
+            contrast=contrast,
+            scales=scales,
+            along_line=along_line,
+        )
+
+    def precision(self, rho: LaneData, out: LaneData) -> None:
+        """Write what data and neighbours each say about the motion of a pixel.
+
+        As `tisfm.kernels.solve.data_precision.data_precision` has it.
+        """
+        self._check(rho=rho)
+        self.grid.check(out, 7, "out")
+        data_precision(self.grid, self.arrays, rho, out)
+
+    def restrict(self, rho: LaneData, out: LaneData, *, source: LaneData | None = None) -> None:
+        """Write the residuals at `rho`, summed over the children of every coarse pixel.
+
+        Parameters
+        ----------
+        rho : lane array, n components
+        out : halved array, n components (`tisfm.kernels.solve.coarsening`)
+        source : lane array, n components, optional
+            Right-hand side c in place of −Gᵀj.
+        """
+        self._check(rho=rho, source=rho if source is None else source)
+        restrict_residual(self.grid, self.arrays, rho, source, out)
+
+    def coarsen(self, tensor: LaneData, weights: LaneData) -> None:
+        """Write the system of the grid of half the density.
+
+        Parameters
+        ----------
+        tensor, weights : halved arrays, 6 components and as many as those of this system
+        """
+        coarsen_system(self.grid, self.arrays, tensor, weights)
+
+    def line_search(self, rho: LaneData, before: LaneData, step: LaneData) -> None:
+        """Go to the least energy in the plane of the last correction and the step before it.
+
+        Parameters
+        ----------
+        rho, before, step : lane arrays, n components
+            A corrected ρ̂, ρ̂ before the correction, and the step that led there. In place: `rho`
+            and `before` become where the search leads, `step` what it moved.
+        """
+        self._check(rho=rho, before=before, step=step)
+        line_search(self.grid, self.arrays, rho, before, step)
+
+    def _check(self, **unknowns: LaneData) -> None:
+        for name, array in unknowns.items():
+            self.grid.check(array, self.components, name)

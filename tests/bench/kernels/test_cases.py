@@ -1,0 +1,76 @@
+"""What is timed is every kernel, and agrees with the NumPy reference. No timing."""
+
+import ast
+import itertools
+import pkgutil
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from bench.kernels import bench_kernels
+from bench.kernels.traffic import TRAFFIC
+from bench.kernels.unfused import sweep_unfused
+from bench.shared.agreement import check
+from bench.shared.problems import Problem
+from tisfm import kernels
+from tisfm.runtime import cpu_lanes
+
+
+def test_every_kernel_has_its_traffic():
+    from bench.kernels.bench_kernels import CASES, Operations, References
+
+    assert {case.name for case in CASES} == set(TRAFFIC)
+    for case, side in itertools.product(CASES, (Operations, References)):
+        assert callable(getattr(side, case.kernel))
+
+
+def test_every_public_kernel_is_timed():
+    """But what is a part of another."""
+    timed = {case.kernel for case in bench_kernels.CASES}
+    for info in pkgutil.walk_packages(kernels.__path__, "tisfm.kernels."):
+        source = Path(find_spec(info.name).origin).read_text(encoding="utf-8")
+        tree = ast.parse(source)
+        decorated = {
+            node.name.removeprefix("_")
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+            and any(getattr(d, "id", "") in ("lane_kernel", "Kernel") for d in node.decorator_list)
+        }
+        variants = {name for name in decorated if name.endswith(("_sites", "_by_pixel", "_order"))}
+        schemes = {"cube", "five_tap"} if info.name.endswith("derivatives") else {"scale"}
+        assert decorated - variants - schemes <= timed, info.name
+
+
+@pytest.mark.parametrize(("lanes", "on_device"), [(1, True), (cpu_lanes(), False)])
+def test_what_is_timed_agrees_with_the_reference(lanes, on_device):
+    problem = Problem(23, 34)
+    for case in bench_kernels.CASES:
+        operations = bench_kernels.Operations(
+            problem,
+            lanes,
+            case.components or 6,
+            scheme=case.scheme,
+            solver=case.solver,
+            on_device=on_device,
+        )
+        run, read = getattr(operations, case.kernel)()
+        bench_kernels.reference_run(problem, case.without_solver())
+        expected = problem.expected[case.without_solver()]
+        check(read(run()), expected, case.tolerance(problem))
+
+
+def test_two_passes_need_more_lanes_than_one():
+    problem = Problem(5, 6)
+    side = bench_kernels.Operations(problem, 1, 6, scheme="joint")
+    with pytest.raises(ValueError, match="1 lane: expected 8 or 16"):
+        sweep_unfused(side.system(), side.unknowns.rho, relaxation=1.0, solver="cholesky")
+
+
+def test_a_pass_for_one_color_spares_lines_of_the_other():
+    two_passes = TRAFFIC["sweep_unfused joint"]
+    once = TRAFFIC["sweep joint"]
+    n = 6
+    assert two_passes.bytes_per_pixel(n, 8) == 2 * once.bytes_per_pixel(n, 8) == 2 * 4 * 19
+    # Of 16 lanes, each color has lines of its own: of the tensor, and of ρ̂ where it is written.
+    assert two_passes.bytes_per_pixel(n, 16) == 4 * (2 * 19 - 5 - n)

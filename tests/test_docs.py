@@ -1,0 +1,249 @@
+"""README and docs: links, snippets, options and values are those of the code."""
+
+import contextlib
+import io
+import re
+import shlex
+from dataclasses import fields
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from PIL import Image
+
+import tisfm
+from tisfm.cli.command_line import main
+from tisfm.formats import write_png
+from tisfm.interpretation import Status
+from tisfm.scenes import two_blocks
+from tisfm.settings import Preset
+
+ROOT = Path(__file__).parents[1]
+README, DOCS, RESULTS = ROOT / "README.md", ROOT / "docs", ROOT / "bench" / "results"
+MEASURED = RESULTS / "README.md"
+PAGES = [README, *sorted(DOCS.glob("*.md")), MEASURED]
+PRESETS = {name: tisfm.Settings.preset(name) for name in get_args(Preset)}
+COMMANDS = ("run", "eval", "demo", "figures")
+LONGEST, LARGEST = 250, 150_000  # lines of the README, bytes of its picture
+FENCE = re.compile(r"(<!-- runnable -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+
+
+def name_of(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+page = pytest.mark.parametrize("path", PAGES, ids=name_of)
+
+
+def blocks(path, language):
+    """Return (runnable, code) of the fenced blocks of a language."""
+    found = FENCE.findall(path.read_text(encoding="utf-8"))
+    return [(bool(mark), code) for mark, kind, code in found if kind == language]
+
+
+def commands(path):
+    """Return the words of every shell command, without its comment."""
+    lines = [line for _, code in blocks(path, "bash") for line in code.splitlines()]
+    parts = [part for line in lines for part in line.split("&&")]
+    return [words for words in (shlex.split(part, comments=True) for part in parts) if words]
+
+
+def prose(path):
+    return FENCE.sub("", path.read_text(encoding="utf-8"))
+
+
+@cache
+def options_of(command):
+    """Return the options that the help of a command names."""
+    text = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
+        patch.setenv("COLUMNS", "100")
+        with pytest.raises(SystemExit) as end:
+            main([command, "--help"])
+    assert end.value.code == 0
+    return set(OPTION.findall(text.getvalue()))
+
+
+def test_the_readme_is_short():
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= LONGEST
+
+
+def test_the_picture_is_small_and_whole():
+    picture = DOCS / "demo.png"
+    assert f"]({picture.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
+    assert picture.stat().st_size < LARGEST
+    with Image.open(picture) as image:
+        image.load()
+        assert image.width > 4 * image.height  # four panels side by side
+
+
+@pytest.mark.parametrize("path", sorted({*PAGES, *RESULTS.glob("*.md")}), ids=name_of)
+def test_links_lead_somewhere(path):
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(path)):
+        if target.startswith("https://"):
+            continue
+        file, _, heading = target.partition("#")
+        place = path.parent / file if file else path
+        assert place.exists(), target
+        if heading:
+            headings = re.findall(r"^#+ (.*)$", place.read_text(encoding="utf-8"), re.MULTILINE)
+            slugs = {re.sub(r"[^\w -]", "", text.lower()).replace(" ", "-") for text in headings}
+            assert heading in slugs, target
+
+
+@page
+def test_python_is_valid(path):
+    for number, (_, code) in enumerate(blocks(path, "python")):
+        compile(code, f"{path.name}, snippet {number}", "exec")
+
+
+@page
+def test_runnable_snippets_run(path, tmp_path, monkeypatch):
+    snippets = [code for runnable, code in blocks(path, "python") if runnable]
+    if not snippets:
+        assert path not in (README, DOCS / "python.md")
+        return
+    scene = two_blocks(48, 64)
+    (tmp_path / "frames").mkdir()
+    for k, frame in enumerate((scene.frame0, scene.frame1, scene.frame0)):
+        write_png(tmp_path / "frames" / f"{k}.png", frame)
+    write_png(tmp_path / "frame0.png", scene.frame0)
+    write_png(tmp_path / "frame1.png", scene.frame1)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for number, code in enumerate(snippets):
+        exec(compile(code, f"{path.name}, runnable snippet {number}", "exec"), names)
+
+
+@page
+def test_shell_commands_exist(path):
+    for words in commands(path):
+        program = Path(words[0]).name
+        if program == "tisfm":
+            assert words[1] in COMMANDS, words
+            used = {word.partition("=")[0] for word in words if word.startswith("--")}
+            assert used <= options_of(words[1]), words
+        elif re.fullmatch(r"-m bench(\.\w+)?", " ".join(words[1:3])):
+            assert find_spec(words[2]) is not None, words
+        elif program == "run":
+            assert (ROOT / words[0]).is_file(), words
+        else:
+            assert program in ("python3", "pip", "pytest", "ruff", "mypy"), words
+
+
+@page
+def test_options_in_the_text_exist(path):
+    known = set().union(*map(options_of, COMMANDS)) | {"--version", "--help"}
+    bench = {"--bars", "--smoke", "--data", "--before"}  # of python -m bench
+    for span in re.findall(r"`([^`\n]+)`", prose(path)):
+        if not span.startswith(("python", "pip")):
+            assert set(OPTION.findall(span)) <= known | bench, span
+
+
+def test_every_option_has_a_line():
+    settings = {f.name.replace("_", "-") for f in fields(tisfm.Settings)}
+    ours = {f"--{prefix}{name}" for name in settings for prefix in ("", "no-")}
+    text = prose(DOCS / "command_line.md")
+    for command in COMMANDS:
+        assert options_of(command) - ours - {"--help"} <= set(OPTION.findall(text)), command
+
+
+def shown(value):
+    if isinstance(value, tuple):
+        return ", ".join(f"{number:g}" for number in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def cells(line):
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(tisfm.Settings)])
+def test_every_setting_has_its_unit_and_values(name):
+    lines = (DOCS / "settings.md").read_text(encoding="utf-8").splitlines()
+    rows = [cells(line) for line in lines if line.startswith(f"| `{name}` |")]
+    values = [shown(getattr(settings, name)) for settings in PRESETS.values()]
+    assert [row[3:] for row in rows] == [values]
+    assert all(rows[0][1:3])  # unit and range
+    assert any(line.startswith(f"- `{name}`: ") for line in lines)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(tisfm.Settings)])
+def test_ranges_of_settings_are_those_that_are_accepted(name):
+    lines = (DOCS / "settings.md").read_text(encoding="utf-8").splitlines()
+    unit, text = next(cells(line)[1:3] for line in lines if line.startswith(f"| `{name}` |"))
+    bounds = re.search(r"([\d.e-]+) to ([\d.e-]+)$", text)
+    if bounds is None:
+        assert name in ("relaxation", "tolerance") or not re.search(r"\d", text)
+        return
+    least, most = map(float, bounds.groups())
+    whole = unit in ("count", "level")
+    outside = (least - 1, most + 1) if whole else (least - 0.01 * (least or 1), 1.01 * most)
+
+    def settings(value):
+        value = int(value) if whole else value
+        return tisfm.Settings(**{name: (value,) * 6 if name == "stiffness" else value})
+
+    for value in (least, most):
+        settings(value)
+    for value in outside:
+        with pytest.raises(ValueError, match=name):
+            settings(value)
+
+
+def test_the_presets_of_the_method_are_those_of_the_code():
+    lines = (DOCS / "method.md").read_text(encoding="utf-8").splitlines()
+    header = next(cells(line) for line in lines if line.startswith("| | `pyramid_factor`"))
+    names = [cell.strip("`") for cell in header[1:]]
+    for preset in ("fast", "balanced", "accurate"):
+        row = next(cells(line) for line in lines if line.startswith(f"| `{preset}` |"))
+        assert row[1:] == [shown(getattr(PRESETS[preset], name)) for name in names]
+    others = {field.name for field in fields(tisfm.Settings)} - set(names)
+    for name in others:  # presets but "paper" differ in effort alone
+        assert len({getattr(PRESETS[p], name) for p in ("fast", "balanced", "accurate")}) == 1
+
+
+def test_every_status_is_explained():
+    codes = set(re.findall(r'``"(\w+)"``', Status.__doc__)) - {"camera", "objects"}
+    explained = set(re.findall(r"^\| `(\w+)` \|", prose(DOCS / "trust.md"), re.MULTILINE))
+    assert "converged" in codes and codes <= explained
+
+
+def test_every_package_has_a_line():
+    text = (DOCS / "development.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\| `([\w/]+)/` \|", text, re.MULTILINE))
+    packages = {
+        file.parent.relative_to(ROOT).as_posix()
+        for top in ("tisfm", "kernels", "bench")
+        for file in (ROOT / top).rglob("__init__.py")
+    }
+    assert packages <= named
+    assert all((ROOT / folder).is_dir() for folder in named)
+
+
+def tables(text):
+    """Return (linked files, numbers in the rows of tables) of each part of a page with a table."""
+    for part in re.split(r"^#+ ", text, flags=re.MULTILINE):
+        rows = [line for line in part.splitlines() if line.startswith("| ")]
+        values = [cell for row in rows for cell in cells(row)[1:] if re.search(r"\d", cell)]
+        headings = re.compile(r"[a-z×]", re.IGNORECASE)
+        values = [cell for cell in values if not headings.search(cell.replace(" of ", ""))]
+        if values:
+            links = re.findall(r"\]\(([\w/-]+\.md)\)", part)
+            yield links, {number for cell in values for number in re.findall(r"\d+\.?\d*", cell)}
+
+
+@pytest.mark.parametrize("path", [README, MEASURED], ids=name_of)
+def test_figures_stand_in_the_files_that_are_named(path):
+    found = list(tables(path.read_text(encoding="utf-8")))
+    assert found
+    for links, numbers in found:
+        sources = [path.parent / link for link in links]
+        if path == README:
+            sources = [MEASURED]
+        text = "\n".join(source.read_text(encoding="utf-8") for source in sources)
+        known = set(re.findall(r"(?<![\d.])\d+(?:\.\d+)?(?![\d.])", text))
+        assert numbers <= known, links

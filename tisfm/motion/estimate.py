@@ -1,0 +1,102 @@
+"""What a motion model leaves of a pair: unknowns, flow, depth, and how the iterations ended."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.interpretation import History, Status
+from tisfm.kernels.layout.lanes import LaneData, on_host
+from tisfm.settings import Settings
+from tisfm.solver.coarse_to_fine import Records, Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """What a motion model found of a pair, before occlusion and confidence.
+
+    Attributes
+    ----------
+    rho : (6, H, W) float32
+        ρ̂, px/frame.
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    inverse_depth : (H, W) float32
+    precision : (7, h, w) float32
+        Of `tisfm.kernels.solve.data_precision`, on the level that it ended on.
+    level : int
+        Of the pyramid, whose frames tell which of two surfaces is hidden.
+    normalized : bool
+        Whether its residual is in squared px.
+    freedom : {1, 2}
+        Along how many directions the image motion of a pixel was free.
+    history : list of (level, warp, Iteration)
+    status : Status
+        ``"converged"`` or ``"iteration_limit"``, or why there is nothing to converge to.
+    motions : (K, 6) float64 or None
+    labels : (H, W) int32 or None
+    inverse_depth_std : (H, W) float32 or None
+    """
+
+    rho: np.ndarray
+    flow: np.ndarray
+    inverse_depth: np.ndarray
+    precision: np.ndarray
+    level: int
+    normalized: bool
+    freedom: int
+    history: Records
+    status: Status
+    motions: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    inverse_depth_std: np.ndarray | None = None
+
+
+def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
+    """Return the status of frames that show no motion at all, None if they show some."""
+    if not textured or not _any(solution.system.tensor, 3):
+        return Status(
+            "no_texture",
+            "the frames are uniform, so no motion can be seen: check that they are images of a "
+            "textured scene",
+        )
+    if not _any(solution.unknowns.rho, solution.unknowns.components):
+        return Status(
+            "no_motion",
+            "the frames do not differ, so there is no motion to interpret: take frames further "
+            "apart in time",
+        )
+    return None
+
+
+def _any(array: LaneData, components: int) -> bool:
+    """Return whether the first components of a lane array are not all zero."""
+    return any(component.any() for component in on_host(array)[:components])
+
+
+def ended(history: Records, converged: bool, settings: Settings) -> Status:
+    """Return how the last iterations ended."""
+    last = history[-1][2]
+    if not converged:
+        return Status(
+            "iteration_limit",
+            f"the unknowns still changed by {last.change:.1e} of their norm in the last of "
+            f"{settings.outer_iterations} iterations (tolerance {settings.tolerance:g}): raise "
+            "outer_iterations or sweeps, or accept a higher tolerance",
+        )
+    return Status(
+        "converged",
+        f"the unknowns changed by {last.change:.1e} of their norm in the last iteration",
+    )
+
+
+def history_of(records: Records) -> History:
+    """Return records of iterations as arrays."""
+    levels, warps, iterations = zip(*records, strict=True) if records else ((), (), ())
+    return History(
+        level=np.array(levels, np.int32),
+        warp=np.array(warps, np.int32),
+        **{
+            name: np.array([getattr(iteration, name) for iteration in iterations])
+            for name in ("energy", "half_quadratic", "change")
+        },
+    )

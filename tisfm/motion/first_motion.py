@@ -1,0 +1,196 @@
+"""The motion that most of a flow field shows: where ``"camera"`` and ``"objects"`` start."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.interpretation import Status
+from tisfm.motion.agreement import mismatch, unrelated
+from tisfm.motion.egomotion import (
+    CameraMotion,
+    TooFewPixelsError,
+    camera_motion,
+    distance_from_rays,
+)
+from tisfm.motion.estimate import unmoved
+from tisfm.motion.problems import flow_problem
+from tisfm.rigid import KnownPose
+from tisfm.settings import Settings
+from tisfm.solver.coarse_to_fine import Records, coarse_to_fine
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.visibility.confidence import confidence
+from tisfm.visibility.occlusion import leaves_image
+
+WARPS = 2  # at least, linearisations on the level of the flow field
+# Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
+# On hand-held sequences depth below the other two was hardly better than a constant: less than a
+# pixel of parallax drowns in what lens and shutter do, which the residual does not show.
+SEEN, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 6.0, 9.0
+FINEST = 0.005  # px of the level: no flow is better than that
+STILL = 0.1  # px: median flow of a camera that stands still
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstMotion:
+    """The motion that most of a flow field shows, or the pose that is known.
+
+    Attributes
+    ----------
+    rotation, translation : (3, 3) and (3,) float64
+        ‖t‖ = 1 unless it was given, or 0 where none is seen.
+    residual : float
+        Of the fit, px of the finest level.
+    status : Status or None
+        Why there is no depth to go on to, None if there is.
+    doubt : Status or None
+        Why the pose given may be wrong.
+    history : list of (level, warp, Iteration)
+    flow : (h, w, 2) float32
+        The flow field, px of its level.
+    trust : (h, w) float32
+        Its confidence.
+    level : int
+        Of the flow field.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    residual: float
+    status: Status | None
+    doubt: Status | None
+    history: Records
+    flow: np.ndarray
+    trust: np.ndarray
+    level: int
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """R and t, (3, 4)."""
+        return np.column_stack([self.rotation, self.translation])
+
+
+def first_motion(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    *,
+    pose: KnownPose | None = None,
+    pixels: float = math.inf,
+) -> FirstMotion:
+    """Fit a motion to the flow field of a level, or judge a known one by it.
+
+    A pose with translation needs no parallax: where there is little, depth is far or uncertain.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    pose : KnownPose, optional
+        What is known of the motion; its translation, if any, is not 0.
+    pixels : float
+        Of the level, at least: the coarsest that has as many, by default the finest.
+    """
+    large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
+    given = pose or KnownPose(rotation=np.eye(3), translation=None)
+    start = _flow_alone(pyramid, settings, given, level=max(large, default=0))
+    if start.status is not None:
+        return start
+    scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
+    try:
+        found = camera_motion(start.flow, start.trust, camera)
+    except TooFewPixelsError as error:
+        message = f"{error}: take sharper frames of more texture"
+        return replace(start, status=Status("no_texture", message))
+    frames = pyramid.frames0[start.level], pyramid.frames1[start.level]
+    apart = unrelated(*frames, start.flow, start.trust)
+    if apart is not None:
+        return replace(start, status=apart)
+    best = found.residual / scale
+    if given.translation is not None:
+        return replace(start, residual=best, doubt=_doubt(start, given, camera, scale, best))
+    doubt = None
+    if pose is not None:
+        found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
+        doubt = mismatch(found.residual / scale, best)
+    moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
+    status = _parallax_status(found, scale, moved)
+    known = replace(
+        start,
+        residual=found.residual / scale,
+        status=None if status is None else doubt or status,
+        doubt=doubt,
+    )
+    if status == "no_motion":
+        return known
+    if status == "pure_rotation":
+        return replace(known, rotation=found.rotation_alone)
+    return replace(known, rotation=found.rotation, translation=found.translation)
+
+
+def _flow_alone(
+    pyramid: ImagePyramid, settings: Settings, given: KnownPose, *, level: int
+) -> FirstMotion:
+    """Return the flow field of a level, and of the motion what is given."""
+    settings = replace(settings, warps=max(settings.warps, WARPS))
+    problem = flow_problem(settings, pyramid.cameras[0].focal)
+    solution = coarse_to_fine(pyramid, problem, last=level)
+    flow = solution.unknowns.flow()
+    with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
+        trust = confidence(
+            solution.unknowns.precision(solution.system),
+            leaves_image(flow),
+            normalized=settings.normalization is not None,
+        )
+    return FirstMotion(
+        rotation=given.rotation,
+        translation=np.zeros(3) if given.translation is None else given.translation,
+        residual=0.0,
+        status=unmoved(solution, textured=pyramid.contrast > 0),
+        doubt=None,
+        history=solution.history,
+        flow=np.moveaxis(flow, 0, -1),
+        trust=trust,
+        level=level,
+    )
+
+
+def _doubt(
+    start: FirstMotion, given: KnownPose, camera: Camera, scale: float, best: float
+) -> Status | None:
+    """Return why a pose may be wrong, by the flow; `best` is the least distance from any."""
+    assert given.translation is not None
+    off, back = (
+        distance_from_rays(start.flow, start.trust, camera, turn, offset) / scale
+        for turn, offset in (
+            (given.rotation, given.translation),
+            (given.rotation.T, -given.rotation.T @ given.translation),
+        )
+    )
+    return mismatch(off, best, inverse=back)
+
+
+def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:
+    """Tell whether the flow shows more than a rotation; lengths of `found` are of a level."""
+    parallax, residual = found.parallax / scale, max(found.residual, FINEST) / scale
+    share = parallax / residual
+    if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
+        return None
+    seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
+    if share >= SEEN:
+        return Status(
+            "little_parallax",
+            f"too little parallax to see depth by: {seen}; take frames further apart, or move the "
+            "camera sideways",
+        )
+    if moved < max(STILL, 3 * residual):
+        return Status(
+            "no_motion",
+            f"too little parallax to see depth by: the image moves by {moved:.2g} px, no more than "
+            "noise; take frames further apart in time",
+        )
+    return Status(
+        "pure_rotation",
+        f"too little parallax to see depth by: the camera only turned, {seen}; it has to change "
+        "its place",
+    )

@@ -1,0 +1,106 @@
+"""What the settings ask of the solver: the problem of a flow field, and that of depth."""
+
+import math
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.settings import Settings
+from tisfm.solver.coarse_to_fine import Problem
+from tisfm.solver.data_term import Constancy
+from tisfm.solver.half_quadratic import Effort
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.smoothness import Smoothness
+
+
+def pyramid_of(
+    grey0: np.ndarray, grey1: np.ndarray, camera: Camera, settings: Settings
+) -> ImagePyramid:
+    """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale."""
+    return ImagePyramid(
+        grey0,
+        grey1,
+        camera,
+        factor=settings.pyramid_factor,
+        levels=settings.pyramid_levels,
+        presmoothing=settings.presmoothing,
+        last=settings.finest_level,
+    )
+
+
+def flow_problem(
+    settings: Settings, focal: float, stiffness: tuple[float, ...] | None = None
+) -> Problem:
+    """Return the problem of free motion, by default that of the settings' model.
+
+    Parameters
+    ----------
+    settings : Settings
+    focal : float
+        Of the finest level, px.
+    stiffness : tuple of float, optional
+        Of other unknowns than those of the model.
+    """
+    return _problem(
+        settings,
+        brightness=settings.brightness,
+        normalization=settings.normalization,
+        alpha=settings.alpha,
+        contrast=settings.contrast_for(focal),
+        stiffness=stiffness or settings.stiffness[: settings.components],
+    )
+
+
+def depth_problem(settings: Settings, focal: float) -> Problem:
+    """Return the problem of inverse depth under known motions.
+
+    Parameters
+    ----------
+    settings : Settings
+    focal : float
+        Of the level, px.
+    """
+    return _problem(
+        settings,
+        brightness=settings.depth_brightness,
+        normalization=settings.depth_normalization,
+        alpha=settings.depth_smoothness,
+        contrast=settings.contrast_for(focal),
+        stiffness=(1.0,),
+    )
+
+
+def _problem(
+    settings: Settings,
+    *,
+    brightness: float,
+    normalization: float | None,
+    alpha: float,
+    contrast: float,
+    stiffness: tuple[float, ...],
+) -> Problem:
+    return Problem(
+        constancy=Constancy(
+            brightness=brightness,
+            gradient=settings.gradient,
+            normalization=normalization,
+            contrast=math.inf if settings.data_contrast is None else settings.data_contrast,
+            derivatives=settings.derivatives,
+        ),
+        smoothness=Smoothness(
+            alpha=alpha,
+            contrast=contrast,
+            stiffness=stiffness,
+            joint=settings.joint_edges,
+            image_edges=settings.image_edges,
+        ),
+        effort=Effort(
+            outer_iterations=settings.outer_iterations,
+            sweeps=settings.sweeps,
+            cycles=settings.cycles,
+            relaxation=settings.relaxation,
+            tolerance=settings.tolerance,
+            solver=settings.solver,
+        ),
+        warps=settings.warps_on,
+    )

@@ -1,0 +1,180 @@
+"""Coarse to fine: large motions become small ones on a smaller image."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.kernels.solve.linear_system import LinearSystem
+from tisfm.runtime import lane_grid
+from tisfm.solver.data_term import Constancy, DataTerm
+from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.sampling import enlarged
+from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
+from tisfm.solver.unknowns import Unknowns
+
+Records = list[tuple[int, int, Iteration]]  # level, warp and what the iteration did
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is sought at every pixel, and by which energy.
+
+    Attributes
+    ----------
+    constancy : Constancy
+    smoothness : Smoothness
+        Its stiffness has a value for each unknown: 6, 3, 2 or 1.
+    effort : Effort
+    warps : callable
+        Takes how many levels there are below one, and gives how often it is linearised.
+    """
+
+    constancy: Constancy
+    smoothness: Smoothness
+    effort: Effort
+    warps: Callable[[int], int]
+
+    @property
+    def components(self) -> int:
+        """Unknowns per pixel."""
+        return len(self.smoothness.stiffness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """What coarse to fine leaves at the level that it ends on.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+        ρ̂, px/frame.
+    system : LinearSystem
+        That of the weights b of the last iteration.
+    level : int
+    history : list of (level, warp, Iteration)
+        Every half-quadratic iteration; level 0 is the finest.
+    converged : bool
+        Whether the last warp of that level ceased to evolve.
+    """
+
+    unknowns: Unknowns
+    system: LinearSystem
+    level: int
+    history: Records
+    converged: bool
+
+
+def coarse_to_fine(
+    pyramid: ImagePyramid,
+    problem: Problem,
+    *,
+    last: int = 0,
+    release: bool = False,
+) -> Solution:
+    """Estimate ρ̂ from the coarsest level to the last, from zero.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    problem : Problem
+    last : int
+        The level to end on.
+    release : bool
+        Whether the splines of all levels but the last are let go of once they have served.
+    """
+    history: Records = []
+    unknowns: Unknowns | None = None
+    solution: Solution | None = None
+    for level in reversed(range(last, pyramid.levels)):
+        solution = None  # of the level before, only its unknowns are needed
+        unknowns = unknowns_on(pyramid, level, problem, unknowns)
+        solution = _on_level(
+            pyramid, problem, unknowns, level, problem.warps(level - last), history
+        )
+        if release and level > last:
+            pyramid.release_taps1(level)
+    assert solution is not None
+    return solution
+
+
+def unknowns_on(
+    pyramid: ImagePyramid, level: int, problem: Problem, coarse: Unknowns | None = None
+) -> Unknowns:
+    """Return the unknowns of a level, from those of the next coarser one or zero."""
+    frame0 = pyramid.frames0[level]
+    grid = lane_grid(*frame0.shape)
+    unknowns = Unknowns(grid, pyramid.cameras[level], problem.components)
+    if coarse is not None:
+        unknowns.start_from(coarse, pyramid.factor)
+    if problem.smoothness.image_edges > 0:
+        strength = problem.smoothness.image_edges
+        unknowns.edges = image_edges_in_lanes(grid, frame0, strength)
+    return unknowns
+
+
+def data_term_on(
+    pyramid: ImagePyramid, level: int, problem: Problem, unknowns: Unknowns
+) -> DataTerm:
+    """Return the data term of a level."""
+    return DataTerm(
+        unknowns.grid,
+        pyramid.frames0[level],
+        pyramid.frames1[level],
+        pyramid.taps1(level),
+        problem.constancy,
+        pyramid.contrast,
+    )
+
+
+def minimiser_on(problem: Problem, unknowns: Unknowns, data_term: DataTerm) -> HalfQuadratic:
+    """Return the minimiser of the unknowns of a level under its data term."""
+    return HalfQuadratic(
+        unknowns,
+        data_term.constraints,
+        scales=data_term.scales,
+        smoothness=problem.smoothness,
+        effort=problem.effort,
+    )
+
+
+def at_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarray:
+    """Return the unknowns of a level at the pixels of the finest, (components, H, W) float32."""
+    if level == 0:
+        return unknowns.images()
+    if pyramid.factor != 0.5:
+        fine = Unknowns(lane_grid(*pyramid.shape), pyramid.cameras[0], unknowns.components)
+        fine.start_from(unknowns, pyramid.scales[level])
+        return fine.images()
+    return enlarged(2**level * unknowns.images(), 2**level, *pyramid.shape)
+
+
+def _on_level(
+    pyramid: ImagePyramid,
+    problem: Problem,
+    unknowns: Unknowns,
+    level: int,
+    warps: int,
+    history: Records,
+) -> Solution:
+    """Estimate ρ̂ on one level, from what it is, and add to the history."""
+    data_term = data_term_on(pyramid, level, problem, unknowns)
+    minimiser = minimiser_on(problem, unknowns, data_term)
+    flow = unknowns.grid.allocate(2, zeros=False)
+    find_flow = unknowns.bind_flow(flow)
+    linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
+    for warp in range(warps):
+        find_flow()
+        linearise()  # its tensor is that of this flow already
+        if warp == 0:
+            minimiser.update()
+        iterations, converged = minimiser.minimise()
+        history += [(level, warp, iteration) for iteration in iterations]
+    return Solution(
+        unknowns=unknowns,
+        system=minimiser.system,
+        level=level,
+        history=history,
+        converged=converged,
+    )
