@@ -21,11 +21,12 @@ from tisfm.metrics import (
     pose_errors,
     std_coverage,
 )
-from tisfm.motion.egomotion import camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
+from tisfm.stated import is_stated
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
 NAME = "demo"  # of its pairs
@@ -254,7 +255,9 @@ def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float
         if count:
             try:
                 total += measure(scene.depth, mask) * count
-            except ValueError:
+            except ValueError as error:
+                if not is_stated(error):
+                    raise
                 return None
             pixels += count
     return total / pixels if pixels else None
@@ -267,7 +270,7 @@ def _pose_errors(result: Interpretation, scene: SyntheticPair) -> PoseErrors | N
     else:
         try:
             motion = camera_motion(result.flow, result.confidence, result.camera)
-        except ValueError:  # too little of it is trusted
+        except TooFewPixelsError:  # too little of it is trusted
             return None
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation

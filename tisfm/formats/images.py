@@ -117,6 +117,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
         If the file cannot be written.
     """
     image = np.asarray(image)
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise TypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")
     colour = image.ndim == 3 and image.shape[2] == 3
