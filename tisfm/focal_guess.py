@@ -158,16 +158,18 @@ def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
 
 def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, Any]]:
     """Return the size (H, W) of an image file and its EXIF data."""
-    from tisfm.formats import read_image
+    from tisfm.formats.images import PILLOW_FORMATS, read_image
     from tisfm.formats.reading import read_bytes
 
     data = read_bytes(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of damaged EXIF data, and of large pictures
-            with Image.open(io.BytesIO(data)) as picture:
+            with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
                 exif = _exif(picture)
                 return (picture.height, picture.width), exif
+    except MemoryError:
+        raise
     except Exception:  # not known to Pillow, or too large for it: OpenCV may read it
         height, width = read_image(path).shape[:2]
         return (height, width), {}
@@ -176,6 +178,8 @@ def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, A
 def _exif(picture: Image.Image) -> Mapping[int, Any]:
     try:
         return dict(picture.getexif().get_ifd(ExifTags.IFD.Exif))
+    except MemoryError:
+        raise
     except Exception:  # whatever damaged EXIF data lead Pillow to: the picture is still good
         return {}
 

@@ -1,20 +1,20 @@
 """The result: 3D motion, depth, image motion and how far to trust them."""
 
-import io
-import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
-from tisfm.visibility.occlusion import leaves_image
 
-FORMAT = 5  # of the .npz; raised when a reader of the one before would go wrong
+STATUSES = (
+    "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
+    "little_parallax", "unrelated", "pose_mismatch",
+)  # fmt: skip
+"""Codes of `Status`."""
 
 
 class Status(str):
@@ -88,8 +88,7 @@ class Interpretation:
         In [0, 1]: how much the data in a window of 15 px around a pixel, not its neighbours'
         motion, determine its image motion. 0 where the pixel is not visible in frame 1.
     occlusion : (H, W) bool
-        Where a pixel is not visible in frame 1: it leaves the image, or is hidden there. After
-        `load` of a file of format 1, which has no such map, only what leaves the image.
+        Where a pixel is not visible in frame 1: it leaves the image, or is hidden there.
     motions : (K, 6) float64 or None
         Twists (T, ω) of the rigid motions, per frame, with ‖T‖ = 1, or, with `align_scales`, in
         the unit of the background's. `tisfm.rigid.rigid_motion` gives R and t of P₁ = R P₀ + t. T
@@ -186,7 +185,12 @@ class Interpretation:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write everything to a compressed ``.npz`` without pickles, whole or not at all.
+        """Write everything to an ``.npz`` without compression and pickles, whole or not at all.
+
+        What `load` gives back is the same but for two roundings: `rho`, and with it `tau` and
+        `omega`, to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence`
+        to 11 bits as well. Numbers of `rho` beyond 65504, as a result that diverged may have, are
+        kept as they are. ``docs/formats.md`` describes the file.
 
         Parameters
         ----------
@@ -197,29 +201,20 @@ class Interpretation:
         ------
         OSError
             If the folder does not exist or cannot be written to.
+        ValueError
+            If `load` would refuse what is written: if arrays do not fit each other, or hold NaN or
+            infinity though the status is another than ``"diverged"`` or ``"pose_mismatch"``.
         """
-        from tisfm.formats import atomic_write
+        from tisfm.interpretation_file import write_interpretation
 
-        arrays = {name: getattr(self, name) for name in (*_ARRAYS, *_OPTIONAL)}
-        arrays = {name: array for name, array in arrays.items() if array is not None}
-        record = {f"history_{name}": array for name, array in vars(self.history).items()}
-        about = {
-            "format": FORMAT,
-            "version": self.version,
-            "camera": asdict(self.camera),
-            "settings": asdict(self.settings),
-            "status": str(self.status),
-            "message": self.status.message,
-        }
-        with atomic_write(path) as file:
-            np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays, **record)
+        write_interpretation(path, self)
 
     @classmethod
     def load(cls, path: str | Path) -> "Interpretation":
         """Read what `save` wrote.
 
-        Files of older formats are read as well. Those of format 1 know neither `coarse_warps`,
-        which was that of `warps`, nor what is hidden: `occlusion` then is what leaves the image.
+        Nothing in the file is unpacked or run, and every shape, type and name is checked before an
+        array is read.
 
         Raises
         ------
@@ -228,108 +223,9 @@ class Interpretation:
         tisfm.formats.FormatError
             A ValueError: if it is not a complete interpretation, or of a format this version
             cannot read.
+        MemoryError
+            If it is one, but memory does not suffice.
         """
-        from tisfm.formats import FormatError
-        from tisfm.formats.reading import read_bytes
+        from tisfm.interpretation_file import read_interpretation
 
-        data = read_bytes(path)
-        try:
-            if not data.startswith(b"PK"):
-                raise ValueError("it is not an .npz file")
-            with np.load(io.BytesIO(data), allow_pickle=False) as file:
-                return cls._from_arrays({name: file[name] for name in file.files})
-        except Exception as error:  # the decoders raise whatever a damaged file leads them to
-            reason = " ".join(str(error).split())
-            raise FormatError(
-                f"{path} is not a complete interpretation written by tisfm: {reason}"
-            ) from error
-
-    @classmethod
-    def _from_arrays(cls, data: dict[str, np.ndarray]) -> "Interpretation":
-        about: dict[str, Any] = json.loads(str(data["about"])) if "about" in data else {}
-        if about and about["format"] not in range(1, FORMAT + 1):
-            raise ValueError(
-                f"its format is {about['format']} and this version reads 1 to {FORMAT}: "
-                f"it was written by tisfm {about['version']}"
-            )
-        if about and about["format"] < FORMAT:
-            _bring_up_to_date(data, about)
-        missing = {"about", *_ARRAYS}.difference(data)
-        if missing:
-            raise ValueError(f"it has no {', '.join(sorted(missing))}")
-        _check_names(about["settings"])
-        height, width = data["frame"].shape[:2]
-        expected = {
-            "rho": ((6, height, width), np.float32),
-            "flow": ((height, width, 2), np.float32),
-            "inverse_depth": ((height, width), np.float32),
-            "inverse_depth_std": ((height, width), np.float32),
-            "labels": ((height, width), np.int32),
-            "confidence": ((height, width), np.float32),
-            "occlusion": ((height, width), np.bool_),
-        }
-        if "motions" in data:
-            expected["motions"] = ((len(data["motions"]), 6), np.float64)
-        for name, (shape, kind) in expected.items():
-            if name in _OPTIONAL and name not in data:
-                continue
-            if data[name].shape != shape or data[name].dtype != kind:
-                raise ValueError(
-                    f"{name} is {data[name].shape} {data[name].dtype}, expected {shape} "
-                    f"{np.dtype(kind).name}"
-                )
-        camera = about["camera"]
-        if camera["center"] is not None:
-            camera["center"] = tuple(camera["center"])
-        history = {
-            name.removeprefix("history_"): array
-            for name, array in data.items()
-            if name.startswith("history_")
-        }
-        return cls(
-            **{name: data[name] for name in (*_ARRAYS, *_OPTIONAL) if name in data},
-            camera=Camera(**camera),
-            settings=Settings(**about["settings"]),
-            status=Status(about["status"], about["message"]),
-            history=History(**history),
-            version=about["version"],
-        )
-
-
-def _bring_up_to_date(data: dict[str, np.ndarray], about: dict[str, Any]) -> None:
-    """Add what older formats lack to arrays and settings, in place; they may have some of it."""
-    settings = about["settings"]
-    if about["format"] == 1:
-        if "flow" in data:
-            data.setdefault("occlusion", leaves_image(np.moveaxis(data["flow"], -1, 0)))
-        if "warps" in settings:
-            settings.setdefault("coarse_warps", settings["warps"])
-    if "rho" in data:
-        tau = data["rho"][:3] / np.float32(about["camera"]["focal"])
-        data.setdefault("inverse_depth", np.sqrt(np.einsum("khw,khw->hw", tau, tau)))
-    settings.setdefault("cycles", 0)
-    settings.setdefault("finest_level", 0)
-    # They were not in use: files of formats 1 and 2 hold motion="field".
-    for name in (
-        "depth_smoothness",
-        "depth_brightness",
-        "depth_normalization",
-        "max_objects",
-        "align_scales",
-    ):
-        settings.setdefault(name, getattr(Settings(), name))
-
-
-def _check_names(settings: dict[str, Any]) -> None:
-    """Refuse settings that lack one, which must not take a default of today, or have another."""
-    known = {setting.name for setting in fields(Settings)}
-    for names, fault in (
-        (known.difference(settings), "its settings lack"),
-        (set(settings).difference(known), "its settings have the unknown"),
-    ):
-        if names:
-            raise ValueError(f"{fault} {', '.join(sorted(names))}")
-
-
-_ARRAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
-_OPTIONAL = ("inverse_depth_std", "motions", "labels")
+        return read_interpretation(path)

@@ -4,8 +4,8 @@ import glob
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence, Sized
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -39,6 +39,7 @@ class FramePair:
     frame1: np.ndarray
     pose: npt.ArrayLike | None = None
     stretch: bool = True
+    _digests: tuple["_Digest", "_Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
         self, *, camera: Camera | None = None, settings: Settings | None = None
@@ -50,18 +51,36 @@ class FramePair:
         try:
             return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
-            raise type(error)(f"frames {self.name0} and {self.name1}: {error}") from error
+            error.args = (f"frames {self.name0} and {self.name1}: {error}",)
+            raise
 
     @property
     def digest(self) -> str:
         """A short hash of both frames, and of the pose if there is one, to know them again by."""
-        pixels = hashlib.blake2b(digest_size=8)
-        for frame in (self.frame0, self.frame1):
-            pixels.update(f"{frame.shape} {frame.dtype}".encode())
-            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+        both = hashlib.blake2b(digest_size=8)
+        for frame in self._digests or (_Digest(self.frame0), _Digest(self.frame1)):
+            both.update(frame.value)
         if self.pose is not None:
-            pixels.update(np.array(self.pose, np.float64).tobytes())
-        return pixels.hexdigest()
+            both.update(np.array(self.pose, np.float64).tobytes())
+        return both.hexdigest()
+
+
+class _Digest:
+    """The hash of a frame, computed once though the frame is in two pairs."""
+
+    def __init__(self, frame: np.ndarray) -> None:
+        self._frame: np.ndarray | None = frame
+        self._value = b""
+
+    @property
+    def value(self) -> bytes:
+        """Eight bytes or more that differ between frames."""
+        frame = self._frame
+        if frame is not None:
+            pixels = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)
+            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+            self._value, self._frame = pixels.digest(), None
+        return self._value
 
 
 class FrameSource:
@@ -79,6 +98,10 @@ class FrameSource:
     ----------
     first_file : Path or None
         The image file of the first frame, where frames have files of their own.
+    files : tuple of Path
+        All files of the source: the images, those between the steps included, or the video.
+    names : tuple of str or None
+        Names of the frames that are read, where frames have files of their own.
     count : int or None
         Number of frames, those between the steps included. None where only reading tells: a video
         may announce a frame or two too many.
@@ -99,6 +122,8 @@ class FrameSource:
         self.step = int(step)
         self.title = "frames"
         self.first_file: Path | None = None
+        self.files: tuple[Path, ...] = ()
+        self.names: tuple[str, ...] | None = None
         self.count: int | None = None
         self._announced: int | None = None
         self._frames: Iterable[tuple[str, np.ndarray]]
@@ -119,20 +144,24 @@ class FrameSource:
 
     def __iter__(self) -> Iterator[FramePair]:
         """Read the frames, and yield every pair of consecutive ones."""
-        previous: tuple[str, np.ndarray] | None = None
+        previous: tuple[str, np.ndarray, _Digest] | None = None
         pairs, stretch = 0, True
         for name, frame in self._frames:
             stretch = stretch and in_unit_range(frame)
+            digest = _Digest(frame)
             if previous is not None:
+                name0, frame0, digest0 = previous
                 yield FramePair(
-                    name0=previous[0],
-                    frame0=previous[1],
+                    name0=name0,
+                    frame0=frame0,
                     name1=name,
                     frame1=frame,
                     stretch=stretch,
+                    _digests=(digest0, digest),
                 )
+                del frame0, digest0  # or the frame would be held while the next is read
                 pairs += 1
-            previous = name, frame
+            previous = name, frame, digest
         if pairs == 0:
             raise ValueError(f"{self.title} ended before there was a pair: expected more frames")
 
@@ -171,16 +200,20 @@ class FrameSource:
         self._check_count(len(files))
         self.count = len(files)
         self.first_file = files[0]
+        self.files = tuple(files)
         stems = [file.stem for file in files]
-        if len(set(stems)) < len(stems):  # of different folders or suffixes
+        # Of different folders or suffixes; some file systems take a and A for the same.
+        if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
-        self._frames = _ImageFiles(files[:: self.step], stems[:: self.step])
+        self.names = tuple(stems[:: self.step])
+        self._frames = _ImageFiles(files[:: self.step], self.names)
 
     def _use_video(self, path: str) -> None:
         video = _Video(path, self.step)
         if video.announced is not None:
             self._check_count(video.announced)
             self._announced = video.announced
+        self.files = (Path(path),)
         self._frames = video
 
     def _use_arrays(self, items: Iterable[Any]) -> None:
@@ -354,7 +387,7 @@ class _Arrays:
 class _ImageFiles:
     """Image files, read one after the other."""
 
-    def __init__(self, files: list[Path], names: list[str]) -> None:
+    def __init__(self, files: Sequence[Path], names: Sequence[str]) -> None:
         self._files, self._names = files, names
 
     def __iter__(self) -> Iterator[tuple[str, np.ndarray]]:
@@ -389,14 +422,21 @@ class _Video:
         if self.announced is not None and self.announced < 1:
             self.announced = None
 
+    def _read(self, read: Callable[[], Any]) -> Any:
+        """Return what OpenCV reads of the file."""
+        from tisfm.formats.reading import opencv_memory
+
+        with opencv_memory(self._path):
+            return read()
+
     def __iter__(self) -> Iterator[tuple[str, np.ndarray]]:
         capture = cv2.VideoCapture(self._path)
         stem = Path(self._path).stem
         index = 0
         try:
-            while capture.grab():
+            while self._read(capture.grab):
                 if index % self._step == 0:
-                    read, frame = capture.retrieve()
+                    read, frame = self._read(capture.retrieve)
                     if not read:
                         break
                     yield f"{stem}_{index:06d}", np.ascontiguousarray(frame[..., ::-1])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid, promised, record
-from tisfm import pair
-from tisfm.cli import demo
+from tisfm import interpretation_file, pair
+from tisfm.cli import demo, outputs
 from tisfm.evaluation import pairs
 from tisfm.formats import write_png
 
@@ -219,7 +219,7 @@ def test_a_full_disk_is_one_line(tisfm_run, frames, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", full)
+    monkeypatch.setattr(interpretation_file, "write_npz", full)
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
     assert_one_line(code, err, "No space left on device")
     assert set(files("out")) < promised("f0", figures=False)
@@ -246,3 +246,105 @@ def test_wrong_usage_is_code_2(tisfm_run, frames, place, arguments):
     assert code == 2 and out == ""
     assert err and "Traceback" not in err and "dummy" not in err
     assert not (place / "out").exists()
+
+
+# Bugs
+
+
+class Broken:
+    """Raises what NumPy, Taichi or a slip of ours would."""
+
+    def shapes(*arguments, **options):
+        return np.zeros(3) + np.zeros(4)
+
+    def types(*arguments, **options):
+        return len(3)
+
+    def names(*arguments, **options):
+        return {}["no"]
+
+    def assertion(*arguments, **options):
+        raise AssertionError("no")
+
+    def taichi(*arguments, **options):
+        raise RuntimeError("compilation failed")
+
+    def opencv(*arguments, **options):
+        return cv2.resize(np.zeros((0, 0), np.uint8), (3, 3))
+
+
+KINDS = {
+    "shapes": ValueError,
+    "types": TypeError,
+    "names": KeyError,
+    "assertion": AssertionError,
+    "taichi": RuntimeError,
+    "opencv": cv2.error,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("where", ["interpret", "write"])
+def test_a_bug_leaves_its_traceback(tisfm_run, frames, monkeypatch, kind, where):
+    """Whether it comes up in interpreting or, in its own thread, in writing."""
+    module, name = (pair, "interpret") if where == "interpret" else (outputs, "depth_grey")
+    monkeypatch.setattr(module, name, getattr(Broken, kind))
+    with pytest.raises(KINDS[kind]) as caught:
+        tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    assert caught.traceback[-1].name == kind
+
+
+@pytest.mark.parametrize("kind", ["shapes", "types", "taichi"])
+def test_a_bug_is_no_fault_of_a_pair(tisfm_run, benchmark_folder, monkeypatch, kind):
+    monkeypatch.setattr(pairs, "interpret", getattr(Broken, kind))
+    with pytest.raises(KINDS[kind]):
+        tisfm_run("eval", "flows")
+
+
+def no_memory(*arguments, **options):
+    error = cv2.error("Failed to allocate 9663676416 bytes")
+    error.code = cv2.Error.StsNoMem
+    raise error
+
+
+@pytest.mark.parametrize("where", ["interpret", "write", "read", "video"])
+def test_no_memory_is_one_line(tisfm_run, frames, monkeypatch, where):
+    """However OpenCV says it."""
+    source = "frames"
+    if where == "interpret":
+        monkeypatch.setattr(pair, "interpret", no_memory)
+    elif where == "write":
+        monkeypatch.setattr(outputs, "anaglyph", no_memory)
+    elif where == "read":
+        monkeypatch.setattr(cv2, "imdecode", no_memory)
+    else:
+
+        class Capture:
+            """A video whose frames are too large; OpenCV's own class must not be derived from."""
+
+            retrieve = no_memory
+
+            def isOpened(self):
+                return True
+
+            grab = isOpened
+
+            def get(self, what):
+                return 2
+
+            def release(self):
+                pass
+
+        Path("clip.avi").write_bytes(b"a video")
+        monkeypatch.setattr(cv2, "VideoCapture", lambda path: Capture())
+        source = "clip.avi"
+    code, out, err = tisfm_run("run", source, "-o", "out", "--no-figures")
+    assert out == ""
+    assert_one_line(code, err, "not enough memory")
+
+
+def test_errors_name_their_frames_once(tisfm_run, frames):
+    write_png(frames / "f2.png", FRAMES[2][:, 1:])
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    assert_one_line(code, err, "frames f1 and f2: ")
+    assert err.count("frames f1") == 1

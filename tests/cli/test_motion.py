@@ -11,6 +11,7 @@ from tests.cli.command_line import files, load, record
 from tisfm.cli import demo, outputs, paper_figures
 from tisfm.cli.motion_text import motion_rows
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
+from tisfm.interpretation import Status
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import two_blocks
 from tisfm.show import depth_grey
@@ -211,7 +212,7 @@ def test_motions_that_are_not_numbers_are_null(tmp_path):
         SCENE.frame0, SCENE.frame0, settings=tisfm.Settings(motion="camera"),
         camera=tisfm.Camera(W),
     )  # fmt: skip
-    wild = replaced(result, motions=np.full((1, 6), np.nan))
+    wild = replaced(result, motions=np.full((1, 6), np.nan), status=Status("diverged"))
     writer = outputs.PairWriter(
         tmp_path / "out", camera=result.camera, settings=result.settings, figures=False
     )

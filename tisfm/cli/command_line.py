@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+import cv2
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
@@ -15,6 +16,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import Layout
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
+from tisfm.stated import is_stated
 from tisfm.version import __version__
 
 INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
@@ -259,8 +261,8 @@ class Figures:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    Errors of the user's making are one line on standard error and exit code 1 (2 for a wrong
-    option); a traceback means a bug.
+    Errors that were foreseen are one line on standard error and exit code 1 (2 for a wrong
+    option). Any other is a bug, and leaves its traceback.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
@@ -279,12 +281,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # what read our output, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    except MemoryError:
-        print("tisfm: not enough memory: give smaller frames", file=sys.stderr)
-        return 1
+    except MemoryError as error:
+        return _fail(str(error) or "not enough memory: give smaller frames")
+    except cv2.error as error:
+        if error.code != cv2.Error.StsNoMem:
+            raise
+        return _fail("not enough memory: give smaller frames")
     except (OSError, TypeError, ValueError, RuntimeError) as error:
-        print(f"tisfm: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
+        if not is_stated(error):
+            raise
+        return _fail(str(error))
+
+
+def _fail(text: str) -> int:
+    """Print an error in one line and return the exit code."""
+    print(f"tisfm: {' '.join(text.split())}", file=sys.stderr)
+    return 1
 
 
 def _numbers(text: str, name: str) -> tuple[float, ...]:

@@ -1,9 +1,12 @@
 """What the commands do."""
 
+import fnmatch
+import glob
 import os
+import re
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +15,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.cli.background import Background
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.outputs import RECORD, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
@@ -22,6 +26,7 @@ from tisfm.evaluation.pairs import PairEvaluation
 from tisfm.evaluation.pairs import evaluate as evaluate_pairs
 from tisfm.evaluation.tables import evaluation_tables
 from tisfm.focal_guess import guess_focal
+from tisfm.formats.outputs import InputFiles
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
@@ -51,39 +56,42 @@ def run(
     With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
     is a file of a pose for every frame, those between the steps included.
     """
-    _refuse_mixing(source, output)
     pairs = FrameSource(source, step=step)
+    _refuse_mixing(source, pairs.files, output)
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
     runtime.start(arch, threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
     writer = PairWriter(
-        output, camera=camera, settings=settings, figures=figures, ply=ply, resume=resume
+        output,
+        camera=camera,
+        settings=settings,
+        figures=figures,
+        ply=ply,
+        resume=resume,
+        inputs=InputFiles([*pairs.files, *([] if poses is None else [poses])]),
+        names=_names(pairs, output),
     )
     try:
         total: int | None = len(pairs)
     except TypeError:
         total = None
     seconds = []
-    with progress_bar() as progress:
+    with progress_bar() as progress, writer, Background() as background:
         task = progress.add_task("interpreting", total=total)
         for pair in posed:
             progress.update(task, description=pair.name0)
-            digest = pair.digest
-            if not writer.is_complete(pair.name0, digest):
+            if not (writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest)):
                 begin = time.perf_counter()
                 result = pair.interpret(camera=camera, settings=settings)
                 seconds.append(time.perf_counter() - begin)
                 compared = figures and settings.motion == "field"
-                writer.write(
-                    pair.name0,
-                    result,
-                    digest=digest,
-                    pose=None if pair.pose is None else np.asarray(pair.pose),
-                    baseline_flow=_baseline(pair, camera, settings) if compared else None,
-                )
+                baseline = _baseline(pair, camera, settings) if compared else None
+                background.submit(_write, writer, pair, result, baseline)
+                del result  # or it would be held while the next is computed
             progress.advance(task)
+            del pair
     statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = len(writer.statuses)
@@ -117,7 +125,11 @@ def evaluate(
             "it out"
         )
     runtime.start(arch, threads=threads)
-    writer = None if output is None else EvaluationWriter(output, camera=camera, settings=settings)
+    writer = (
+        None
+        if output is None
+        else EvaluationWriter(output, camera=camera, settings=settings, pairs=pairs)
+    )
     with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))
 
@@ -162,24 +174,60 @@ def figures(
 ) -> int:
     """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
     pairs = FrameSource(tuple(frames))
+    inputs = InputFiles(pairs.files)
     runtime.start(threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
     for pair in pairs:
-        written = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera)
+        written = write_paper_figures(
+            output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
+        )
         tell("wrote " + ", ".join(map(str, written)))
     return 0
 
 
-def _refuse_mixing(source: Source, output: Path) -> None:
+def _write(
+    writer: PairWriter, pair: FramePair, result: Interpretation, baseline: np.ndarray | None
+) -> None:
+    writer.write(
+        pair.name0,
+        result,
+        digest=pair.digest,
+        pose=None if pair.pose is None else np.asarray(pair.pose),
+        baseline_flow=baseline,
+    )
+
+
+def _refuse_mixing(source: Source, files: Iterable[Path], output: Path) -> None:
     """Refuse to write among the frames, where results would count as frames the next time."""
-    if isinstance(source, (str, os.PathLike)) and not os.path.isfile(source):
-        folder = Path(source) if os.path.isdir(source) else Path(source).parent
-        if folder.resolve() == output.resolve():
-            raise ValueError(
-                f"the results would lie among the frames in {output}, and count as frames the "
-                "next time: give another folder with -o"
-            )
+    if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
+        return
+    folders = {file.parent for file in files}
+    among = any(
+        folder.exists() and folder.samefile(output) for folder in folders if output.exists()
+    )
+    if among or (glob.has_magic(os.fspath(source)) and _matches(output, Path(source).parent)):
+        raise ValueError(
+            f"the results would lie among the frames in {output}, and count as frames the "
+            "next time: give another folder with -o"
+        )
+
+
+def _matches(folder: Path, pattern: Path) -> bool:
+    """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
+    parts, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
+    return len(parts) == len(patterns) and all(map(fnmatch.fnmatch, parts, patterns))
+
+
+def _names(pairs: FrameSource, output: Path) -> list[str]:
+    """Return names of pairs whose results may lie in a folder already."""
+    if pairs.names is not None:
+        return list(pairs.names)
+    if not output.is_dir():
+        return []
+    numbered = re.compile(re.escape(pairs.files[0].stem) + r"_\d{6,}", re.IGNORECASE)
+    found = (numbered.match(name) for name in os.listdir(output))
+    return sorted({match.group() for match in found if match})
 
 
 def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:

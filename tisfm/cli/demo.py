@@ -1,7 +1,7 @@
 """The demonstration: rendered scenes whose truth is known, interpreted and compared with it."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +9,8 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.cli.console import print_whole, progress_bar, tell
-from tisfm.cli.outputs import PairWriter
-from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.cli.outputs import ENDINGS, RECORD, PairWriter
+from tisfm.cli.paper_figures import PAPER_FIGURES, write_paper_figures
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import (
@@ -21,13 +21,15 @@ from tisfm.metrics import (
     pose_errors,
     std_coverage,
 )
-from tisfm.motion.egomotion import camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
+from tisfm.stated import is_stated
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
+NAME = "demo"  # of its pairs
 _NONE = "–"
 
 
@@ -50,20 +52,31 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     Raises
     ------
     OSError, ValueError
-        If the folder cannot be written to, or an option is impossible.
+        If the folder cannot be written to or holds files of these names that no demo wrote, or if
+        an option is impossible.
     """
     if height * width > MOST_PIXELS:
         raise ValueError(
             f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
         )
+    folders = output, output / "camera", output / "objects"
+    _refuse_foreign(folders)
     runtime.start(threads=threads)
     moving = two_blocks(height, width, seed=seed)
     still = static_scene("forward+rotation", height, width, seed=seed)
     settings, camera_settings = Settings(), Settings(motion="camera")
     objects_settings = Settings(motion="objects")
-    writer = PairWriter(output, camera=moving.camera, settings=settings)
-    camera_writer = PairWriter(output / "camera", camera=still.camera, settings=camera_settings)
-    objects_writer = PairWriter(output / "objects", camera=moving.camera, settings=objects_settings)
+    writer, camera_writer, objects_writer = (
+        PairWriter(folder, camera=scene.camera, settings=changed)
+        for folder, scene, changed in zip(
+            folders,
+            (moving, still, moving),
+            (settings, camera_settings, objects_settings),
+            strict=True,
+        )
+    )
+    for started in (writer, camera_writer, objects_writer):
+        started.write_record()
     with progress_bar() as progress:
         task = progress.add_task("interpreting", total=8)
         paper = Settings.preset("paper")
@@ -114,6 +127,19 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     return 0
 
 
+def _refuse_foreign(folders: Iterable[Path]) -> None:
+    """Refuse to replace files where no record says that a demo, or a run, wrote them."""
+    for folder in folders:
+        if (folder / RECORD).is_file():
+            continue
+        for name in (*(f"{NAME}{ending}" for ending in ENDINGS), *PAPER_FIGURES):
+            if (folder / name).exists():
+                raise ValueError(
+                    f"the demo would replace {folder / name}, which is not of a demo: give "
+                    "another folder with -o"
+                )
+
+
 def _compile(scene: SyntheticPair, *settings: Settings) -> None:
     """Interpret a small part, so that the compilation of kernels is not timed."""
     small0, small1 = scene.frame0[:48, :48], scene.frame1[:48, :48]
@@ -139,13 +165,14 @@ def _write(
     result: Interpretation,
     baseline: np.ndarray | None = None,
 ) -> None:
-    writer.write(
-        "demo",
-        result,
-        baseline_flow=baseline,
-        truth_flow=scene.flow,
-        truth_inverse_depth=scene.inverse_depth,
-    )
+    with writer:
+        writer.write(
+            NAME,
+            result,
+            baseline_flow=baseline,
+            truth_flow=scene.flow,
+            truth_inverse_depth=scene.inverse_depth,
+        )
 
 
 def _blocks_table(height: int, width: int) -> Table:
@@ -228,7 +255,9 @@ def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float
         if count:
             try:
                 total += measure(scene.depth, mask) * count
-            except ValueError:
+            except ValueError as error:
+                if not is_stated(error):
+                    raise
                 return None
             pixels += count
     return total / pixels if pixels else None
@@ -241,7 +270,7 @@ def _pose_errors(result: Interpretation, scene: SyntheticPair) -> PoseErrors | N
     else:
         try:
             motion = camera_motion(result.flow, result.confidence, result.camera)
-        except ValueError:  # too little of it is trusted
+        except TooFewPixelsError:  # too little of it is trusted
             return None
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation

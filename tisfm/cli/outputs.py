@@ -1,9 +1,12 @@
 """The files that `tisfm run` and `tisfm demo` write for every pair."""
 
 import json
-import tempfile
+import math
+import time
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +20,7 @@ from tisfm.formats import (
     write_flo,
     write_png,
 )
+from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings
 from tisfm.show import (
@@ -34,25 +38,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORD = "run.json"
-
-
-def make_folder(folder: str | Path) -> Path:
-    """Make a folder for results, unless there is one, and check that it can be written to.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made or written to.
-    """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise type(error)(
-            f"cannot write results to the folder {folder} ({error.strerror}): give another with -o"
-        ) from error
-    return folder
+_RENEWED = 1.0  # s: the record of a long run takes longer to write than a pair
+ENDINGS = (
+    "_depth16.png", "_depth.png", "_flow.flo", "_anaglyph.png", "_figure.png", ".ply", "_pose.txt",
+    ".npz",
+)  # fmt: skip
+"""What names of a pair's files end in."""
 
 
 class PairWriter:
@@ -63,7 +54,8 @@ class PairWriter:
     ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, of rigid motions ``name_pose.txt``,
     and last ``name.npz``, which therefore marks a complete pair. The record, ``run.json``, holds
     settings, camera, ranges, and of every finished pair its status, its rigid motions and a hash
-    of its frames. It is renewed after each.
+    of its frames. It is renewed after a pair where the last time was a second ago, and when the
+    writer, which is a context manager, is left. A pair that is not in the record is not complete.
 
     Parameters
     ----------
@@ -77,13 +69,19 @@ class PairWriter:
         Whether to write the point cloud.
     resume : bool
         Continue a run that was interrupted: keep its ranges and the pairs it finished.
+    inputs : InputFiles
+        Files that are not to be replaced.
+    names : iterable of str
+        Names of pairs to come, as far as they are known: their files are compared with `inputs`
+        before anything is written, and all files once more when they are.
 
     Raises
     ------
     OSError
         If the folder cannot be made or written to.
     ValueError
-        If `resume` is set and the folder holds a run with another camera or other options.
+        If a file to be written is one of `inputs`, or if `resume` is set and the folder holds a
+        run with another camera or other options.
     """
 
     def __init__(
@@ -95,8 +93,15 @@ class PairWriter:
         figures: bool = True,
         ply: bool = False,
         resume: bool = False,
+        inputs: InputFiles | None = None,
+        names: Iterable[str] = (),
     ) -> None:
-        self.folder = make_folder(folder)
+        self.folder = Path(folder)
+        self._inputs = inputs or InputFiles()
+        self._inputs.refuse(
+            self.folder / RECORD, *(file for name in names for file in self._files(name))
+        )
+        make_folder(folder)
         self._record: dict[str, Any] = {
             "version": __version__,
             "camera": asdict(camera),
@@ -108,6 +113,7 @@ class PairWriter:
             "flow_limit": None,
             "pairs": {},
         }
+        self._renewed, self._recorded = -math.inf, True
         if resume:
             self._continue()
 
@@ -115,6 +121,10 @@ class PairWriter:
     def figures(self) -> bool:
         """Whether figures are drawn."""
         return bool(self._record["figures"])
+
+    def knows(self, name: str) -> bool:
+        """Return whether a pair of this name was written, by this run or the one continued."""
+        return name in self._record["pairs"]
 
     def is_complete(self, name: str, digest: str) -> bool:
         """Return whether an earlier run finished this pair.
@@ -175,6 +185,8 @@ class PairWriter:
         ------
         OSError
             If a file cannot be written.
+        ValueError
+            If one of them is an input.
         """
         record = self._record
         wrong = result.status in ("diverged", "pose_mismatch")
@@ -189,6 +201,7 @@ class PairWriter:
             record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
         limit = record["depth_range"] * level if usable else None
         scale = record["depth16_values_per_unit"] or 1.0
+        self._inputs.refuse(*self._files(name))
         path = self.folder / name
         # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
@@ -213,13 +226,15 @@ class PairWriter:
         if motions is not None:
             write_motions(f"{path}_pose.txt", motions)
         result.save(f"{path}.npz")
+        self._recorded = False
         record["pairs"][name] = {
             "status": str(result.status),
             "message": result.status.message,
             "motions": _finite_list(motions),
             "frames": digest,
         }
-        self._write_record()
+        if time.monotonic() - self._renewed > _RENEWED:
+            self.write_record()
 
     @property
     def statuses(self) -> list[str]:
@@ -255,10 +270,29 @@ class PairWriter:
             )
         self._record = before
 
-    def _write_record(self) -> None:
+    def _files(self, name: str) -> list[Path]:
+        """Return the files that a pair may have."""
+        return [self.folder / f"{name}{ending}" for ending in ENDINGS]
+
+    def __enter__(self) -> "PairWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._recorded:
+            self.write_record()
+
+    def write_record(self) -> None:
+        """Write the record of what is finished."""
+        self._inputs.refuse(self.folder / RECORD)
         text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
         with atomic_write(self.folder / RECORD) as file:
             file.write(text.encode("utf-8"))
+        self._renewed, self._recorded = time.monotonic(), True
 
 
 def _figure(

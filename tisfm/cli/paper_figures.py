@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
-from tisfm.cli.outputs import make_folder
+from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
 
+PAPER_FIGURES = ("figure_lambda.png", "figure_presmoothing.png", "figure_contrast.png")
 PRESMOOTHING = 1.5  # px; the paper does not say which Gaussian it used
 
 
@@ -23,6 +24,7 @@ def write_paper_figures(
     *,
     camera: Camera,
     known: Mapping[Settings, np.ndarray] | None = None,
+    inputs: InputFiles | None = None,
 ) -> list[Path]:
     """Write three figures of the depth of a pair under different settings.
 
@@ -39,6 +41,8 @@ def write_paper_figures(
         As for `tisfm.interpret`.
     known : mapping of Settings to (H, W), optional
         Inverse depth of these frames under settings that need not be interpreted again.
+    inputs : InputFiles, optional
+        Files that are not to be replaced.
 
     Returns
     -------
@@ -50,8 +54,9 @@ def write_paper_figures(
     OSError
         If they cannot be written.
     TypeError, ValueError
-        As `tisfm.interpret`.
+        As `tisfm.interpret`; if one of them is an input.
     """
+    (inputs or InputFiles()).refuse(*(Path(folder) / name for name in PAPER_FIGURES))
     folder = make_folder(folder)
     paper, default = Settings.preset("paper"), Settings()
     comparisons = {
@@ -90,6 +95,7 @@ def write_paper_figures(
             (label, depth_grey(depth, limit=limit))
             for label, depth in zip(panels, depths, strict=True)
         ]
+        (inputs or InputFiles()).refuse(folder / name)
         save_figure(folder / name, panel_figure(pictures, title=title))
         written.append(folder / name)
     return written

@@ -4,6 +4,7 @@ import json
 import os
 import platform
 import re
+from collections.abc import Iterable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -11,10 +12,10 @@ from typing import Any
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.cli.outputs import make_folder
-from tisfm.datasets import LoadedPair
+from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
 from tisfm.formats import atomic_write, write_flo
+from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
 from tisfm.settings import Settings
@@ -30,6 +31,7 @@ from tisfm.version import __version__
 
 EVALUATION_RECORD = "eval.json"
 _DPI = 250  # at which panels have all their pixels, up to a size
+_ENDINGS = ("_flow.flo", "_flow.png", "_error.png", "_depth_error.png")
 _PACKAGES = ("numpy", "opencv-python-headless", "taichi")
 
 
@@ -50,16 +52,36 @@ class EvaluationWriter:
     camera : Camera or None
         The camera given for every pair, if one was.
     settings : Settings
+    pairs : iterable of DatasetPair
+        The pairs to come. Their files are not to be replaced.
 
     Raises
     ------
     OSError
         If the folder cannot be made or written to.
+    ValueError
+        If a file to be written is one of those of the pairs.
     """
 
-    def __init__(self, folder: str | Path, *, camera: Camera | None, settings: Settings) -> None:
-        self.folder = make_folder(folder)
-        self._stems: set[str] = set()
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        camera: Camera | None,
+        settings: Settings,
+        pairs: Iterable[DatasetPair] = (),
+    ) -> None:
+        self.folder = Path(folder)
+        self._stems: dict[DatasetPair, str] = {}
+        self._taken: set[str] = set()
+        pairs = list(pairs)
+        self._inputs = InputFiles(
+            value for pair in pairs for value in vars(pair).values() if isinstance(value, Path)
+        )
+        self._inputs.refuse(self.folder / EVALUATION_RECORD)
+        for pair in pairs:
+            self._inputs.refuse(*self._files(self._stem(pair)))
+        make_folder(folder)
         self._record: dict[str, Any] = {
             "version": __version__,
             "versions": {
@@ -105,7 +127,8 @@ class EvaluationWriter:
         """
         stem = None
         if result is not None and loaded is not None:
-            stem = self._free_stem(evaluation)
+            stem = self._stem(evaluation.pair)
+            self._inputs.refuse(*self._files(stem))
             make_folder((self.folder / stem).parent)
             self._write_files(f"{self.folder / stem}", evaluation, result, loaded)
         self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
@@ -146,19 +169,26 @@ class EvaluationWriter:
         self._record["complete"] = True
         self._write_record()
 
-    def _free_stem(self, evaluation: PairEvaluation) -> str:
+    def _stem(self, pair: DatasetPair) -> str:
         """Return the beginning of file names that no other pair has, within the folder."""
-        parts = (evaluation.pair.dataset, evaluation.pair.name)
-        stem = "/".join(re.sub(r"[^\w.+-]+", "_", part).lstrip(".") or "_" for part in parts)
-        number = 1
-        free = stem
-        while free.lower() in self._stems:
-            number += 1
-            free = f"{stem}_{number}"
-        self._stems.add(free.lower())
-        return free
+        if pair not in self._stems:
+            parts = (pair.dataset, pair.name)
+            stem = "/".join(re.sub(r"[^\w.+-]+", "_", part).lstrip(".") or "_" for part in parts)
+            number = 1
+            free = stem
+            while free.lower() in self._taken:
+                number += 1
+                free = f"{stem}_{number}"
+            self._taken.add(free.lower())
+            self._stems[pair] = free
+        return self._stems[pair]
+
+    def _files(self, stem: str) -> list[Path]:
+        """Return the files that a pair may have."""
+        return [self.folder / f"{stem}{ending}" for ending in _ENDINGS]
 
     def _write_record(self) -> None:
+        self._inputs.refuse(self.folder / EVALUATION_RECORD)
         text = json.dumps(self._record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         with atomic_write(self.folder / EVALUATION_RECORD) as file:
             file.write(text.encode("utf-8"))

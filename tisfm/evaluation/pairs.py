@@ -25,6 +25,7 @@ from tisfm.metrics import (
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings, check_settings
+from tisfm.stated import is_stated
 from tisfm.visibility.occlusion import leaves_image
 
 LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
@@ -176,6 +177,8 @@ def evaluate(
         If `camera` or `settings` is not of its type.
     ValueError
         If `camera` has distortion: the true flow is that of the frames as they are.
+    Exception
+        What nobody foresaw, which is a bug and no fault of a pair.
     """
     if camera is not None:
         if not isinstance(camera, Camera):
@@ -195,6 +198,8 @@ def evaluate(
             if on_pair is not None:
                 on_pair(evaluation, result, loaded)
         except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
+            if not is_stated(error):
+                raise
             text = " ".join(str(error).split()) or type(error).__name__
             evaluation = PairEvaluation(pair=pair, fault=text)
             if on_pair is not None:

@@ -6,6 +6,8 @@ import secrets
 from collections.abc import Iterator
 from typing import BinaryIO
 
+_BUFFER = 2**20  # bytes: every write to the disk takes turns with other threads
+
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
@@ -50,7 +52,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     temporary = os.path.join(folder, f".tisfm-{secrets.token_hex(8)}.tmp")
     try:
         # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
-        file = open(temporary, "xb")  # noqa: SIM115 (closed below, before the rename)
+        file = open(temporary, "xb", _BUFFER)  # noqa: SIM115 (closed below, before the rename)
     except OSError as error:
         raise _explained(error, name, folder) from error
     try:

@@ -6,11 +6,12 @@ import os
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
+from tisfm.formats.png import encode_png
 from tisfm.formats.reading import read_bytes
 
 _SCALE_KEYWORD = "tisfm:depth_scale"
@@ -77,14 +78,13 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     if values.ndim != 2 or values.size == 0:
         raise ValueError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)
-    stored = np.zeros(values.shape, dtype=np.uint16)
-    valid = _is_valid(values)
-    with np.errstate(over="ignore"):  # infinity clips as well
-        stored[valid] = np.clip(np.rint(values[valid] * scale), 1, 65535)
-    text = PngImagePlugin.PngInfo()
-    text.add_text(_SCALE_KEYWORD, repr(float(scale)))
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity clips, and NaN is not valid
+        scaled = np.rint(values * scale)
+        np.clip(scaled, 1, 65535, out=scaled)
+    np.copyto(scaled, 0, where=~_is_valid(values))
+    stored = scaled.astype(np.uint16)
     with atomic_write(path) as file:
-        Image.fromarray(stored).save(file, format="PNG", pnginfo=text)
+        file.writelines(encode_png(stored, {_SCALE_KEYWORD: repr(float(scale))}))
 
 
 def read_depth_png(
@@ -127,6 +127,8 @@ def read_depth_png(
             kind = picture.mode
             stored = np.asarray(picture)
             stated = picture.info.get(_SCALE_KEYWORD)
+    except MemoryError:
+        raise
     except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
         raise FormatError(f"{name} cannot be read as a depth PNG: {error}") from error
     if kind not in ("I;16", "I;16B", "I"):

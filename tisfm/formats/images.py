@@ -10,18 +10,24 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.reading import read_bytes
+from tisfm.formats.png import encode_png
+from tisfm.formats.reading import opencv_memory, read_bytes
 
 IMAGE_SUFFIXES = (
     ".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp",
 )  # fmt: skip
 """Suffixes, lower case, of the files in a folder that count as pictures."""
 
+PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
+"""Pillow's names of these formats; the others, of which some run other programs, are not read."""
+
+_BITS_PER_SAMPLE, _EXTRA_SAMPLES = 258, 338  # tags of TIFF
+_SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
 _KNOWN_BEGINNINGS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
 _log_level_lock = threading.Lock()
@@ -30,8 +36,9 @@ _log_level_lock = threading.Lock()
 def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     """Read a picture, grey or colour, at its own depth.
 
-    Transparency is dropped, a palette becomes colours, and the orientation that a camera wrote
-    beside a picture is applied. Of a file with several pictures the first is read.
+    Transparency is dropped, and colours are those that the file holds: not mixed with a background,
+    and neither multiplied nor divided by it. A palette becomes colours, and the orientation that a
+    camera wrote beside a picture is applied. Of a file with several pictures the first is read.
 
     Parameters
     ----------
@@ -51,28 +58,31 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
         If `path` is a folder.
     FormatError
         If the file is empty, not a picture, cut off, damaged, or of another number type.
+    MemoryError
+        If memory does not suffice for the picture.
 
     Notes
     -----
     Some versions of OpenCV return a picture that is complete only at its top for a file that is
     cut off. Every file is therefore checked first: PNG and TIFF against their own account of
-    their length, and all that Pillow knows by decoding it once more with Pillow. What Pillow does
-    not know (Radiance HDR, colour PFM, float colour TIFF), or refuses for its size alone
-    (above 179 million pixels), is as safe as OpenCV makes it.
+    their length, and the formats of `IMAGE_SUFFIXES` by decoding them once more with Pillow, which
+    is not asked about any other. What Pillow does not know of these (float colour TIFF), or
+    refuses for its size alone (above 179 million pixels), and what else OpenCV reads (Radiance
+    HDR, PFM), is as safe as OpenCV makes it.
     """
     name = os.fspath(path)
     data = read_bytes(name)
     missing = missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
-    _verify_with_pillow(name, data)
-    with _opencv_silenced():
-        try:
-            image = cv2.imdecode(
-                np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-            )
-        except cv2.error:
-            image = None
+    plain = _verify_with_pillow(name, data)
+    if plain is not None:
+        return plain
+    image = _decode(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    if image is None:  # float TIFF with transparency is read with it or not at all
+        image = _decode(name, data, cv2.IMREAD_UNCHANGED)
+        if image is not None and image.ndim == 3:
+            image = image[..., :3]
     if image is None:
         raise FormatError(
             f"{name} cannot be read as a picture ({len(data)} bytes, starting with {data[:8]!r}): "
@@ -107,34 +117,56 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
         If the file cannot be written.
     """
     image = np.asarray(image)
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise TypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")
     colour = image.ndim == 3 and image.shape[2] == 3
     if image.size == 0 or not (image.ndim == 2 or colour):
         raise ValueError(f"image is {image.shape}, expected (H, W) or (H, W, 3) with some pixels")
-    encoded, data = cv2.imencode(
-        ".png", np.ascontiguousarray(image[..., ::-1] if colour else image)
-    )
-    if not encoded:
-        raise ValueError(f"image of shape {image.shape} cannot be written as PNG: it is too large")
     with atomic_write(path) as file:
-        file.write(data.tobytes())
+        file.writelines(encode_png(image))
 
 
-def _verify_with_pillow(name: str, data: bytes) -> None:
-    """Raise FormatError if Pillow knows the format and cannot decode all of the picture."""
+def _decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
+    """Return what OpenCV reads, blue first, or None."""
+    with _opencv_silenced(), opencv_memory(name):
+        try:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error as error:
+            if error.code == cv2.Error.StsNoMem:
+                raise
+            return None
+
+
+def _verify_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
+    """Raise FormatError if Pillow knows the format and cannot decode all of the picture.
+
+    Returns the picture where OpenCV would multiply its colours by its transparency, else None.
+    """
     try:
-        with Image.open(io.BytesIO(data)) as picture:
+        with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             picture.load()
+            separate = getattr(picture, "tag_v2", {}).get(_EXTRA_SAMPLES) == _SEPARATE_ALPHA
+            if picture.mode == "RGBA" and separate and _eight_bits(picture):
+                upright = ImageOps.exif_transpose(picture)
+                return np.ascontiguousarray(np.asarray(upright)[..., :3])
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         # Too large for its taste: no verdict. (The warning is an exception only where the
         # application turned warnings into errors.)
-        return
+        return None
+    except MemoryError:
+        raise
     except UnidentifiedImageError as error:
         if data.startswith(_KNOWN_BEGINNINGS):
             raise FormatError(f"{name} is damaged at its beginning: write it again") from error
     except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
         raise FormatError(f"{name} is cut off or damaged: {error}") from error
+    return None
+
+
+def _eight_bits(picture: Image.Image) -> bool:
+    """Return whether a TIFF has 8 bits a sample; of more, Pillow would drop some."""
+    return set(getattr(picture, "tag_v2", {}).get(_BITS_PER_SAMPLE, ())) == {8}
 
 
 @contextlib.contextmanager

@@ -1,6 +1,11 @@
 """Whole files into memory, with errors that say what to do."""
 
+import contextlib
 import os
+from collections.abc import Iterator
+from typing import BinaryIO
+
+import cv2
 
 from tisfm.formats.errors import FormatError
 
@@ -29,21 +34,67 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     FormatError
         If the file is empty.
     """
+    with open_file(path) as file:
+        try:
+            data = file.read()
+        except OSError as error:
+            raise _explained(error, os.fspath(path)) from error
+    if not data:
+        raise FormatError(f"{os.fspath(path)} is empty (0 bytes): write or download it again")
+    return data
+
+
+def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a file for reading bytes.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to read.
+
+    Returns
+    -------
+    BinaryIO
+        To be closed by the caller.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, OSError
+        As `read_bytes`.
+    """
     name = os.fspath(path)
     # Asked first because Windows reports an opened folder as a lack of permission.
     if os.path.isdir(name):
         raise IsADirectoryError(f"{name} is a folder, not a file: give the path of one file in it")
     try:
-        with open(name, "rb") as file:
-            data = file.read()
-    except FileNotFoundError as error:
-        raise FileNotFoundError(
-            f"{name} does not exist: check the path (relative paths start at {os.getcwd()})"
-        ) from error
+        return open(name, "rb")
     except OSError as error:
-        raise type(error)(
-            f"{name} cannot be read ({error.strerror}): check the path and its permissions"
-        ) from error
-    if not data:
-        raise FormatError(f"{name} is empty (0 bytes): write or download it again")
-    return data
+        raise _explained(error, name) from error
+
+
+@contextlib.contextmanager
+def opencv_memory(name: str) -> Iterator[None]:
+    """Raise a MemoryError where OpenCV says in its own way that memory does not suffice.
+
+    Parameters
+    ----------
+    name : str
+        What is read or written.
+    """
+    try:
+        yield
+    except cv2.error as error:
+        if getattr(error, "code", None) != cv2.Error.StsNoMem:
+            raise
+        raise MemoryError(f"there is not enough memory for {name}") from error
+
+
+def _explained(error: OSError, name: str) -> OSError:
+    """Return an error of the same class whose text names the file and says what to do."""
+    if isinstance(error, FileNotFoundError):
+        return FileNotFoundError(
+            f"{name} does not exist: check the path (relative paths start at {os.getcwd()})"
+        )
+    return type(error)(
+        f"{name} cannot be read ({error.strerror}): check the path and its permissions"
+    )

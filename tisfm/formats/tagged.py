@@ -104,7 +104,7 @@ def write_tagged(
     height, width = array.shape[:2]
     with atomic_write(path) as file:
         file.write(_HEADER.pack(_TAG, width, height))
-        file.write(array.astype("<f4").tobytes())
+        file.write(np.ascontiguousarray(array, "<f4").data)
 
 
 def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:

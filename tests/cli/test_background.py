@@ -1,0 +1,149 @@
+"""Writing beside interpreting: in order, whole, and with its errors."""
+
+import threading
+import time
+import weakref
+
+import pytest
+
+from tests.cli.command_line import assert_one_line, files, promised, record
+from tisfm import pair
+from tisfm.cli import outputs
+from tisfm.cli.background import Background
+from tisfm.formats.atomic import atomic_write
+
+
+def test_pieces_are_done_in_order_in_one_other_thread():
+    done = []
+    with Background() as background:
+        for k in range(20):
+            background.submit(lambda k=k: done.append((k, threading.get_ident())))
+    assert [k for k, _ in done] == list(range(20))
+    threads = {thread for _, thread in done}
+    assert len(threads) == 1 and threading.get_ident() not in threads
+
+
+def test_one_waits_and_the_next_is_waited_for():
+    free, given = threading.Event(), []
+    with Background() as background:
+
+        def give():
+            for k in range(3):
+                background.submit(free.wait)
+                given.append(k)
+
+        giving = threading.Thread(target=give)
+        giving.start()
+        deadline = time.monotonic() + 10
+        while len(given) < 2 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(0.1)
+        assert given == [0, 1]
+        free.set()
+        giving.join()
+    assert given == [0, 1, 2]
+
+
+@pytest.mark.parametrize("fault", [OSError, KeyboardInterrupt, SystemExit])
+def test_an_error_comes_out_and_ends_the_work(fault):
+    done = []
+
+    def fail():
+        raise fault("in the thread")
+
+    with pytest.raises(fault, match="in the thread"), Background() as background:
+        background.submit(fail)
+        for k in range(5):
+            background.submit(done.append, k)
+            time.sleep(0.05)
+    assert not done
+
+
+def test_an_error_of_the_last_piece_comes_out():
+    def fail():
+        time.sleep(0.1)
+        raise OSError("at the end")
+
+    with pytest.raises(OSError, match="at the end"), Background() as background:
+        background.submit(fail)
+
+
+@pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
+def test_what_was_given_before_an_error_is_done(fault):
+    done = []
+    with pytest.raises(fault, match="outside"), Background() as background:
+        for k in range(2):
+            background.submit(lambda k=k: (time.sleep(0.1), done.append(k)))
+        raise fault("outside")
+    assert done == [0, 1]
+
+
+def test_nothing_is_held_when_it_is_done():
+    class Held:
+        pass
+
+    held = Held()
+    gone = weakref.ref(held)
+    with Background() as background:
+        background.submit(lambda what: None, held)
+        del held
+        deadline = time.monotonic() + 10
+        while gone() is not None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert gone() is None
+
+
+def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
+    original, calls = outputs.write_flo, []
+
+    def full(*arguments):
+        calls.append(1)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+        return original(*arguments)
+
+    monkeypatch.setattr(outputs, "write_flo", full)
+    code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    assert out == ""
+    assert_one_line(code, err, "No space left on device")
+    assert set(promised("f0", figures=False)) <= set(files("out"))
+    assert list(record("out")["pairs"]) == ["f0"]
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow):
+    """Writing may lag behind: what was interpreted before is written whole."""
+    original, calls = outputs.write_flo, []
+
+    def write_flo(*arguments):
+        time.sleep(0.5 * slow)
+        return original(*arguments)
+
+    interpret = pair.interpret
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return interpret(*arguments, **options)
+
+    monkeypatch.setattr(outputs, "write_flo", write_flo)
+    monkeypatch.setattr(pair, "interpret", interrupted)
+    code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    assert (code, out, err) == (130, "", "tisfm: interrupted\n")
+    assert set(files("out")) == promised("f0", "f1", figures=False)
+    assert list(record("out")["pairs"]) == ["f0", "f1"]
+
+
+def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, frames, monkeypatch):
+    written = []
+
+    def counted(path):
+        written.append(str(path))
+        return atomic_write(path)
+
+    monkeypatch.setattr(outputs, "atomic_write", counted)
+    monkeypatch.setattr(outputs, "_RENEWED", 1000.0)
+    assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
+    assert len(written) == 2  # after the first pair, and at the end
+    assert list(record("out")["pairs"]) == ["f0", "f1", "f2"]

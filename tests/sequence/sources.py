@@ -1,0 +1,72 @@
+"""What the tests of sequences share: frames, and sources of them."""
+
+import weakref
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.sequence import FrameSource
+
+H, W = 24, 40
+QUICK = tisfm.Settings(warps=1, outer_iterations=1, sweeps=2)
+
+
+def make_frames(count, height=H, width=W):
+    """Frames of a texture that moves by one pixel; they can be told apart."""
+    noise = np.random.default_rng(3).uniform(0, 255, (height, width + count)).astype(np.float32)
+    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+    return [texture[:, count - k :][:, :width].astype(np.uint8) for k in range(count)]
+
+
+FRAMES = make_frames(6)
+
+
+def numbered(folder):
+    return [folder / f"frame{number}.png" for number in (1, 2, 9, 10, 11)]
+
+
+def make_video(path, codec, count=6):
+    frames = make_frames(count, 48, 64)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip(f"this build of OpenCV cannot write {codec} video")
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return frames
+
+
+def check_frames(source, expected, step=1):
+    """Check the frames of a source, pair by pair, and return the names of the pairs."""
+    pairs = list(FrameSource(source, step=step))
+    assert len(pairs) == len(expected) - 1
+    for pair, frame0, frame1 in zip(pairs, expected[:-1], expected[1:], strict=True):
+        np.testing.assert_array_equal(pair.frame0, frame0)
+        np.testing.assert_array_equal(pair.frame1, frame1)
+    assert [pair.name1 for pair in pairs[:-1]] == [pair.name0 for pair in pairs[1:]]
+    return [pair.name0 for pair in pairs]
+
+
+class Counted:
+    """A generator's frames, counted while any part of the program still holds them."""
+
+    def __init__(self, count):
+        self.count, self.made, self.alive, self.most = count, 0, 0, 0
+
+    def __iter__(self):
+        for k in range(self.count):
+            # A new array each time: with a copy kept here, it would be alive for that reason.
+            yield self._make(k)
+
+    def _make(self, k):
+        frame = FRAMES[k % len(FRAMES)].copy()
+        self.made += 1
+        self.alive += 1
+        self.most = max(self.most, self.alive)
+        weakref.finalize(frame, self._gone)
+        return frame
+
+    def _gone(self):
+        self.alive -= 1

@@ -1,0 +1,248 @@
+"""The file that keeps an interpretation: what is stored, and what is checked when it is read.
+
+`docs/formats.md` describes it.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.formats import FormatError
+from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.frames import MIN_SIDE
+from tisfm.interpretation import STATUSES, History, Interpretation, Status
+from tisfm.settings import Settings
+
+FORMAT = 6  # raised when a reader of the one before would go wrong
+_MOST_ABOUT = 2**20  # bytes of the account of itself, which has a thousandth of that
+_LARGEST_HALF = 65504.0
+_HISTORY = tuple(f"history_{record.name}" for record in fields(History))
+_ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
+_RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
+_PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
+_ABOUT = ("format", "version", "camera", "settings", "status", "message")
+_WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
+
+_HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
+_TYPES = {
+    "rho": _FLOAT,
+    "flow": _FLOAT,
+    "inverse_depth": _FLOAT,
+    "inverse_depth_std": _FLOAT,
+    "confidence": _FLOAT,
+    "occlusion": np.dtype(np.bool_),
+    "labels": _INT,
+    "motions": _DOUBLE,
+    "frame": np.dtype("u1"),
+    "history_level": _INT,
+    "history_warp": _INT,
+    "history_energy": _DOUBLE,
+    "history_half_quadratic": _DOUBLE,
+    "history_change": _DOUBLE,
+}
+_STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
+    "rho": (_HALF, _FLOAT),
+    "confidence": (_HALF,),
+    "labels": (np.dtype("u1"), np.dtype("<u2"), _INT),
+}
+
+
+def write_interpretation(path: str | os.PathLike[str], result: Interpretation) -> None:
+    """Write everything to an ``.npz``; see `Interpretation.save`."""
+    about = {
+        "format": FORMAT,
+        "version": result.version,
+        "camera": asdict(result.camera),
+        "settings": asdict(result.settings),
+        "status": str(result.status),
+        "message": result.status.message,
+    }
+    arrays = {name: getattr(result, name) for name in (*_ALWAYS, *_RIGID)}
+    arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
+    given = {name: array for name, array in arrays.items() if array is not None}
+    layout = {name: (array.shape, array.dtype) for name, array in given.items()}
+    _check_layout(layout, {name: (kind,) for name, kind in _TYPES.items()}, result.settings)
+    _check_values(given, result.status)
+    if max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF:  # nor is it so of NaN
+        given["rho"] = _half(given["rho"])
+    given["confidence"] = _half(given["confidence"])
+    if "labels" in given:
+        most = len(given["motions"]) - 1
+        kinds = (kind for kind in _STORED["labels"] if most <= np.iinfo(kind).max)
+        given["labels"] = given["labels"].astype(next(kinds))
+    write_npz(path, {"about": np.array(json.dumps(about)), **given})
+
+
+def read_interpretation(path: str | os.PathLike[str]) -> Interpretation:
+    """Read what `write_interpretation` wrote; see `Interpretation.load`."""
+    name = os.fspath(path)
+    try:
+        with NpzFile(path) as file:
+            try:
+                return _read(file)
+            except (LookupError, RecursionError, TypeError, ValueError) as error:
+                reason = " ".join(str(error).split()).removeprefix(f"{name} ")
+                raise FormatError(
+                    f"{name} is not a complete interpretation written by tisfm: {reason}"
+                ) from error
+    except MemoryError as error:
+        raise MemoryError(
+            f"there is not enough memory to load {name}, of {os.path.getsize(name):,} bytes"
+        ) from error
+
+
+def _read(file: NpzFile) -> Interpretation:
+    about = _read_about(file)
+    file.require_only(_PARTS)
+    missing = sorted({*_ALWAYS, *_HISTORY}.difference(file))
+    if missing:
+        raise ValueError(f"it has no {', '.join(missing)}")
+    camera, settings = _camera(about["camera"]), _settings(about["settings"])
+    names = [name for name in _TYPES if name in file]
+    _check_layout({name: file.header(name) for name in names}, _STORED, settings)
+    arrays = {name: file.read(name).astype(_TYPES[name], copy=False) for name in names}
+    _check_values(arrays, about["status"])
+    history = {name: arrays.pop(name) for name in _HISTORY}
+    return Interpretation(
+        **arrays,
+        camera=camera,
+        settings=settings,
+        status=Status(about["status"], about["message"]),
+        history=History(
+            **{name.removeprefix("history_"): array for name, array in history.items()}
+        ),
+        version=about["version"],
+    )
+
+
+def _read_about(file: NpzFile) -> dict[str, Any]:
+    """Return the account of itself, checked as far as it stands alone."""
+    if "about" not in file:
+        missing = sorted({"about", *_ALWAYS}.difference(file))
+        raise ValueError(f"it has no {', '.join(missing)}")
+    text = file.read("about", most=_MOST_ABOUT)
+    if text.dtype.kind != "U" or text.shape != ():
+        raise ValueError(f"about is {text.shape} {text.dtype}, expected one text")
+    about = json.loads(str(text))
+    if not isinstance(about, dict):
+        raise ValueError(f"about is {about!r}, expected an object of JSON")
+    if "format" in about and about["format"] != FORMAT:
+        raise ValueError(
+            f"its format is {about['format']!r} and this version reads {FORMAT}: it was written "
+            f"by tisfm {about.get('version')}, whose results have to be computed again"
+        )
+    _check_names("its account of itself", about, _ABOUT)
+    for name in ("version", "status", "message"):
+        if not isinstance(about[name], str):
+            raise ValueError(f"its {name} is {about[name]!r}, expected text")
+    if about["status"] not in STATUSES:
+        raise ValueError(
+            f"its status is {about['status']!r}, expected one of {', '.join(map(repr, STATUSES))}"
+        )
+    return about
+
+
+def _camera(about: Any) -> Camera:
+    """Return the camera."""
+    _check_names("its camera", about, [part.name for part in fields(Camera)])
+    return Camera(**about)
+
+
+def _settings(about: Any) -> Settings:
+    """Return the settings; none of them takes a default of today."""
+    _check_names("its settings", about, [setting.name for setting in fields(Settings)])
+    return Settings(**about)
+
+
+def _check_names(owner: str, values: Any, expected: Iterable[str]) -> None:
+    if not isinstance(values, dict):
+        raise ValueError(f"{owner} is {values!r}: expected an object of JSON")
+    missing, unknown = set(expected).difference(values), set(values).difference(expected)
+    if missing:
+        raise ValueError(f"missing in {owner}: {', '.join(sorted(missing))}")
+    if unknown:
+        raise ValueError(f"unknown in {owner}: {', '.join(sorted(unknown))}")
+
+
+def _check_layout(
+    layout: Mapping[str, tuple[tuple[int, ...], np.dtype]],
+    types: Mapping[str, tuple[np.dtype, ...]],
+    settings: Settings,
+) -> None:
+    """Check that shapes and types are those of one result; ValueError if not."""
+    size = layout["frame"][0]
+    if len(size) not in (2, 3) or min(size[:2]) < MIN_SIDE or size[2:] not in ((), (3,)):
+        raise ValueError(
+            f"frame is {size}, expected (H, W) or (H, W, 3) with sides of at least {MIN_SIDE} px"
+        )
+    rigid = [name for name in _RIGID if name in layout]
+    if rigid != ([] if settings.motion == "field" else list(_RIGID)):
+        raise ValueError(
+            f"it has {', '.join(rigid) or 'no motions'}, but its settings say motion="
+            f'"{settings.motion}": expected {", ".join(_RIGID)} for rigid motions and none of '
+            "them for a field"
+        )
+    height, width = size[:2]
+    (iterations, *_) = (*layout["history_level"][0], 0)
+    (count, *_) = (*layout.get("motions", ((), None))[0], 0)
+    if rigid and not count:
+        raise ValueError("motions is empty, expected at least one motion, (K, 6)")
+    shapes: dict[str, tuple[int, ...]] = {
+        "frame": size,
+        "rho": (6, height, width),
+        "flow": (height, width, 2),
+        "motions": (count, 6),
+        **{name: (iterations,) for name in _HISTORY},
+    }
+    for name, (shape, kind) in layout.items():
+        expected = shapes.get(name, (height, width))
+        if shape != expected or kind not in types[name]:
+            names = " or ".join(str(kind) for kind in types[name])
+            raise ValueError(f"{name} is {shape} {kind}, expected {expected} {names}")
+
+
+def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
+    """Check that numbers are those of one result; ValueError if not."""
+    if "labels" in arrays:
+        count = len(arrays["motions"])
+        least, most = arrays["labels"].min(), arrays["labels"].max()
+        if least < 0 or most >= count:
+            raise ValueError(f"labels are {least} to {most}, expected 0 to {count - 1}")
+    if arrays["occlusion"].view(np.uint8).max() > 1:
+        raise ValueError("occlusion has bytes other than 0 and 1")
+    for name in ("history_level", "history_warp"):
+        if (arrays[name] < 0).any():
+            raise ValueError(f"{name} is negative at {np.argmax(arrays[name] < 0)}")
+    if status in _WILD:
+        return
+    for name in ("rho", "flow", "inverse_depth", "motions"):
+        if name in arrays and not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} is not finite everywhere, but the status is {status!r}")
+    confidence = arrays["confidence"]
+    if not (confidence.min() >= 0 and confidence.max() <= 1):  # nor is it so of NaN
+        raise ValueError(
+            f"confidence is {confidence.min():g} to {confidence.max():g}, expected 0 to 1"
+        )
+    if "inverse_depth_std" in arrays and not arrays["inverse_depth_std"].min() > 0:
+        raise ValueError("inverse_depth_std is not positive everywhere")
+    for name in ("history_energy", "history_half_quadratic", "history_change"):
+        if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
+            raise ValueError(f"{name} is NaN, but the status is {status!r}")
+
+
+def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:
+    """Round to 11 significant bits, and to 2⁻²⁴ where the numbers are tiny."""
+    flat = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
+    try:
+        # Several times as fast as NumPy.
+        rounded = cv2.add(flat, 0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
+    except cv2.error:  # of a version that cannot
+        rounded = flat.astype(np.float16)
+    return rounded.reshape(array.shape)
