@@ -16,7 +16,7 @@ from PIL import Image
 import tisfm
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
-from tisfm.interpretation import Status
+from tisfm.outcome import Status
 from tisfm.scenes import two_blocks
 from tisfm.settings import Preset
 
@@ -131,7 +131,7 @@ def test_shell_commands_exist(path):
         elif program == "run":
             assert (ROOT / words[0]).is_file(), words
         else:
-            assert program in ("python3", "pip", "pytest", "ruff", "mypy"), words
+            assert program in ("python3", "pip", "pytest", "ruff", "types"), words
 
 
 @page

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.interpretation import Status
+from tisfm.outcome import Status
 
 H, W = 24, 40
 ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")

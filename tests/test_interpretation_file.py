@@ -10,7 +10,8 @@ from tests.stored import entries_of, field_result, half_precision, rigid_result
 from tests.test_interpretation import H, W, frames
 from tisfm import interpretation_file
 from tisfm.formats import npz
-from tisfm.interpretation import Interpretation, Status
+from tisfm.interpretation import Interpretation
+from tisfm.outcome import Status
 
 EXACT = ("flow", "inverse_depth", "depth", "occlusion", "frame", "labels", "motions",
          "inverse_depth_std")  # fmt: skip

@@ -7,62 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.outcome import History, Status
 from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
 from tisfm.settings import Settings
-
-STATUSES = (
-    "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
-    "little_parallax", "unrelated", "pose_mismatch",
-)  # fmt: skip
-"""Codes of `Status`."""
-
-
-class Status(str):
-    """A short code that says how the interpretation ended, with a message on what to try.
-
-    Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
-    ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by; ``"diverged"``, the numbers are of no use: somewhere the
-    image motion grew beyond half of the image's longer side, or more than half of the pixels leave
-    the image. With ``motion="camera"``, or ``"objects"`` that find one motion only, also
-    ``"pure_rotation"``, the camera only turned, ``"little_parallax"``, it hardly changed its place,
-    and ``"unrelated"``, the frames have nothing in common: there is no depth. With a pose given,
-    ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all the
-    same.
-    """
-
-    message: str
-
-    def __new__(cls, code: str, message: str = "") -> "Status":
-        """Make a status that compares equal to its code."""
-        status = super().__new__(cls, code)
-        status.message = message
-        return status
-
-
-@dataclass(frozen=True, kw_only=True)
-class History:
-    """Record of every half-quadratic iteration, in order; arrays of one length.
-
-    Attributes
-    ----------
-    level : (N,) int32
-        Level of the pyramid, 0 the finest.
-    warp : (N,) int32
-        Linearisation within the level.
-    energy : (N,) float64
-        Energy (eq. 6, 20) after the iteration; within a warp it never rises.
-    half_quadratic : (N,) float64
-        Its half-quadratic form (eq. 8, 21) with the weights the iteration used.
-    change : (N,) float64
-        ‖change of ρ̂‖ / ‖ρ̂‖.
-    """
-
-    level: np.ndarray
-    warp: np.ndarray
-    energy: np.ndarray
-    half_quadratic: np.ndarray
-    change: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -228,4 +175,4 @@ class Interpretation:
         """
         from tisfm.interpretation_file import read_interpretation
 
-        return read_interpretation(path)
+        return cls(**read_interpretation(path))

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -17,8 +17,11 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.frames import MIN_SIDE
-from tisfm.interpretation import STATUSES, History, Interpretation, Status
+from tisfm.outcome import STATUSES, History, Status
 from tisfm.settings import Settings
+
+if TYPE_CHECKING:
+    from tisfm.interpretation import Interpretation
 
 FORMAT = 6  # raised when a reader of the one before would go wrong
 _MOST_ABOUT = 2**20  # bytes of the account of itself, which has a thousandth of that
@@ -54,7 +57,7 @@ _STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
 }
 
 
-def write_interpretation(path: str | os.PathLike[str], result: Interpretation) -> None:
+def write_interpretation(path: str | os.PathLike[str], result: "Interpretation") -> None:
     """Write everything to an ``.npz``; see `Interpretation.save`."""
     about = {
         "format": FORMAT,
@@ -80,8 +83,8 @@ def write_interpretation(path: str | os.PathLike[str], result: Interpretation) -
     write_npz(path, {"about": np.array(json.dumps(about)), **given})
 
 
-def read_interpretation(path: str | os.PathLike[str]) -> Interpretation:
-    """Read what `write_interpretation` wrote; see `Interpretation.load`."""
+def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the fields of what `write_interpretation` wrote; see `Interpretation.load`."""
     name = os.fspath(path)
     try:
         with NpzFile(path) as file:
@@ -98,7 +101,7 @@ def read_interpretation(path: str | os.PathLike[str]) -> Interpretation:
         ) from error
 
 
-def _read(file: NpzFile) -> Interpretation:
+def _read(file: NpzFile) -> dict[str, Any]:
     about = _read_about(file)
     file.require_only(_PARTS)
     missing = sorted({*_ALWAYS, *_HISTORY}.difference(file))
@@ -110,7 +113,7 @@ def _read(file: NpzFile) -> Interpretation:
     arrays = {name: file.read(name).astype(_TYPES[name], copy=False) for name in names}
     _check_values(arrays, about["status"])
     history = {name: arrays.pop(name) for name in _HISTORY}
-    return Interpretation(
+    return dict(
         **arrays,
         camera=camera,
         settings=settings,

@@ -8,8 +8,9 @@ from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
-from tisfm.interpretation import History, Interpretation, Status
+from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
+from tisfm.outcome import History, Status
 from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.version import __version__

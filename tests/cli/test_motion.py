@@ -11,7 +11,7 @@ from tests.cli.command_line import files, load, record
 from tisfm.cli import demo, outputs, paper_figures
 from tisfm.cli.motion_text import motion_rows
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
-from tisfm.interpretation import Status
+from tisfm.outcome import Status
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import two_blocks
 from tisfm.show import depth_grey

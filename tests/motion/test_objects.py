@@ -221,7 +221,7 @@ def estimate_of(inverse_depth, labels):
         normalized=True,
         freedom=1,
         history=[],
-        status=tisfm.interpretation.Status("converged"),
+        status=tisfm.outcome.Status("converged"),
         motions=np.array([[1.0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]]),
         labels=labels,
     )

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from tisfm.interpretation import Status
+from tisfm.outcome import Status
 from tisfm.visibility.confidence import WINDOW
 
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.interpretation import Status
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import depth_start
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
+from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid

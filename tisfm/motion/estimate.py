@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.interpretation import History, Status
 from tisfm.kernels.layout.lanes import LaneData, on_host
+from tisfm.outcome import History, Status
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, Solution
 

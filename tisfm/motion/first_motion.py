@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.interpretation import Status
 from tisfm.motion.agreement import mismatch, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
@@ -16,6 +15,7 @@ from tisfm.motion.egomotion import (
 )
 from tisfm.motion.estimate import unmoved
 from tisfm.motion.problems import flow_problem
+from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, coarse_to_fine

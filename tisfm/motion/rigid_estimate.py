@@ -4,12 +4,12 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.interpretation import Status
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import rigid_fields
 from tisfm.motion.estimate import Estimate, ended
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.outcome import Status
 from tisfm.rigid import rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, data_term_on, minimiser_on, unknowns_on
