@@ -51,7 +51,8 @@ class MultigridOperations(TaichiSide):
 
     def _directions(self) -> tuple[LaneData, LaneData, LaneData]:
         p = self.problem
-        return self.unknowns.rho, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
+        correction = self.lay(p.rho[: self.n] - p.previous[: self.n])
+        return correction, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
 
     def _halved(self, components: int) -> LaneData:
         return self.grid.place(aligned_zeros(coarsening.halved_shape(self.grid, components)))
@@ -138,11 +139,11 @@ class MultigridReferences(NumpySide):
 
     def descend(self) -> Run:
         p, (first, second) = self.problem, STEPS
-        rho = self.rho.copy()
         before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
+        rho = self.rho - before  # the correction, which becomes where it leads
 
         def run() -> np.ndarray:
-            step[...] = first * (rho - before) + second * step
+            step[...] = first * rho + second * step
             rho[...] = before + step
             before[...] = rho
             return np.concatenate([rho, before, step])

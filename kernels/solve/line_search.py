@@ -17,6 +17,9 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 INDEPENDENT = 1e-5  # squared sine of the angle between directions, in the norm of the energy
+# Of what the terms of a slope add up to without their signs: no more than so much of it is known,
+# since each term carries a few roundings of float32.
+ROUNDING = 64 * 2.0**-24
 
 
 def line_search(
@@ -28,6 +31,9 @@ def line_search(
 ) -> None:
     """Go to the least energy of before + p (rho − before) + q step.
 
+    Where the slope along the correction is all rounding, the correction itself is taken: p is 1
+    and q is 0. At the solution, p would else be a quotient of two roundings, of any size.
+
     Parameters
     ----------
     grid : LaneGrid
@@ -36,35 +42,46 @@ def line_search(
     rho, before, step : lane arrays, n components
         In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
     """
+    # In memory: written as a difference within `_plane`, it would be reordered there, and rounded
+    # as the unknowns are, not as what is left of them.
+    _subtract[grid.lanes](before, rho)
     descend(grid, *lowest(*plane(grid, arrays, rho, before, step)), rho, before, step)
 
 
 def plane(
     grid: LaneGrid,
     arrays: tuple[LaneData, ...],
-    rho: LaneData,
+    correction: LaneData,
     before: LaneData,
     step: LaneData,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quadratic energy of before + p (rho − before) + q step, as a function of p and q.
+    """Return the quadratic energy of before + p correction + q step, as a function of p and q.
 
     Returns
     -------
     matrix, vector : (2, 2) and (2,) float64
-        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q).
+        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q). An entry of the vector that
+        is no more than rounding is 0.
     """
-    partial = block_sums(grid, 5)
+    partial = block_sums(grid, 7)
     sets = arrays[1].shape[0] // 2
-    _plane[grid.lanes](*arrays, rho, before, step, rho.shape[0], sets, partial)
-    a, b, c, first, second = add_blocks(partial)
-    return np.array([[a, b], [b, c]]), np.array([first, second])
+    _plane[grid.lanes](*arrays, correction, before, step, before.shape[0], sets, partial)
+    a, b, c, *slopes = add_blocks(partial)
+    vector, unsigned = np.array(slopes[:2]), np.array(slopes[2:])
+    vector[np.abs(vector) <= ROUNDING * unsigned] = 0
+    return np.array([[a, b], [b, c]]), vector
 
 
 def lowest(matrix: np.ndarray, vector: np.ndarray) -> tuple[float, float]:
-    """Return the (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 where both are one direction."""
+    """Return the (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 where both are one direction.
+
+    Where the vector does not tell p, that is (1, 0).
+    """
     (a, b), (_, c) = matrix
     if not a > 0:
         return 0.0, 0.0
+    if vector[0] == 0:
+        return 1.0, 0.0
     determinant = a * c - b * b
     if determinant > INDEPENDENT * a * c:
         p, q = np.linalg.solve(matrix, -vector)
@@ -79,54 +96,76 @@ def _plane(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
-    rho: LaneArray(3),  # (n, H+2, S+2)
+    correction: LaneArray(3),  # (n, H+2, S+2)
     before: LaneArray(3),  # (n, H+2, S+2)
     step: LaneArray(3),  # (n, H+2, S+2)
     n: ti.template(),
     sets: ti.template(),
-    partial: SumArray(3),  # (H, blocks, 5)
+    partial: SumArray(3),  # (H, blocks, 7)
 ):
-    height, strip = rho.shape[1] - 2, rho.shape[2] - 2
+    height, strip = before.shape[1] - 2, before.shape[2] - 2
     blocks = partial.shape[1]
     for index in range(height * blocks):
         row, block = index // blocks, index % blocks
         y = row + 1
-        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(5)])
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(7)])
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             s = position + 1
             columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
             j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
             u, v = ti.static(flow_of(columns, [before[k, y, s] for k in range(n)]))
-            a, b = ti.static(flow_of(columns, [rho[k, y, s] - before[k, y, s] for k in range(n)]))
+            a, b = ti.static(flow_of(columns, [correction[k, y, s] for k in range(n)]))
             c, d = ti.static(flow_of(columns, [step[k, y, s] for k in range(n)]))
-            gu = j11 * u + j12 * v + tensor[3, y, s]
-            gv = j12 * u + j22 * v + tensor[4, y, s]
+            j1, j2 = tensor[3, y, s], tensor[4, y, s]
+            gu = j11 * u + j12 * v + j1
+            gv = j12 * u + j22 * v + j2
+            size_u = _size(j11 * u) + _size(j12 * v) + _size(j1)
+            size_v = _size(j12 * u) + _size(j22 * v) + _size(j2)
             ja, jb = j11 * a + j12 * b, j12 * a + j22 * b
             sums[0] += ja * a + jb * b
             sums[1] += ja * c + jb * d
             sums[2] += (j11 * c + j12 * d) * c + (j12 * c + j22 * d) * d
             sums[3] += gu * a + gv * b
             sums[4] += gu * c + gv * d
+            sums[5] += size_u * _size(a) + size_v * _size(b)
+            sums[6] += size_u * _size(c) + size_v * _size(d)
             for side in ti.static(range(2)):  # east, south
                 for k in ti.static(range(n)):
                     weight = alpha[k] * weights[sets * side + k % sets, y, s]
                     old = before[k, y + side, s + 1 - side] - before[k, y, s]
-                    new = rho[k, y + side, s + 1 - side] - rho[k, y, s] - old
+                    new = correction[k, y + side, s + 1 - side] - correction[k, y, s]
                     last = step[k, y + side, s + 1 - side] - step[k, y, s]
                     sums[0] += weight * new * new
                     sums[1] += weight * new * last
                     sums[2] += weight * last * last
                     sums[3] += weight * old * new
                     sums[4] += weight * old * last
-        for term in ti.static(range(5)):
-            store_sum(partial, row, block, term, sums[term], ti.static(lane_count(rho)))
+                    sums[5] += weight * _size(old) * _size(new)
+                    sums[6] += weight * _size(old) * _size(last)
+        for term in ti.static(range(7)):
+            store_sum(partial, row, block, term, sums[term], ti.static(lane_count(before)))
+
+
+@ti.func
+def _size(value):
+    """Return |value|; vectors have no other."""
+    return ti.max(value, 0.0 - value)
 
 
 def descend(
     grid: LaneGrid, p: float, q: float, rho: LaneData, before: LaneData, step: LaneData
 ) -> None:
-    """Move from `before` by p (rho − before) + q step, in place as `line_search` does."""
+    """Move from `before` by p rho + q step, `rho` a correction; in place as `line_search` does."""
     _descend[grid.lanes](p, q, rho.shape[0], rho, before, step)
+
+
+@lane_kernel
+def _subtract(
+    before: LaneArray(3),  # (n, H+2, S+2)
+    rho: LaneArray(3),  # (n, H+2, S+2), in place
+):
+    for k, y, s in ti.ndrange(rho.shape[0], rho.shape[1], rho.shape[2]):
+        rho[k, y, s] = rho[k, y, s] - before[k, y, s]
 
 
 @lane_kernel
@@ -143,7 +182,7 @@ def _descend(
         y, s = row + 1, position + 1
         for k in ti.static(range(n)):
             old = before[k, y, s]
-            move = p * (rho[k, y, s] - old) + q * step[k, y, s]
+            move = p * rho[k, y, s] + q * step[k, y, s]
             rho[k, y, s] = old + move
             before[k, y, s] = old + move
             step[k, y, s] = move

@@ -38,7 +38,9 @@ def test_every_public_kernel_is_timed():
             and any(getattr(d, "id", "") in ("lane_kernel", "Kernel") for d in node.decorator_list)
         }
         variants = {name for name in decorated if name.endswith(("_sites", "_by_pixel", "_order"))}
-        schemes = {"cube", "five_tap"} if info.name.endswith("derivatives") else {"scale"}
+        schemes = (
+            {"cube", "five_tap"} if info.name.endswith("derivatives") else {"scale", "subtract"}
+        )
         assert decorated - variants - schemes <= timed, info.name
 
 
