@@ -1,5 +1,7 @@
 """Writing beside interpreting: in order, whole, and with its errors."""
 
+import contextlib
+import sys
 import threading
 import time
 import weakref
@@ -21,6 +23,16 @@ def test_pieces_are_done_in_order_in_one_other_thread():
     assert [k for k, _ in done] == list(range(20))
     threads = {thread for _, thread in done}
     assert len(threads) == 1 and threading.get_ident() not in threads
+
+
+@pytest.mark.parametrize("fault", [None, KeyboardInterrupt])
+def test_turns_are_shorter_for_a_while(fault):
+    usual = sys.getswitchinterval()
+    with contextlib.suppress(KeyboardInterrupt), Background():
+        assert sys.getswitchinterval() < usual
+        if fault is not None:
+            raise fault
+    assert sys.getswitchinterval() == usual
 
 
 def test_one_waits_and_the_next_is_waited_for():

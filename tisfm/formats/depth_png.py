@@ -79,7 +79,8 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
         raise ValueError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)
     with np.errstate(over="ignore", invalid="ignore"):  # infinity clips, and NaN is not valid
-        scaled = np.rint(values * scale)
+        scaled = values * scale
+        np.rint(scaled, out=scaled)
         np.clip(scaled, 1, 65535, out=scaled)
     np.copyto(scaled, 0, where=~_is_valid(values))
     stored = scaled.astype(np.uint16)

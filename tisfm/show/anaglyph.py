@@ -86,7 +86,7 @@ def second_view(image: ArrayLike, inverse_depth: ArrayLike, *, displacement: flo
     height, width = source.shape
     # Over whole pixels, which is several times as fast as along an axis of three channels.
     pixels = picture.reshape(height * width, *picture.shape[2:])
-    return np.take(pixels, source + width * np.arange(height)[:, None], axis=0)
+    return np.take(pixels, source + width * np.arange(height)[:, None], axis=0, mode="clip")
 
 
 def dubois(
@@ -196,7 +196,7 @@ def anaglyph(
     share = np.zeros_like(depth)
     if top > 0:
         # A few wild depths must not be thrown across the picture.
-        np.clip(np.where(np.isfinite(depth), depth, 0), 0, top, out=share)
+        np.clip(depth, 0, top, out=share, where=np.isfinite(depth))
         share /= top
     right = second_view(picture, share, displacement=shift)
     return dubois(picture, right, matrices=matrices, linear=linear)
@@ -206,9 +206,11 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
     """Return f d / Z in whole pixels, no further than out of the picture."""
     width = inverse_depth.shape[1]
     valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
+    shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
-        shift = np.where(valid, inverse_depth, 0) * displacement
-    return np.rint(np.minimum(shift, width)).astype(np.int32)
+        np.multiply(inverse_depth, displacement, out=shift, where=valid)
+    np.minimum(shift, width, out=shift)
+    return np.rint(shift, out=shift).astype(np.int32)
 
 
 def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -226,17 +228,18 @@ def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
     """
     height, width = shifts.shape
     margin = int(shifts.max(initial=0))  # what leaves the picture lands there, and is cut off
-    columns = np.broadcast_to(np.arange(width, dtype=np.int32), shifts.shape)
+    columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))
     starts = (margin + width) * np.arange(height)[:, None]
     targets = margin + columns - shifts
     source = np.full((height, margin + width), -1, dtype=np.int32)
     # Columns come in order, so that the last one stays: it is the greatest.
-    source.reshape(-1)[starts + targets] = columns
+    source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
     # A surface that turns away is stretched: neighbours land two places apart. The place between
     # them belongs to that surface, and nothing behind it may shine through.
-    row, column = np.nonzero(np.diff(targets, axis=1) == 2)
+    stretched = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
+    row, column = np.divmod(stretched, max(1, width - 1))
     between = row, targets[row, column] + 1
-    np.maximum.at(source, between, columns[row, column])
+    np.maximum.at(source, between, column.astype(np.int32))
     return source[:, margin:]
 
 

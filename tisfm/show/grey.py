@@ -68,9 +68,12 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
     if top == 0:
         return np.zeros(values.shape, dtype=np.uint8)
-    # Clipped before scaling, so that neither overflows; NaN and infinity are set to 0 first.
-    shown = np.clip(np.where(_is_valid(values), values, 0).astype(np.float64), 0, top)
-    return np.rint(shown / top * 255).astype(np.uint8)
+    # Clipped before scaling, so that neither overflows; what is not finite is set to 0 as well.
+    shown = np.zeros(values.shape)
+    np.minimum(values, top, out=shown, where=_is_valid(values))
+    shown /= top
+    shown *= 255
+    return np.rint(shown, out=shown).astype(np.uint8)
 
 
 def _is_valid(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
