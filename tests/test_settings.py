@@ -390,7 +390,7 @@ def test_centre_of_an_even_image_stays_its_centre_when_halved():
 
 
 def test_submodules_load_when_named():
-    for name in ("formats", "horn_schunck", "metrics", "reference", "scenes", "show"):
+    for name in ("egomotion", "formats", "horn_schunck", "metrics", "scenes", "show"):
         assert getattr(tisfm, name).__name__ == f"tisfm.{name}"
         assert name in dir(tisfm)
     with pytest.raises(AttributeError, match="no_such_module"):
