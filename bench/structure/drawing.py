@@ -122,7 +122,7 @@ def draw(source: Source, path: Path, title: str) -> None:
     rooms = rooms_of(source)
     width = place(rooms, graph)
     height = max(room.y + room.height for room in rooms.values())
-    figure = Figure(figsize=(width + 0.6, height + 1.2), dpi=130)
+    figure = Figure(figsize=(width + 0.6, height + 1.2), dpi=80)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_xlim(-0.3, width + 0.3)
     axes.set_ylim(-0.4, height + 0.8)

@@ -6,6 +6,7 @@ looked through, and the tests of `tests/kernels/test_launch.py`.
 
 from typing import Any
 
+import numpy as np
 import taichi as ti
 from taichi.lang import impl
 from taichi.lang.impl import expr_init
@@ -23,7 +24,7 @@ def is_running() -> bool:
 
 def program() -> Any:
     """Return the running program, which ``ti.init`` and ``ti.reset`` replace."""
-    return impl.get_runtime().prog
+    return impl.pytaichi.prog
 
 
 def configuration() -> Any:
@@ -108,36 +109,38 @@ def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
     return found, running.compile_kernel(running.config(), running.get_device_caps(), found)
 
 
-def launch(running: Any, ready: Any, arguments: Any) -> None:
-    """Run what `compiled` gave for launches, with a context of its arguments."""
-    running.launch_kernel(ready, arguments)
+def launcher(running: Any) -> Any:
+    """Return what takes a compiled kernel and a context, and runs it in a program."""
+    return running.launch_kernel
 
 
-def context(found: Any, kinds: Arguments, arguments: tuple) -> Any:
+def context(found: Any, kinds: Arguments, arguments: tuple) -> tuple[Any, bool]:
     """Return the context of a launch: its arguments, arrays by their address.
+
+    And whether all arrays are NumPy's.
 
     Raises
     ------
     TypeError
         If an argument is not of the kind that the kernel takes.
     """
-    made = found.make_launch_context()
+    made, on_host = found.make_launch_context(), True
     for index, slot, axes in kinds.arrays:
         array = arguments[index]
-        if isinstance(array, ti.Ndarray):
-            made.set_arg_ndarray((slot,), array.arr)
-            continue
-        try:
+        if isinstance(array, np.ndarray):
             address = array.__array_interface__["data"][0]
-        except AttributeError:
+            made.set_arg_external_array_with_shape(
+                (slot,), address, array.nbytes, array.shape[:axes], 0
+            )
+        elif isinstance(array, ti.Ndarray):
+            made.set_arg_ndarray((slot,), array.arr)
+            on_host = False
+        else:
             raise TypeError(
                 f"{kinds.names[index]} is of type {type(array).__name__}: expected an array"
-            ) from None
-        made.set_arg_external_array_with_shape(
-            (slot,), address, array.nbytes, array.shape[:axes], 0
-        )
+            )
     for index, slot in kinds.floats:
         made.set_arg_float((slot,), float(arguments[index]))
     for index, slot in kinds.integers:
         made.set_arg_int((slot,), int(arguments[index]))
-    return made
+    return made, on_host

@@ -30,18 +30,15 @@ class Launch:
     those of the time of binding. The arrays live as long as the launch.
     """
 
-    __slots__ = ("_arguments", "_context", "_kernel", "_lasting", "_program", "_ready")
+    __slots__ = ("_arguments", "_context", "_kernel", "_lasting", "_program", "_ready", "_run")
 
     def __init__(self, kernel: "Kernel", ready: tuple[Any, Any], arguments: tuple) -> None:
         self._kernel, self._ready, self._arguments = kernel, ready, arguments
         self._program = internals.program()
-        # Elsewhere, and with arrays of a device, a context is good for one launch.
-        on_device = any(isinstance(argument, ti.Ndarray) for argument in arguments)
-        self._lasting = internals.arch() == "cpu" and not on_device
-        self._context = self._made()
-
-    def _made(self) -> Any:
-        return internals.context(self._ready[0], self._kernel.arguments, self._arguments)
+        self._run = internals.launcher(self._program)
+        # Elsewhere than on a CPU, and with arrays of a device, a context is good for one launch.
+        self._context, on_host = internals.context(ready[0], kernel.arguments, arguments)
+        self._lasting = on_host and kernel.on_cpu
 
     def __call__(self) -> None:
         """Run the kernel.
@@ -51,16 +48,19 @@ class Launch:
         RuntimeError
             If Taichi was started anew since the launch was bound.
         """
-        program = internals.program()
-        if program is not self._program:
+        if internals.program() is not self._program:
             raise RuntimeError(
                 "Taichi was started anew since this launch was bound, and what it compiled is "
                 "gone: bind it again"
             )
-        context = self._made() if self._context is None else self._context
+        context = self._context
         if not self._lasting:
+            if context is None:
+                context, _ = internals.context(
+                    self._ready[0], self._kernel.arguments, self._arguments
+                )
             self._context = None
-        internals.launch(program, self._ready[1], context)
+        self._run(self._ready[1], context)
 
 
 class Kernel:
@@ -81,11 +81,14 @@ class Kernel:
     ----------
     arguments : tisfm.kernels.layout.internals.Arguments
         What it takes.
+    on_cpu : bool
+        Whether the program that it was last compiled for runs on a CPU.
     """
 
     def __init__(self, function: Callable) -> None:
         self._call = ti.kernel(function)
         self._program: Any = None
+        self.on_cpu = True
         self._compiled: dict[tuple, tuple[Any, Any]] = {}
         self.arguments = internals.Arguments(self._call)
 
@@ -113,6 +116,7 @@ class Kernel:
                 ready = internals.compiled(self._call, arguments)
                 if program is not self._program:
                     self._program, self._compiled = program, {}
+                    self.on_cpu = internals.arch() == "cpu"
                 self._compiled[constants] = ready
         return Launch(self, self._compiled[constants], arguments)
 
