@@ -41,7 +41,7 @@ def arrays_on_the_device(monkeypatch):
         def run():
             arrays = {
                 index: grid.place(arguments[index])
-                for index, _, axes in kernel.arguments.arrays
+                for index, _, axes, *_ in kernel.arguments.arrays
                 if axes is None and getattr(arguments[index], "dtype", None) == np.float32
             }
             bind(kernel, *(arrays.get(index, value) for index, value in enumerate(arguments)))()

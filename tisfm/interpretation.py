@@ -24,7 +24,7 @@ class Interpretation:
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
     inverse_depth : (H, W) float32
         Relative inverse depth. For ``motion="field"`` it is ‖τ‖ (eq. 24), for ‖T‖ = 1: true where
-        the scene translates parallel to the image plane, elsewhere see the README. For
+        the scene translates parallel to the image plane, elsewhere see docs/trust.md. For
         ``motion="camera"`` it is signed, for ‖T‖ = 1, or in the inverse unit of a given pose's
         translation; for ``"objects"`` in that of each label's own T. 0 where there is no depth to
         see: everywhere if the status says so, or on a background that shows no parallax.

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,9 +20,6 @@ from tisfm.frames import MIN_SIDE
 from tisfm.outcome import STATUSES, History, Status
 from tisfm.settings import Settings
 
-if TYPE_CHECKING:
-    from tisfm.interpretation import Interpretation
-
 FORMAT = 6  # raised when a reader of the one before would go wrong
 _MOST_ABOUT = 2**20  # bytes of the account of itself, which has a thousandth of that
 _LARGEST_HALF = 65504.0
@@ -31,6 +28,7 @@ _ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
+_RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation", "unrelated")
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
 
 _HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
@@ -57,7 +55,7 @@ _STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
 }
 
 
-def write_interpretation(path: str | os.PathLike[str], result: "Interpretation") -> None:
+def write_interpretation(path: str | os.PathLike[str], result: Any) -> None:
     """Write everything to an ``.npz``; see `Interpretation.save`."""
     about = {
         "format": FORMAT,
@@ -223,16 +221,20 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     for name in ("history_level", "history_warp"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} is negative at {np.argmax(arrays[name] < 0)}")
+    if status in _RIGID_STATUSES and "motions" not in arrays:
+        raise ValueError(f"the status is {status!r}, which no field has")
     if status in _WILD:
         return
-    for name in ("rho", "flow", "inverse_depth", "motions"):
-        if name in arrays and not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} is not finite everywhere, but the status is {status!r}")
     confidence = arrays["confidence"]
     if not (confidence.min() >= 0 and confidence.max() <= 1):  # nor is it so of NaN
         raise ValueError(
             f"confidence is {confidence.min():g} to {confidence.max():g}, expected 0 to 1"
         )
+    if confidence[arrays["occlusion"]].any():
+        raise ValueError("confidence is above 0 where occlusion says that a pixel is not seen")
+    for name in ("rho", "flow", "inverse_depth", "motions"):
+        if name in arrays and not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} is not finite everywhere, but the status is {status!r}")
     if "inverse_depth_std" in arrays and not arrays["inverse_depth_std"].min() > 0:
         raise ValueError("inverse_depth_std is not positive everywhere")
     for name in ("history_energy", "history_half_quadratic", "history_change"):

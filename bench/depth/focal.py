@@ -20,7 +20,7 @@ from bench.depth.scores import depth_of
 from bench.depth.two_stage import two_stage
 from bench.shared.machine import RESULTS, machine
 from tisfm import runtime
-from tisfm.evaluation.pairs import LITTLE_PARALLAX
+from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
-from tisfm.evaluation.pairs import LITTLE_PARALLAX
+from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, pose_errors
 
 HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there

@@ -15,6 +15,7 @@ bind = expr_init  # names a value while a kernel is compiled, so that it is comp
 
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _FLOATS, _INTEGERS = (ti.f32, ti.f64), (ti.i32,)
+_NUMPY: dict[str, Any] = {"f32": np.dtype(np.float32), "f64": np.dtype(np.float64), "i32": np.dtype(np.int32)}
 
 
 def is_running() -> bool:
@@ -70,8 +71,8 @@ class Arguments:
     annotations : list
     constants : list of int
         Indices of those that are known while compiling (``ti.template()``).
-    arrays : list of (index, slot, axes)
-        `axes` of its shape are no element's: a slice's stop.
+    arrays : list of (index, slot, axes, dtype, ndim)
+        `axes` of its shape are no element's: a slice's stop. Its type, and all axes it has.
     floats, integers : list of (index, slot)
     """
 
@@ -79,7 +80,7 @@ class Arguments:
         self.names: list[str] = []
         self.annotations: list[Any] = []
         self.constants: list[int] = []
-        self.arrays: list[tuple[int, int, int | None]] = []
+        self.arrays: list[tuple[int, int, int | None, Any, int]] = []
         self.floats: list[tuple[int, int]] = []
         self.integers: list[tuple[int, int]] = []
         slot = 0
@@ -96,9 +97,40 @@ class Arguments:
                 self.integers.append((index, slot))
             else:
                 element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
-                self.arrays.append((index, slot, -element or None))
+                scalar = kind.dtype.dtype if element else kind.dtype
+                dtype = _NUMPY[scalar.to_string()]
+                self.arrays.append((index, slot, -element or None, dtype, kind.ndim + element))
             slot += 1
         self.count = len(self.names)
+
+
+def check(kinds: Arguments, arguments: tuple) -> None:
+    """Raise unless the arguments are as many as a kernel takes, and its arrays of its types.
+
+    Raises
+    ------
+    TypeError
+        What a kernel would take for an array of another type, it writes over.
+    """
+    if len(arguments) != kinds.count:
+        raise TypeError(
+            f"{len(arguments)} arguments came: expected {kinds.count}, {', '.join(kinds.names)}"
+        )
+    for index, _, _, dtype, ndim in kinds.arrays:
+        array = arguments[index]
+        if isinstance(array, np.ndarray):
+            if array.dtype == dtype and array.ndim == ndim and array.flags.c_contiguous:
+                continue
+            came = f"{array.dtype} of {array.ndim} axes"
+            came += "" if array.flags.c_contiguous else ", not C-contiguous"
+        elif isinstance(array, ti.Ndarray):
+            continue
+        else:
+            came = type(array).__name__
+        raise TypeError(
+            f"{kinds.names[index]} is {came}: expected a C-contiguous array of {dtype} of "
+            f"{ndim} axes"
+        )
 
 
 def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
@@ -118,27 +150,18 @@ def context(found: Any, kinds: Arguments, arguments: tuple) -> tuple[Any, bool]:
     """Return the context of a launch: its arguments, arrays by their address.
 
     And whether all arrays are NumPy's.
-
-    Raises
-    ------
-    TypeError
-        If an argument is not of the kind that the kernel takes.
     """
     made, on_host = found.make_launch_context(), True
-    for index, slot, axes in kinds.arrays:
+    for index, slot, axes, _, _ in kinds.arrays:
         array = arguments[index]
         if isinstance(array, np.ndarray):
             address = array.__array_interface__["data"][0]
             made.set_arg_external_array_with_shape(
                 (slot,), address, array.nbytes, array.shape[:axes], 0
             )
-        elif isinstance(array, ti.Ndarray):
+        else:
             made.set_arg_ndarray((slot,), array.arr)
             on_host = False
-        else:
-            raise TypeError(
-                f"{kinds.names[index]} is of type {type(array).__name__}: expected an array"
-            )
     for index, slot in kinds.floats:
         made.set_arg_float((slot,), float(arguments[index]))
     for index, slot in kinds.integers:

@@ -104,11 +104,7 @@ class Kernel:
         TypeError
             If there are more or fewer arguments than the kernel takes, or one is of another kind.
         """
-        if len(arguments) != self.arguments.count:
-            raise TypeError(
-                f"{len(arguments)} arguments came: expected {self.arguments.count}, "
-                f"{', '.join(self.arguments.names)}"
-            )
+        internals.check(self.arguments, arguments)
         program = internals.program()
         constants = tuple([arguments[index] for index in self.arguments.constants])
         if program is not self._program or constants not in self._compiled:

@@ -1,6 +1,8 @@
 """Writing beside interpreting: in order, whole, and with its errors."""
 
 import contextlib
+import signal
+import subprocess
 import sys
 import threading
 import time
@@ -159,3 +161,38 @@ def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, fra
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
     assert len(written) == 2  # after the first pair, and at the end
     assert list(record("out")["pairs"]) == ["f0", "f1", "f2"]
+
+
+def test_a_second_interrupt_ends_the_process():
+    """With one piece at work and one that waits: the first is done, the other left out."""
+    script = """
+import time
+from tisfm.cli.background import Background
+
+def piece(name):
+    print("begin", name, flush=True)
+    time.sleep(1.5)
+    print("end", name, flush=True)
+
+with Background() as background:
+    background.submit(piece, 1)
+    time.sleep(0.2)
+    background.submit(piece, 2)
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    lines = [process.stdout.readline().strip() for _ in range(2)]
+    assert sorted(lines) == ["begin 1", "ready"]
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.3)
+    out, err = process.communicate(timeout=20)
+    assert "KeyboardInterrupt" in err
+    assert out.split() == ["end", "1"]

@@ -120,9 +120,28 @@ def test_too_many_or_too_few_arguments_are_refused(grid, arguments):
         TypeError,
         match=f"{len(arguments)} arguments came: expected 2, factor, out"
         if len(arguments) != 2
-        else "factor is of type NoneType: expected an array",
+        else "factor is NoneType: expected a C-contiguous array of float32",
     ):
         _multiply[8].bind(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda array: array.astype(np.float64), "out is float64 of 4 axes: expected"),
+        (lambda array: array[0], "out is float32 of 3 axes: expected .* of float32 of 4 axes"),
+        (lambda array: array[:, ::2], "out is float32 of 4 axes, not C-contiguous: expected"),
+    ],
+    ids=["type", "axes", "strides"],
+)
+def test_arrays_of_another_kind_are_refused_by_the_kernel_itself(grid, change, match):
+    from tisfm.kernels.layout.images import _multiply
+
+    factor, array = filled(grid, 1, 2), filled(grid, 2, 1)
+    with pytest.raises(TypeError, match=match):
+        _multiply[8].bind(factor, change(array))
+    _multiply[8](factor, array)  # nothing of it is kept
+    assert (array == 2).all()
 
 
 def test_arguments_are_checked_when_they_are_bound(grid):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.motion.egomotion import NEAREST, TooFewPixelsError, camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 
 
 def thin_pair(seed):
@@ -98,9 +98,3 @@ def test_other_errors_are_not_taken_for_too_few_pixels(monkeypatch):
                     camera=tisfm.Camera(focal=200.0),
                     settings=tisfm.Settings.preset("fast", motion=motion),
                 )
-
-
-def test_the_nearest_depth_is_that_of_the_kernels():
-    from tisfm.kernels.rigid import epipolar
-
-    assert NEAREST == epipolar.NEAREST

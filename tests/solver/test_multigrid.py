@@ -275,8 +275,10 @@ def test_cycles_reach_the_solution(size, components, lanes, step, make):
     # The energy hardly sees what tells rotation from translation, and cycles alone are slow there.
     bound, distance = (1e-3, 5e-2) if step == "cycle" else (1e-5, 5e-3)
     assert gaps[-1] < bound and errors[-1] < distance
-    # Where it has come, it stays: no step is made of rounding alone.
-    assert max(gaps[-10:]) <= max(2 * gaps[-11], 1e-12)
+    # Where it has come, it stays, but for some roundings of the solution itself.
+    rounded = solution.astype(np.float32).astype(np.float64)
+    rounding = (quadratic_energy(problem, weights, rounded) - least) / (start - least)
+    assert max(gaps[-10:]) <= 2 * gaps[-11] + 100 * rounding
 
 
 @each_model

@@ -1,5 +1,6 @@
 """Work done beside the main thread, one piece after the other."""
 
+import contextlib
 import queue
 import sys
 import threading
@@ -46,9 +47,9 @@ class Background:
         self._waiting.put(lambda: function(*arguments, **options))
 
     def __enter__(self) -> "Background":
+        self._thread.start()
         self._usual = sys.getswitchinterval()
         sys.setswitchinterval(min(self._usual, _SWITCH))
-        self._thread.start()
         return self
 
     def __exit__(
@@ -62,6 +63,11 @@ class Background:
             self._thread.join()
         except KeyboardInterrupt:
             self._abandoned = True
+            with contextlib.suppress(queue.Empty):  # what waits makes room for the end
+                self._waiting.get_nowait()
+            with contextlib.suppress(queue.Full):  # the end is there already
+                self._waiting.put_nowait(None)
+            self._thread.join()  # so that nothing is written while the block's others are left
             raise
         finally:
             sys.setswitchinterval(self._usual)

@@ -65,7 +65,7 @@ class Run:
     video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
     near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
     NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera'
-    NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
+    or 'objects' NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
     tisfm.Interpretation.load.
     """
 
@@ -206,7 +206,8 @@ class Demo:
     camera that moves sideways: errors against the truth of the preset "paper", the default preset
     and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
     errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
-    scene and the paper's comparisons of settings, DIR/camera those for the second.
+    scene and the paper's comparisons of settings, DIR/camera and DIR/objects those of the
+    motions "camera" and "objects".
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")

@@ -4,6 +4,7 @@ Here: pairs of datasets evaluated, the means of their errors, tables and files.
 May import: all of `tisfm` but `tisfm.cli`.
 """
 
-from tisfm.evaluation.pairs import Evaluation, PairEvaluation, evaluate
+from tisfm.evaluation.pairs import Evaluation, evaluate
+from tisfm.evaluation.record import PairEvaluation
 
 __all__ = ["Evaluation", "PairEvaluation", "evaluate"]

@@ -1,17 +1,13 @@
 """Errors of many pairs in a few numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from tisfm.evaluation.record import PairEvaluation
 from tisfm.metrics import DepthErrors, FlowErrors, OcclusionScores, PoseErrors
-
-if TYPE_CHECKING:
-    from tisfm.evaluation.pairs import PairEvaluation
 
 _Errors = TypeVar("_Errors", FlowErrors, DepthErrors, PoseErrors)
 
