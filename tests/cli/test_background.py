@@ -166,8 +166,11 @@ def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, fra
 def test_a_second_interrupt_ends_the_process():
     """With one piece at work and one that waits: the first is done, the other left out."""
     script = """
+import signal
 import time
 from tisfm.cli.background import Background
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by whoever runs in background
 
 def piece(name):
     print("begin", name, flush=True)
