@@ -15,7 +15,11 @@ bind = expr_init  # names a value while a kernel is compiled, so that it is comp
 
 _HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _FLOATS, _INTEGERS = (ti.f32, ti.f64), (ti.i32,)
-_NUMPY: dict[str, Any] = {"f32": np.dtype(np.float32), "f64": np.dtype(np.float64), "i32": np.dtype(np.int32)}
+_NUMPY: dict[str, Any] = {
+    "f32": np.dtype(np.float32),
+    "f64": np.dtype(np.float64),
+    "i32": np.dtype(np.int32),
+}
 
 
 def is_running() -> bool:
