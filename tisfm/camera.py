@@ -4,21 +4,22 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Camera:
-    """A camera with square pixels: a pinhole, behind a lens that may distort.
+    """A camera: a pinhole, behind a lens that may distort, and a sensor of square or oblong pixels.
 
     Parameters
     ----------
-    focal : float, default 600.0
-        Focal length, px. The default is the value the paper uses for every sequence
-        (section 6).
+    focal : float or (float, float), default 600.0
+        Focal length, px; or (fx, fy), in columns and in rows, where pixels are not square. The
+        default is the value the paper uses for every sequence (section 6).
     center : (float, float), optional
         Principal point (cx, cy), px, in the coordinates of array indices: (0, 0) is the centre
         of the upper left pixel. By default the centre of the image, ((W-1)/2, (H-1)/2).
@@ -27,34 +28,62 @@ class Camera:
         k3, then k4, k5, k6 of the denominator, s1 to s4 of a thin prism and the tilt τx, τy of the
         sensor. An array of one row or column, as its calibration returns, will do; its fish-eye
         model is another one. None, or zeros alone, for a lens that does not distort.
+    aspect : float, default 1.0
+        fy / fx, in place of a second focal length.
+
+    Attributes
+    ----------
+    focal : float
+        The smaller of fx and fy: that of the frames once they are resampled to square pixels.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not a number, not finite, or the focal length is not positive; if there is
-        another number of coefficients.
+        If a value is not a number, not finite, or a focal length or the aspect is not positive; if
+        there is another number of coefficients; if both fy and an aspect other than 1 are given.
     """
 
-    focal: float = 600.0
-    center: tuple[float, float] | None = None
-    distortion: tuple[float, ...] | None = None
+    focal: float
+    center: tuple[float, float] | None
+    distortion: tuple[float, ...] | None
+    aspect: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "focal", _number(self.focal, "focal"))
-        if self.focal <= 0:
-            raise ValueError(f"focal is {self.focal:g}: the focal length must be positive, in px")
-        if self.center is not None:
-            try:
-                cx, cy = self.center
-            except (TypeError, ValueError):
+    def __init__(
+        self,
+        focal: float | tuple[float, float] = 600.0,
+        center: tuple[float, float] | None = None,
+        distortion: Iterable[float] | None = None,
+        aspect: float = 1.0,
+    ) -> None:
+        aspect = _positive(aspect, "aspect", "fy / fx", unit="")
+        if isinstance(focal, (tuple, list, np.ndarray)):
+            if aspect != 1:
                 raise ValueError(
-                    f"center is {self.center!r}: give the principal point as (cx, cy), in px"
-                ) from None
-            center = (_number(cx, "center[0]"), _number(cy, "center[1]"))
-            object.__setattr__(self, "center", center)
-        if self.distortion is not None:
-            coefficients = _coefficients(self.distortion)
-            object.__setattr__(self, "distortion", coefficients if any(coefficients) else None)
+                    f"focal is {focal!r} and aspect is {aspect:g}: give one of fy and aspect"
+                )
+            fx, fy = _focals(focal)
+            focal, aspect = min(fx, fy), fy / fx
+        coefficients = None if distortion is None else _coefficients(distortion)
+        values = {
+            "focal": _positive(focal, "focal", "the focal length"),
+            "center": None if center is None else _center(center),
+            "distortion": coefficients if coefficients and any(coefficients) else None,
+            "aspect": aspect,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def focals(self) -> tuple[float, float]:
+        """(fx, fy) of the frames as they were taken, px."""
+        if self.aspect >= 1:
+            return self.focal, self.focal * self.aspect
+        return self.focal / self.aspect, self.focal
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether its frames can be taken as they are: square pixels and no distortion."""
+        return self.distortion is None and self.aspect == 1
 
     def center_for(self, height: int, width: int) -> tuple[float, float]:
         """Return the principal point (cx, cy), px, for an image of this size."""
@@ -63,8 +92,8 @@ class Camera:
         return (width - 1) / 2, (height - 1) / 2
 
     def pinhole(self) -> "Camera":
-        """Return the camera without distortion: that of the frames once it is removed."""
-        return replace(self, distortion=None)
+        """Return the camera without distortion, of square pixels: that of the resampled frames."""
+        return replace(self, distortion=None, aspect=1.0)
 
     def scaled(self, scale: float, height: int, width: int) -> "Camera":
         """Return the camera of the image resampled by `scale`; its distortion is the same.
@@ -81,6 +110,7 @@ class Camera:
             focal=self.focal * scale,
             center=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5),
             distortion=self.distortion,
+            aspect=self.aspect,
         )
 
 
@@ -94,15 +124,44 @@ def check_camera(camera: Camera | None) -> Camera:
 
 
 def check_pinhole(camera: Camera, advice: str) -> None:
-    """Refuse a camera with distortion where it would be left out of account.
+    """Refuse a camera with distortion or oblong pixels where they would be left out of account.
 
     Raises
     ------
     ValueError
         With a word of advice.
     """
-    if camera.distortion is not None:
-        raise ValueError(f"camera has distortion, which does not belong here: {advice}")
+    if not camera.is_pinhole:
+        what = "oblong pixels" if camera.distortion is None else "distortion"
+        raise ValueError(f"camera has {what}, which does not belong here: {advice}")
+
+
+def _center(value: tuple[float, float]) -> tuple[float, float]:
+    try:
+        cx, cy = value
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"center is {value!r}: give the principal point as (cx, cy), in px"
+        ) from None
+    return _number(cx, "center[0]"), _number(cy, "center[1]")
+
+
+def _focals(value: Any) -> tuple[float, float]:
+    try:
+        fx, fy = value
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"focal is {value!r}: give a focal length, or two as (fx, fy), in px"
+        ) from None
+    what = "the focal length"
+    return _positive(fx, "focal[0]", what), _positive(fy, "focal[1]", what)
+
+
+def _positive(value: object, name: str, what: str, *, unit: str = ", in px") -> float:
+    number = _number(value, name, unit=unit)
+    if number <= 0:
+        raise ValueError(f"{name} is {number:g}: {what} must be positive{unit}")
+    return number
 
 
 def _coefficients(value: Iterable[float]) -> tuple[float, ...]:

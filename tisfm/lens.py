@@ -16,7 +16,7 @@ RADII = 4096  # at which the radial part of the model is looked at
 
 
 class Undistortion:
-    """The map from frames of a lens that distorts to the pinhole image.
+    """The map from frames with distortion or oblong pixels to the pinhole image.
 
     The pinhole image has the frame's size, and the focal length and centre of the camera.
 
@@ -44,10 +44,13 @@ class Undistortion:
 
     def __init__(self, camera: Camera, height: int, width: int) -> None:
         cx, cy = camera.center_for(height, width)
-        matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+        taken, wanted = (
+            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            for fx, fy in (camera.focals, camera.pinhole().focals)
+        )
         coefficients = np.array(camera.distortion or (0.0,) * 4)
         sources, _ = cv2.initUndistortRectifyMap(
-            matrix, coefficients, None, matrix, (width, height), cv2.CV_32FC2
+            taken, coefficients, None, wanted, (width, height), cv2.CV_32FC2
         )
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
@@ -85,6 +88,24 @@ class Undistortion:
             np.rint(values, out=values)
         return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
 
+    def nearest(self, values: np.ndarray) -> np.ndarray:
+        """Return a map of values as the pinhole image has it, each from the nearest pixel.
+
+        Parameters
+        ----------
+        values : (H, W) float array
+            Such as depth.
+
+        Returns
+        -------
+        (H, W) array
+            NaN where there are no data.
+        """
+        height, width = self.valid.shape
+        x = np.rint(self._flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
+        y = np.rint(self._flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
+        return np.where(self.valid, values[y.astype(np.intp), x], np.nan)
+
     def missing(self, flow: np.ndarray) -> np.ndarray:
         """Return which pixels have no data, or go to where frame 1 has none.
 
@@ -118,7 +139,8 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     Returns
     -------
     (H, W) or (H, W, 3) array
-        Of the same type. The frame itself, if the lens does not distort. Where the frame does not
+        Of the same type. The frame itself, if the lens does not distort and pixels are square.
+        Where the frame does not
         show what the pinhole image would, its border is repeated.
 
     Raises
@@ -127,7 +149,7 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
         If `frame` is not an image of those kinds, or `camera` not one that could have taken it.
     """
     camera, image = check_camera(camera), check_frame(frame, "frame")
-    if camera.distortion is None:
+    if camera.is_pinhole:
         return image
     return Undistortion(camera, *image.shape[:2]).apply(image)
 

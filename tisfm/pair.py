@@ -46,9 +46,9 @@ def interpret(
     camera : Camera, optional
         By default the image's centre and a focal length of 600 px, as in the paper, or, because
         depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with
-        a `GuessedFocalWarning`. If it has distortion, that is removed from both frames first, and
-        the result is that of frame 0 without distortion, of the same size, focal length and
-        centre.
+        a `GuessedFocalWarning`. If it has distortion or oblong pixels, both frames are resampled
+        first, and the result is that of frame 0 without distortion and with square pixels, of
+        the same size, focal length and centre.
     settings : Settings, optional
         By default the preset ``"balanced"``.
     pose : (4, 4) or (3, 3) array, optional
@@ -117,7 +117,7 @@ def interpret_pair(
     from tisfm.motion.problems import pyramid_of
 
     runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
-    lens = None if camera.distortion is None else Undistortion(camera, *grey0.shape)
+    lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         camera = camera.pinhole()

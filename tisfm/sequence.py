@@ -3,7 +3,6 @@
 import glob
 import hashlib
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -167,6 +166,7 @@ class FrameSource:
 
     def _open_path(self, source: str) -> None:
         from tisfm.formats import IMAGE_SUFFIXES
+        from tisfm.formats.images import natural_order
 
         if os.path.isdir(source):
             files = [
@@ -179,7 +179,7 @@ class FrameSource:
                     f"the folder {source} has no images: expected files ending in "
                     f"{', '.join(IMAGE_SUFFIXES)}"
                 )
-            self._use_files(sorted(files, key=_natural))
+            self._use_files(sorted(files, key=natural_order))
         elif os.path.isfile(source):
             if source.lower().endswith(IMAGE_SUFFIXES):
                 self._use_files([Path(source)])
@@ -189,7 +189,7 @@ class FrameSource:
             files = [f for f in map(Path, glob.glob(source)) if f.is_file()]
             if not files:
                 raise FileNotFoundError(f"no file matches {source}: check the pattern")
-            self._use_files(sorted(files, key=_natural))
+            self._use_files(sorted(files, key=natural_order))
         else:
             raise FileNotFoundError(f"there is no file or folder {source}: check the path")
 
@@ -453,11 +453,3 @@ class _Video:
 
 def _is_path(item: Any) -> bool:
     return isinstance(item, (str, os.PathLike))
-
-
-def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    """Sort key by which frame2 comes before frame10, and frame02 always on the same side of it."""
-    parts = re.split(r"(\d+)", str(path))
-    # Decimal is what \d matches; a superscript two is a digit, but not a decimal one.
-    numbered = [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
-    return numbered, str(path)

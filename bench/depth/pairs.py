@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from bench.shared.sequences import FlowPair
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
+from tisfm.datasets.calibration import STATED
 from tisfm.datasets.depth_maps import read_depth
+from tisfm.lens import Undistortion, undistort
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
@@ -23,6 +25,10 @@ AT_REST = 2  # labels below are the background's and the floor's
 MOVING = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"
+ROOM, OFFICE, STEPS = "TartanAir", "HoloLens", "7-Scenes, four apart"
+GIVEN = ", pose given"
+ROOMS = tuple(group + given for group in (ROOM, OFFICE, STEPS) for given in (GIVEN, ""))
+FARTHEST = 40.0  # m: true depth beyond does not count in rooms
 STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
 
@@ -86,6 +92,8 @@ class Selection:
     folder: str
     first: range
     step: int
+    pose_given: bool = False
+    raw: bool = False  # whether depth maps are taken as they are
 
 
 SELECTIONS: dict[Layout, list[Selection]] = {
@@ -95,6 +103,25 @@ SELECTIONS: dict[Layout, list[Selection]] = {
     "sevenscenes": [
         Selection(group=HAND_HELD, folder="sevenscenes", first=range(41, 57), step=3),
         Selection(group=HARDLY_MOVED, folder="sevenscenes", first=range(0, 20, 3), step=3),
+        *(
+            Selection(
+                group=STEPS + given,
+                folder="sevenscenes",
+                first=range(40, 56),
+                step=4,
+                pose_given=bool(given),
+                raw=True,
+            )
+            for given in (GIVEN, "")
+        ),
+    ],
+    "calibrated": [
+        Selection(group=group + given, folder=folder, first=first, step=1, pose_given=bool(given))
+        for group, folder, first in (
+            (ROOM, "tartanair", range(2, 27, 4)),
+            (OFFICE, "hololens", range(2, 63, 6)),
+        )
+        for given in (GIVEN, "")
     ],
 }
 STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
@@ -137,22 +164,37 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
     for pair in LAYOUTS[layout].find(data / selection.folder, step=selection.step):
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
-            load = partial(_loaded, pair, pair.name, selection.group)
-            yield Entry(pair.name, selection.group, load)
+            name = f"{pair.name}{GIVEN}" if selection.pose_given else pair.name
+            if selection.raw:
+                name = f"{name}, {selection.step} apart"
+            load = partial(_loaded, pair, name, selection.group, selection=selection)
+            yield Entry(name, selection.group, load)
 
 
-def _loaded(pair: DatasetPair, name: str, group: str) -> DepthPair:
+def _loaded(
+    pair: DatasetPair, name: str, group: str, *, selection: Selection | None = None
+) -> DepthPair:
     loaded = pair.load()
+    camera = loaded.camera or Camera()  # of a stereo pair: its depth is of any focal length
+    depth, raw = loaded.depth, None
+    if pair.layout in STATED and pair.depth is not None:
+        raw = read_depth(pair.depth)
+    if depth is not None and not camera.is_pinhole:
+        depth = Undistortion(camera, *depth.shape).nearest(depth)
+    if selection is not None and selection.raw:
+        depth, raw = raw, None
+    if depth is not None and group in ROOMS:
+        depth = np.where(depth < FARTHEST, depth, np.nan)
     return DepthPair(
         name=name,
         group=group,
-        frame0=loaded.frame0,
-        frame1=loaded.frame1,
-        camera=loaded.camera or Camera(),  # of a stereo pair: its depth is of any focal length
-        depth=loaded.depth,
-        raw_depth=None if pair.depth is None else read_depth(pair.depth),
+        frame0=undistort(loaded.frame0, camera),
+        frame1=undistort(loaded.frame1, camera),
+        camera=camera.pinhole(),
+        depth=depth,
+        raw_depth=raw,
         pose=loaded.pose,
-        pose_given=loaded.pose_given,
+        pose_given=loaded.pose_given or (selection is not None and selection.pose_given),
     )
 
 

@@ -14,12 +14,15 @@ from bench.depth.pairs import (
     HARDLY_MOVED,
     MOVING,
     RENDERED_STUDIO,
+    ROOMS,
     STEREO,
 )
 from bench.depth.scores import HORIZON, Score
 from bench.shared.contest_report import NOTHING, Cells
 
 STATIC = "scenes, all static ones"
+HALF = 0.5  # relative error
+PARALLAX = 3.0  # px
 COMMON = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
 
@@ -38,6 +41,7 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
     ("rotation, median °", RENDERED_STUDIO, "rotation", median, 4),
     ("stereo abs-rel, mean", STEREO, "abs_rel", fmean, 3),
     ("KITTI stereo", BLOCK_MATCHER, "abs_rel", fmean, 3),
+    *((f"{room}, all pixels, median", room, "abs_rel_all", median, 3) for room in ROOMS),
 )
 
 
@@ -111,6 +115,12 @@ def notes(contest: DepthContest) -> list[str]:
         "a positive depth, whose share is the density. Limited: after depth beyond "
         f"{HORIZON:g} medians, or behind the camera, was put there, so that all pixels count. "
         "δ: share of pixels off by a factor below 1.25.",
+        "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
+        "one without depth has the latter, a pair without depth counts as 1, and truth beyond 40 m is "
+        "left out. The most certain: the 40% of the pixels with the least relative deviation, in "
+        "the unit of the given pose, each limited to 3. Converged, off by half: pairs whose status "
+        "says converged at an error over all pixels above 0.5. Depth where parallax: pairs with a "
+        "depth, of those whose median displacement is more than 3 px beside that of the rotation.",
         "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "
         "the rotations. Mean / median / worst over the pairs. Where the pose is given, it is given "
         "to every method.",
@@ -176,6 +186,10 @@ def _detail(contest: DepthContest, group: Group) -> Cells:
         "median",
         "limited, mean",
         "raw map, median",
+        "all pixels, median",
+        "the most certain, median",
+        "converged, off by half",
+        "depth where parallax",
         "at rest, mean",
         "movers, mean",
         "δ < 1.25, %",
@@ -204,6 +218,9 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _reduced(scores, "abs_rel", median, ".4f"),
         _reduced(scores, "abs_rel_limited", fmean, ".4f"),
         _reduced(scores, "abs_rel_raw", median, ".4f"),
+        _reduced(scores, "abs_rel_all", median, ".4f"),
+        _reduced(scores, "abs_rel_certain", median, ".4f"),
+        *_trusted(scores),
         _reduced(scores, "abs_rel_rest", fmean, ".4f"),
         _reduced(scores, "abs_rel_movers", fmean, ".4f"),
         _reduced(scores, "delta1", fmean, ".1%"),
@@ -216,6 +233,21 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _reduced(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
     ]
+
+
+def _trusted(scores: list[Score]) -> tuple[str, str]:
+    """Return how many say that they converged and are wrong, and have depth where it can be seen.
+
+    Both only of methods that have a status, where depth is known.
+    """
+    known = [score for score in scores if score.status and score.abs_rel_all is not None]
+    if not known:
+        return NOTHING, NOTHING
+    converged = [score for score in known if score.status == "converged"]
+    wrong = sum((score.abs_rel_all or 0) > HALF for score in converged)
+    visible = [s for s in known if s.parallax is not None and s.parallax > PARALLAX]
+    found = sum(not score.without_depth for score in visible)
+    return f"{wrong} of {len(known)}", f"{found} of {len(visible)}" if visible else NOTHING
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:

@@ -10,6 +10,8 @@ from bench.depth.pairs import DepthPair
 from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, pose_errors
 
+CERTAIN = 0.4  # share of the pixels: those of the least relative deviation
+WORST = 3.0  # relative error at which a pixel's is limited
 HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
 
 
@@ -35,6 +37,14 @@ class Score:
     abs_rel_rest, abs_rel_movers : float or None
         Where things move on their own: of what is at rest, and of the rest, each thing scaled by
         its own median.
+    abs_rel_all : float or None
+        As in `tisfm.metrics.DepthErrors`: no pixel is left out. 1 where the method says that there
+        is no depth.
+    abs_rel_certain : float or None
+        Where the pose is given and deviations are: of the `CERTAIN` share of the pixels with the
+        least relative deviation, each limited to `WORST`, in the unit of the pose.
+    parallax : float or None
+        Median over the pixels of known depth of the displacement that the true rotation leaves, px.
     within : float or None
         Share of the visible pixels whose inverse depth, in the scale of the others, is off by less
         than its standard deviation.
@@ -55,6 +65,9 @@ class Score:
     abs_rel_raw: float | None = None
     abs_rel_rest: float | None = None
     abs_rel_movers: float | None = None
+    abs_rel_all: float | None = None
+    abs_rel_certain: float | None = None
+    parallax: float | None = None
     delta1: float | None = None
     density: float | None = None
     within: float | None = None
@@ -84,8 +97,11 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
         seen = estimate.inverse_depth is not None
         direction = errors.direction if seen else None
         found = replace(found, direction=direction, rotation=errors.rotation)
-    if estimate.inverse_depth is None or pair.depth is None:
+    found = replace(found, parallax=parallax_of(pair))
+    if pair.depth is None:
         return found
+    if estimate.inverse_depth is None:
+        return replace(found, abs_rel_all=1.0)
     depth, inverse_depth = depth_of(estimate.inverse_depth), estimate.inverse_depth
     try:
         errors_of_depth = depth_errors(depth, pair.depth)
@@ -97,6 +113,8 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
         abs_rel=errors_of_depth.abs_rel,
         abs_rel_limited=depth_errors(limited(depth), pair.depth).abs_rel,
         abs_rel_raw=raw,
+        abs_rel_all=errors_of_depth.abs_rel_all,
+        abs_rel_certain=_of_certain(estimate, pair),
         abs_rel_rest=_of_parts(depth, pair, at_rest=True),
         abs_rel_movers=_of_parts(depth, pair, at_rest=False),
         delta1=errors_of_depth.delta1,
@@ -116,6 +134,38 @@ def limited(depth: NDArray) -> NDArray[np.float64]:
     """Return depth, (H, W), of which none is beyond `HORIZON` medians, nor unknown."""
     horizon = HORIZON * float(np.nanmedian(depth))
     return np.where(depth < horizon, depth, horizon)  # False for NaN
+
+
+def parallax_of(pair: DepthPair) -> float | None:
+    """Return the median displacement, px, that the true motion adds to that of its rotation."""
+    if pair.depth is None or pair.pose is None:
+        return None
+    height, width = pair.depth.shape
+    cx, cy = pair.camera.center_for(height, width)
+    rows, columns = np.nonzero(np.isfinite(pair.depth) & (pair.depth > 0))
+    rays = np.stack([columns - cx, rows - cy, np.full(len(rows), pair.camera.focal)])
+    turned = pair.pose[:3, :3] @ rays / pair.camera.focal
+    moved = turned + pair.pose[:3, 3:] / pair.depth[rows, columns]
+    seen = (turned[2] > 0) & (moved[2] > 0)
+    if not seen.any():
+        return None
+    apart = (moved[:2] / moved[2] - turned[:2] / turned[2])[:, seen]
+    return float(pair.camera.focal * np.median(np.hypot(*apart)))
+
+
+def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
+    """Return the error of the pixels of the least relative deviation, in the unit of the pose."""
+    if not pair.pose_given or estimate.deviation is None or estimate.inverse_depth is None:
+        return None
+    assert pair.depth is not None
+    known = np.isfinite(pair.depth) & (pair.depth > 0)
+    inverse, true = estimate.inverse_depth[known], pair.depth[known]
+    deviation = np.where(inverse > 0, estimate.deviation[known], np.inf)
+    relative = deviation / np.where(inverse > 0, inverse, 1)
+    order = np.argsort(relative, kind="stable")[: max(1, round(CERTAIN * len(true)))]
+    depth = 1 / np.maximum(inverse[order], 1e-12)
+    error = np.abs(depth - true[order]) / true[order]
+    return float(np.minimum(error, WORST).mean())
 
 
 def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:

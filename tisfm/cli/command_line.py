@@ -33,6 +33,9 @@ class CameraOptions:
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
     """OpenCV's coefficients of the lens, 4, 5, 8, 12 or 14 with commas between; removed first."""
+    aspect: float = 1.0
+    """fy / fx, where pixels are not square; --focal is then the smaller of both. Frames are
+    resampled first."""
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""
@@ -42,7 +45,7 @@ class CameraOptions:
         """Return the camera, with a focal length of 600 px if it is not given."""
         focal = self.focal if isinstance(self.focal, float) else 600.0
         distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
-        return Camera(focal=focal, center=self.center, distortion=distortion)
+        return Camera(focal=focal, center=self.center, distortion=distortion, aspect=self.aspect)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +152,8 @@ class Eval:
     found (occ F1). Of the depth, after scaling by the median: abs-rel, SILog, and the share off by
     a factor below 1.25. Of the pose, with --motion camera: the angles between the directions of
     translation and between the rotations. Known layouts are those of Middlebury, KITTI 2012 and
-    2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, and stereo pairs with a disparity.
+    2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, stereo pairs with a disparity, and folders of
+    images/ with camera.txt, and poses.txt or depth/.
 
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
     (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
@@ -167,8 +171,12 @@ class Eval:
     layout: Layout | None = None
     """Layout of the folders; by default every one that is recognised."""
     step: int | None = None
-    """Frames from the first to the second of a pair, in sequences with poses; by default 1 for New
-    Tsukuba and 3 for 7-Scenes."""
+    """Frames from the first to the second of a pair, in sequences; by default 3 for 7-Scenes and 1
+    for others."""
+    give_poses: bool = False
+    """Give every true pose, and compare only the depth; with --motion camera."""
+    max_depth: float | None = None
+    """True depth beyond it does not count, in the unit of the dataset. By default all counts."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
     arch: Arch | None = None
@@ -193,6 +201,8 @@ class Eval:
             camera=self.camera.camera(),
             settings=self.settings.settings(),
             step=self.step,
+            give_poses=self.give_poses,
+            max_depth=self.max_depth,
             arch=self.arch,
             threads=self.threads,
         )

@@ -112,6 +112,8 @@ def evaluate(
     camera: Camera | None = None,
     settings: Settings,
     step: int | None = None,
+    give_poses: bool = False,
+    max_depth: float | None = None,
     arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
@@ -140,7 +142,14 @@ def evaluate(
                 writer.write(evaluation, result, loaded)
             progress.update(task, advance=1, description=evaluation.label)
 
-        evaluation = evaluate_pairs(pairs, camera=camera, settings=settings, on_pair=finish_pair)
+        evaluation = evaluate_pairs(
+            pairs,
+            camera=camera,
+            settings=settings,
+            give_poses=give_poses,
+            max_depth=max_depth,
+            on_pair=finish_pair,
+        )
     if writer is not None:
         writer.finish(evaluation)
     for table in evaluation_tables(evaluation):

@@ -2,6 +2,7 @@
 
 import os
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,9 @@ DEPTH_CAMERA = Camera(focal=585.0, center=(320.0, 240.0))
 COLOUR_OFFSET = 0.025
 """Where the colour camera of that sensor is, to the right of its depth camera, m."""
 
+_NAMES = ("fx", "fy", "cx", "cy")
+_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+_DEPTH_SCALE = "depth_scale"
 _CAM = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
 _CAM_TAG = 202021.25
 
@@ -62,6 +66,77 @@ def read_camera(path: Path, frame: Path) -> Camera:
         return Camera(focal=float(matrix[0, 0]), center=(float(matrix[0, 2]), float(matrix[1, 2])))
     except ValueError as error:
         raise FormatError(f"{path} states no usable camera: {error}") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """What a sequence says about its camera.
+
+    Attributes
+    ----------
+    camera : Camera
+    depth_scale : float or None
+        Values of its depth maps per unit of depth, if it says so.
+    """
+
+    camera: Camera
+    depth_scale: float | None = None
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read the camera of a sequence from a text with a heading and a line of numbers.
+
+    Parameters
+    ----------
+    path : Path
+        The heading names the numbers, in any order: fx, fy, cx and cy, px; OpenCV's coefficients
+        of distortion k1, k2, p1, p2, k3, … as far as there are any; and depth_scale.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    FormatError
+        If the file is of another kind, or states no usable camera.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    lines = read_bytes(path).decode("utf-8", "replace").splitlines()
+    rows = [line.split() for line in lines if line.strip()]
+    if len(rows) != 2 or len(rows[0]) != len(rows[1]):
+        raise FormatError(
+            f"{path} is no calibration: expected a heading such as {' '.join(_NAMES)} and below "
+            "it as many numbers"
+        )
+    names, words = rows
+    unknown = sorted(set(names).difference(_NAMES, _LENS, [_DEPTH_SCALE]))
+    missing = [name for name in _NAMES if name not in names]
+    if unknown or missing or len(set(names)) < len(names):
+        raise FormatError(
+            f"{path} has the heading {' '.join(names)}: expected each of {' '.join(_NAMES)} once, "
+            f"and of {' '.join((*_LENS, _DEPTH_SCALE))} what there is"
+        )
+    try:
+        values = {name: float(word) for name, word in zip(names, words, strict=True)}
+    except ValueError as error:
+        raise FormatError(f"{path}: {error}, expected numbers") from error
+    lens = [name for name in _LENS if name in values]
+    if tuple(lens) != _LENS[: len(lens)]:
+        raise FormatError(f"{path} has {' '.join(lens)}, but not all that come before the last")
+    scale = values.get(_DEPTH_SCALE)
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise FormatError(f"{path} has the {_DEPTH_SCALE} {scale:g}, expected a positive number")
+    try:
+        camera = Camera(
+            focal=(values["fx"], values["fy"]),
+            center=(values["cx"], values["cy"]),
+            distortion=[values[name] for name in lens] or None,
+        )
+    except ValueError as error:
+        raise FormatError(f"{path} states no usable camera: {error}") from error
+    return Calibration(camera=camera, depth_scale=scale)
 
 
 def for_width(camera: Camera, width: int) -> Camera:

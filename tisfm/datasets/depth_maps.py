@@ -9,21 +9,23 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError, read_image
 
 _MISSING = (0, 65535)
-_STEPS = 1000  # file values per metre
+MILLIMETRES = 1000.0  # file values per metre
 
 
-def read_depth(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a depth map in millimetres.
+def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDArray[np.float32]:
+    """Read a depth map.
 
     Parameters
     ----------
     path : str or os.PathLike
         A 16-bit picture, 0 or 65535 where there is no depth.
+    scale : float, default 1000
+        File values per unit of depth; by default they are millimetres, and depth is in metres.
 
     Returns
     -------
     (H, W) float32 ndarray
-        Depth Z, m; NaN where there is none.
+        Depth Z; NaN where there is none.
 
     Raises
     ------
@@ -38,7 +40,7 @@ def read_depth(path: str | os.PathLike[str]) -> NDArray[np.float32]:
             f"{os.fspath(path)} holds {stored.shape} {stored.dtype}, expected a depth map, (H, W) "
             "uint16"
         )
-    depth = stored.astype(np.float32) / np.float32(_STEPS)
+    depth = stored.astype(np.float32) / np.float32(scale)
     depth[np.isin(stored, _MISSING)] = np.nan
     return depth
 

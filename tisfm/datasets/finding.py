@@ -21,8 +21,9 @@ def find_pairs(
     layout : str, optional
         How the files are laid out, one of `LAYOUTS`; by default, every layout that is recognised.
     step : int, optional
-        In a sequence with poses ("new_tsukuba", "sevenscenes") pairs are of the frames i and
-        i + `step`, for every i; by default by 1 and 3. Other datasets say which frames are a pair.
+        In a sequence ("new_tsukuba", "sevenscenes", "calibrated") pairs are of the frames i and
+        i + `step`, for every i; by default by 1, 3 and 1. Other datasets say which frames are a
+        pair.
 
     Returns
     -------

@@ -12,9 +12,17 @@ from typing import Literal, NamedTuple
 
 from tisfm.datasets.pair import DatasetPair
 from tisfm.formats import IMAGE_SUFFIXES
+from tisfm.formats.images import natural_order
 
 Layout = Literal[
-    "middlebury", "kitti", "sintel", "yosemite", "stereo", "new_tsukuba", "sevenscenes"
+    "middlebury",
+    "kitti",
+    "sintel",
+    "yosemite",
+    "stereo",
+    "new_tsukuba",
+    "sevenscenes",
+    "calibrated",
 ]
 
 _KITTI_FRAMES = ("image_2", "colored_0", "image_0")
@@ -207,6 +215,37 @@ def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
             )
 
 
+def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
+    """Find images/ with camera.txt, and with poses.txt, a row for each image, or depth/, or both.
+
+    A depth map is named as its image. A pair is left out where neither is known of it.
+    """
+    camera, poses = folder / "camera.txt", folder / "poses.txt"
+    images, depth = folder / "images", folder / "depth"
+    if not camera.is_file() or not images.is_dir():
+        return
+    frames = [file for file in _sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
+    frames.sort(key=natural_order)
+    maps = {file.stem: file for file in _sorted_files(depth, "*.png")}
+    posed = poses.is_file()
+    for first in range(len(frames) - step):
+        frame0, frame1 = frames[first], frames[first + step]
+        if not posed and frame0.stem not in maps:
+            continue
+        yield DatasetPair(
+            layout="calibrated",
+            dataset=folder.name,
+            name=frame0.stem,
+            frame0=frame0,
+            frame1=frame1,
+            depth=maps.get(frame0.stem),
+            pose0=poses if posed else None,
+            pose1=poses if posed else None,
+            pose_rows=(first, first + step) if posed else None,
+            calibration=camera,
+        )
+
+
 class Rule(NamedTuple):
     """A layout: its finder, the files that it looks for, and the usual step of a sequence."""
 
@@ -242,6 +281,11 @@ LAYOUTS: dict[str, Rule] = {
         find_sevenscenes,
         "frame-NNNNNN.color.png or .jpg with frame-NNNNNN.depth.png and frame-NNNNNN.pose.txt",
         step=3,
+    ),
+    "calibrated": Rule(
+        find_calibrated,
+        "images/ with camera.txt and poses.txt or depth/NAME.png",
+        step=1,
     ),
 }
 """Of each layout its finder, the files that it looks for, and for sequences the usual step."""

@@ -14,9 +14,10 @@ from tisfm.datasets.calibration import (
     DEPTH_CAMERA,
     STATED,
     for_width,
+    read_calibration,
     read_camera,
 )
-from tisfm.datasets.depth_maps import read_depth, seen_from
+from tisfm.datasets.depth_maps import MILLIMETRES, read_depth, seen_from
 from tisfm.datasets.disparity import read_disparity
 from tisfm.datasets.trajectories import motion_between, read_pose, read_pose_row
 from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
@@ -40,8 +41,8 @@ class LoadedPair:
         True motion (u, v) from frame 0 to frame 1, px; NaN where it is unknown. None if the
         dataset has none.
     depth : (H, W) float32 ndarray or None
-        True depth Z of frame 0, in a unit of the dataset's; NaN where it is unknown. None if the
-        dataset has none.
+        True depth Z of frame 0 as it is stored, with distortion where the camera has any, in a
+        unit of the dataset's; NaN where it is unknown. None if the dataset has none.
     pose : (4, 4) float64 ndarray or None
         True motion (R, t; 0, 1) of what is at rest, from the camera axes of frame 0 to those of
         frame 1, in a unit of the dataset's. None if the dataset does not say.
@@ -88,7 +89,8 @@ class DatasetPair:
         Which of these. A disparity d is the flow (-d, 0), the depth 1/d, in units of the distance
         of the two cameras times the focal length, and a camera that moves to the right.
     depth : Path, optional
-        True depth: a map of the depth camera beside that of frame 0, mm.
+        True depth: a map of frame 0, of the unit that the calibration says, or else mm; in layouts
+        whose cameras are in `STATED`, of the depth camera beside that of frame 0.
     pose0, pose1 : Path, optional
         The poses of the camera, which may be in one file.
     pose_rows : (int, int), optional
@@ -100,7 +102,8 @@ class DatasetPair:
         The opposite of `occluded`: a picture that is not 0 where a point is seen in frame 1 too;
         of a KITTI flow PNG, where it is valid.
     calibration : Path, optional
-        The camera: a Sintel .cam or a KITTI calibration text.
+        The camera: a Sintel .cam, a KITTI calibration text, or of the layout "calibrated" a
+        heading and a line.
     """
 
     layout: str
@@ -194,12 +197,13 @@ class DatasetPair:
         self, flow: NDArray[np.float32] | None, size: tuple[int, ...]
     ) -> NDArray[np.float32] | None:
         if self.depth is not None:
-            depth = read_depth(self.depth)
+            depth = read_depth(self.depth, self._depth_scale())
             self._require_size(self.depth, depth, size)
-            own, other = (
-                for_width(camera, size[1]) for camera in (DEPTH_CAMERA, STATED[self.layout])
-            )
-            depth = seen_from(depth, own, other, COLOUR_OFFSET)
+            if self.layout in STATED:
+                own, other = (
+                    for_width(camera, size[1]) for camera in (DEPTH_CAMERA, STATED[self.layout])
+                )
+                depth = seen_from(depth, own, other, COLOUR_OFFSET)
         elif flow is not None and self.truth_format == "disparity":
             disparity = -flow[..., 0]
             depth = np.full(disparity.shape, np.nan, np.float32)
@@ -210,6 +214,11 @@ class DatasetPair:
             source, pixels = self.depth or self.truth, depth.size
             raise FormatError(f"{source} has no known depth at any of its {pixels} pixels")
         return depth
+
+    def _depth_scale(self) -> float:
+        if self.layout != "calibrated" or self.calibration is None:
+            return MILLIMETRES
+        return read_calibration(self.calibration).depth_scale or MILLIMETRES
 
     def _read_pose(self) -> NDArray[np.float64] | None:
         if self.truth_format == "disparity":
@@ -225,6 +234,8 @@ class DatasetPair:
 
     def _read_camera(self, size: tuple[int, ...]) -> Camera | None:
         if self.calibration is not None:
+            if self.layout == "calibrated":
+                return read_calibration(self.calibration).camera
             return read_camera(self.calibration, self.frame0)
         stated = STATED.get(self.layout)
         return None if stated is None else for_width(stated, size[1])

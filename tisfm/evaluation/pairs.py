@@ -13,6 +13,7 @@ from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.means import MeanErrors, mean_errors
 from tisfm.evaluation.record import LITTLE_PARALLAX, PairEvaluation
 from tisfm.interpretation import Interpretation
+from tisfm.lens import Undistortion
 from tisfm.metrics import (
     DepthErrors,
     FlowErrors,
@@ -75,13 +76,16 @@ def evaluate(
     *,
     camera: Camera | None = None,
     settings: Settings | None = None,
+    give_poses: bool = False,
+    max_depth: float | None = None,
     on_pair: Callable[[PairEvaluation, Interpretation | None, LoadedPair | None], None]
     | None = None,
 ) -> Evaluation:
     """Interpret pairs and compare their flow, depth and pose with the truth.
 
     A pose that the dataset knows beforehand, as of a rectified stereo pair, is given to
-    interpretations that recover one motion of the camera (``motion="camera"``). A pair that cannot
+    interpretations that recover one motion of the camera (``motion="camera"``). Where a camera has
+    distortion or oblong pixels, the true depth is resampled as the frames are. A pair that cannot
     be read, interpreted or compared is recorded with its fault, and the others go on. Kernels are
     compiled beforehand, so that no time includes it.
 
@@ -93,6 +97,10 @@ def evaluate(
         Camera of every pair; by default the one that the dataset states, or else `Camera()`.
     settings : Settings, optional
         By default those of the preset "balanced".
+    give_poses : bool
+        Whether every true pose is given, and only depth is compared, for ``motion="camera"``.
+    max_depth : float, optional
+        True depth beyond it is taken to be unknown; in the unit of the dataset.
     on_pair : callable, optional
         Called after every pair with its evaluation, the interpretation and what was loaded (None
         for a pair with a fault). An error that it raises is the fault of the pair, and it is then
@@ -107,7 +115,8 @@ def evaluate(
     TypeError
         If `camera` or `settings` is not of its type.
     ValueError
-        If `camera` has distortion: the true flow is that of the frames as they are.
+        If `camera` has distortion or oblong pixels: the true flow is that of the frames as they
+        are. If poses are to be given to another motion, or `max_depth` is not positive.
     Exception
         What nobody foresaw, which is a bug and no fault of a pair.
     """
@@ -116,16 +125,25 @@ def evaluate(
             raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
         check_pinhole(camera, "the true flow is that of the frames as they are")
     settings = check_settings(settings)
+    if give_poses and settings.motion != "camera":
+        raise ValueError(
+            f'poses are to be given, but motion="{settings.motion}" leaves the motion free: choose '
+            'motion="camera"'
+        )
+    if max_depth is not None and not max_depth > 0:
+        raise ValueError(f"max_depth is {max_depth}: expected a positive depth, or None")
     compiled: set[Any] = set()
     done = []
     for pair in dict.fromkeys(pairs):
         try:
             loaded = pair.load()
+            taken_by = camera or loaded.camera or Camera()
+            loaded = _prepared(loaded, taken_by, give_poses=give_poses, max_depth=max_depth)
             kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
             if kind not in compiled:
                 _warm_up(settings, *kind)
                 compiled.add(kind)
-            evaluation, result = _evaluate_pair(pair, loaded, camera=camera, settings=settings)
+            evaluation, result = _evaluate_pair(pair, loaded, camera=taken_by, settings=settings)
             if on_pair is not None:
                 on_pair(evaluation, result, loaded)
         except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
@@ -151,10 +169,9 @@ def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
 
 
 def _evaluate_pair(
-    pair: DatasetPair, loaded: LoadedPair, *, camera: Camera | None, settings: Settings
+    pair: DatasetPair, loaded: LoadedPair, *, camera: Camera, settings: Settings
 ) -> tuple[PairEvaluation, Interpretation]:
     """Interpret one pair and compare it with the truth."""
-    camera = camera or loaded.camera or Camera()
     given = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
     begin = time.perf_counter()
     result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=given)
@@ -177,6 +194,31 @@ def _evaluate_pair(
         pose=_pose_errors(result, loaded),
     )
     return evaluation, result
+
+
+def _prepared(
+    loaded: LoadedPair, camera: Camera, *, give_poses: bool, max_depth: float | None
+) -> LoadedPair:
+    """Return a pair with the depth that its pinhole frames show, and its pose given if it is to be.
+
+    Raises
+    ------
+    ValueError
+        If no true depth is left.
+    """
+    depth = loaded.depth
+    if depth is not None and not camera.is_pinhole:
+        depth = Undistortion(camera, *depth.shape).nearest(depth).astype(np.float32)
+    if depth is not None and max_depth is not None:
+        depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
+    if depth is not None and not np.isfinite(depth).any():
+        raise ValueError(
+            "no true depth is left"
+            + ("" if max_depth is None else f" up to {max_depth:g}")
+            + f" of {np.count_nonzero(np.isfinite(loaded.depth))} pixels that have one"
+        )
+    given = loaded.pose_given or (give_poses and loaded.pose is not None)
+    return replace(loaded, depth=depth, pose_given=given)
 
 
 def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | None:

@@ -28,6 +28,7 @@ _FLOW: dict[str, Callable[[_Row], str]] = {
 }
 _DEPTH: dict[str, Callable[[DepthErrors], str]] = {
     "abs-rel": lambda errors: f"{errors.abs_rel:.3f}",
+    "of all": lambda errors: f"{errors.abs_rel_all:.3f}",
     "SILog": lambda errors: f"{errors.silog:.2f}",
     "δ<1.25, %": lambda errors: f"{100 * errors.delta1:.1f}",
     "depth, %": lambda errors: f"{100 * errors.density:.1f}",
@@ -118,7 +119,8 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
 
 def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
     notes = [
-        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; SILog: 100 "
+        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; of "
+        "all: the same, pixels without depth included, as far; SILog: 100 "
         "times the deviation of log Z; δ<1.25: off by a factor below 1.25; depth: share of the "
         "pixels of known depth that have one."
     ]

@@ -3,8 +3,10 @@
 import contextlib
 import io
 import os
+import re
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -182,3 +184,11 @@ def _opencv_silenced() -> Iterator[None]:
             yield
         finally:
             logging.setLogLevel(level)
+
+
+def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Sort key by which frame2 comes before frame10, and frame02 always on the same side of it."""
+    parts = re.split(r"(\d+)", str(path))
+    # Decimal is what \d matches; a superscript two is a digit, but not a decimal one.
+    numbered = [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+    return numbered, str(path)

@@ -29,6 +29,9 @@ class DepthErrors:
     density : float
         Share of the pixels with known truth where the estimate is finite and positive; the errors
         are over these.
+    abs_rel_all : float
+        Mean |d - d*| / d* over all pixels with known truth, none left out: estimates are limited to
+        [0.1 min d*, 10 max d*], and a pixel without one has 10 max d*.
     """
 
     abs_rel: float
@@ -40,6 +43,7 @@ class DepthErrors:
     silog: float
     scale: float
     density: float
+    abs_rel_all: float
 
 
 def depth_errors(
@@ -78,6 +82,9 @@ def depth_errors(
     as in KITTI's benchmark (Uhrig et al., Sparsity invariant CNNs, 3DV 2017, arXiv 1708.06500).
     """
     d, true, valid, known, scale = _depths(depth, truth, mask, align)
+    all_true = true[known]
+    nearest, farthest = 0.1 * all_true.min(), 10 * all_true.max()
+    everywhere = np.where(valid, d, farthest)[known].clip(nearest, farthest)
     d, true = d[valid], true[valid]
     log_ratio = np.log(d) - np.log(true)
     ratio = np.maximum(d / true, true / d)
@@ -92,6 +99,7 @@ def depth_errors(
         silog=float(100 * log_ratio.std()),
         scale=scale,
         density=float(np.count_nonzero(valid) / np.count_nonzero(known)),
+        abs_rel_all=float((np.abs(everywhere - all_true) / all_true).mean()),
     )
 
 
