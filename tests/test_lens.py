@@ -105,6 +105,86 @@ def test_coefficients_that_are_refused(value, error, words):
         Camera(100.0, distortion=value)
 
 
+@pytest.mark.parametrize(
+    ("focal", "smaller", "aspect"), [((50, 60), 50, 1.2), ([60.0, 50], 50, 5 / 6), ((7, 7), 7, 1)]
+)
+def test_two_focal_lengths(focal, smaller, aspect):
+    camera = Camera(focal, (3, 4))
+    assert camera.focal == smaller and camera.aspect == pytest.approx(aspect)
+    assert camera.focals == pytest.approx(tuple(focal))
+    assert camera == Camera(smaller, (3, 4), aspect=camera.aspect)
+    assert camera.pinhole() == Camera(smaller, (3, 4))
+    assert camera.is_pinhole == (aspect == 1)
+    half = camera.scaled(0.5, 20, 30)
+    assert half.focals == pytest.approx((focal[0] / 2, focal[1] / 2))
+    assert dataclasses.replace(camera, center=None).focals == camera.focals
+    assert hash(camera) == hash(Camera(tuple(focal), (3, 4)))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"focal": (1, 2, 3)}, ValueError, r"focal is \(1, 2, 3\): give a focal length, or two"),
+        ({"focal": (1, 0)}, ValueError, r"focal\[1\] is 0: the focal length must be positive"),
+        ({"focal": ("1", 2)}, TypeError, r"focal\[0\] is '1': expected a number"),
+        ({"focal": (1, 2), "aspect": 2}, ValueError, "give one of fy and aspect"),
+        ({"aspect": 0}, ValueError, "aspect is 0: fy / fx must be positive$"),
+        ({"aspect": None}, TypeError, "aspect is None: expected a number$"),
+    ],
+)
+def test_focal_lengths_that_are_refused(options, error, words):
+    with pytest.raises(error, match=words):
+        Camera(**options)
+
+
+@pytest.mark.parametrize("focal", [(200.0, 250.0), (250.0, 200.0)])
+@pytest.mark.parametrize("distortion", [None, BARREL])
+def test_oblong_pixels_are_resampled(scene, focal, distortion):
+    """The frame that a camera with oblong pixels takes gives back that of square ones."""
+    height, width = scene.frame0.shape
+    camera = Camera(focal, scene.camera.center, distortion)
+    square = Camera(200.0, camera.center, distortion)
+    y, x = np.mgrid[:height, :width].astype(float)
+    fx, fy = focal
+    cx, cy = camera.center
+    columns, rows = cx + (x - cx) * 200 / fx, cy + (y - cy) * 200 / fy
+    taken = cubic(distorted(scene.frame0, square) if distortion else scene.frame0, columns, rows)
+    found, expected = undistort(taken.astype(np.float32), camera), undistort(scene.frame0, square)
+    if distortion:
+        expected = undistort(distorted(scene.frame0, square), square)
+    lens = Undistortion(camera, height, width)
+    inner = lens.valid & Undistortion(square, height, width).valid
+    inner = cv2.erode(inner.astype(np.uint8), np.ones((9, 9))).astype(bool)
+    assert inner.mean() > 0.4
+    assert np.abs(found - expected)[inner].max() < 6
+    assert np.abs(found - expected)[inner].mean() < 0.3
+    depth = np.where(lens.valid, lens.nearest(columns * 100 + rows), np.nan)
+    assert np.isnan(depth).mean() == pytest.approx(1 - lens.valid.mean())
+
+
+def test_depth_of_oblong_pixels_is_that_of_the_resampled_frame():
+    camera = Camera((100.0, 200.0), center=(20, 10))
+    lens = Undistortion(camera, 21, 41)
+    rows, columns = np.mgrid[:21, :41].astype(np.float32)
+    np.testing.assert_array_equal(lens.nearest(columns)[lens.valid], columns[lens.valid])
+    expected = 10 + 2 * (rows - 10)
+    np.testing.assert_array_equal(lens.nearest(rows)[lens.valid], expected[lens.valid])
+    assert np.isnan(lens.nearest(rows)[~lens.valid]).all()
+    np.testing.assert_array_equal(lens.valid, (expected >= 0) & (expected <= 20))
+
+
+def test_an_interpretation_of_oblong_pixels(scene):
+    camera = Camera((180.0, 200.0))
+    settings = tisfm.Settings.preset("fast")
+    found = tisfm.interpret(scene.frame0, scene.frame1, camera=camera, settings=settings)
+    frames = (undistort(frame, camera) for frame in (scene.frame0, scene.frame1))
+    expected = tisfm.interpret(*frames, camera=camera.pinhole(), settings=settings)
+    assert found.camera == Camera(180.0)
+    np.testing.assert_array_equal(found.flow, expected.flow)
+    valid = Undistortion(camera, *scene.frame0.shape).valid
+    assert not valid.all() and (found.confidence[~valid] == 0).all()
+
+
 def test_scaling_keeps_distortion_and_a_pinhole_has_none():
     camera = Camera(100.0, distortion=BARREL)
     assert camera.scaled(0.5, 24, 40).distortion == BARREL

@@ -150,6 +150,16 @@ def make_sevenscenes(root, numbers=range(5), suffix="png"):
         np.savetxt(root / f"frame-{k:06d}.pose.txt", POSES[k])
 
 
+def make_calibrated(root, names="0123"):
+    for k, name in enumerate(names):
+        put(root / "images" / f"{name}.png", COLOUR[k % 2])
+        raw = np.full((H, W), 1250, np.uint16)
+        raw[HOLE] = 0
+        put(root / "depth" / f"{name}.png", raw)
+    (root / "camera.txt").write_text("fx fy cx cy\n56.0 56.0 21.5 14.5\n")
+    write_rows(root / "poses.txt", POSES[: len(names)])
+
+
 def write_picture(path, image):
     assert cv2.imwrite(str(path), image[..., ::-1])
 
@@ -164,6 +174,7 @@ MAKERS = {
     "stereo": make_stereo,
     "new_tsukuba": make_new_tsukuba,
     "sevenscenes": make_sevenscenes,
+    "calibrated": make_calibrated,
 }
 
 
@@ -177,12 +188,13 @@ NAMES = {
     "stereo": ["data/data", "data/scene"],
     "new_tsukuba": [f"data/rgb_{k:05d}" for k in range(3)],
     "sevenscenes": [f"data/frame-{k:06d}" for k in range(2)],
+    "calibrated": [f"data/{k}" for k in range(3)],
 }
 
 
-WITH_FLOW = set(MAKERS) - {"new_tsukuba", "sevenscenes"}
-WITH_DEPTH = {"stereo", "sevenscenes"}
-WITH_POSE = {"stereo", "new_tsukuba", "sevenscenes"}
+WITH_FLOW = set(MAKERS) - {"new_tsukuba", "sevenscenes", "calibrated"}
+WITH_DEPTH = {"stereo", "sevenscenes", "calibrated"}
+WITH_POSE = {"stereo", "new_tsukuba", "sevenscenes", "calibrated"}
 
 
 def label(pair):

@@ -10,17 +10,21 @@ from tests.evaluation.evaluated import (
     FAST,
     SCENES,
     SEQUENCE_LABELS,
+    H,
     W,
     camera_settings,
     evaluate_to,
     printed,
+    put,
     record,
     written,
 )
+from tisfm.camera import Camera
 from tisfm.datasets import find_pairs
 from tisfm.evaluation.pairs import evaluate
 from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import read_image
+from tisfm.lens import Undistortion
 from tisfm.metrics import (
     DepthErrors,
     PoseErrors,
@@ -188,16 +192,17 @@ def test_tables_of_depth_and_pose(sequences, camera_results):
     ]  # fmt: skip
     errors, median = result.pairs[0].depth, result.dataset_means["chess"].depth.median
     for row, expected in ((depth[0], errors), (depth[4], median)):
-        assert row[1:5] == [
+        assert row[1:6] == [
             f"{expected.abs_rel:.3f}",
+            f"{expected.abs_rel_all:.3f}",
             f"{expected.silog:.2f}",
             f"{100 * expected.delta1:.1f}",
             f"{100 * expected.density:.1f}",
         ]
-    assert depth[1][1:] == ["–"] * 5
+    assert depth[1][1:] == ["–"] * 6
     found = result.pairs[0].pose
     assert pose[0][1:3] == [f"{found.direction:.2f}", f"{found.rotation:.4f}"]
-    assert pose[0][3] == depth[0][5] == f"{result.pairs[0].seconds:.2f}"
+    assert pose[0][3] == depth[0][6] == f"{result.pairs[0].seconds:.2f}"
 
 
 def test_tables_without_one_motion_of_the_camera(sequences):
@@ -210,3 +215,57 @@ def test_tables_without_one_motion_of_the_camera(sequences):
     assert [row[1:3] for row in printed(lab)] == [["–", "–"]] * 2
     others = replace(result, pairs=(*result.pairs[:3], result.pairs[5]))
     assert [table.title for table in evaluation_tables(others)] == titles[:2]
+
+
+def test_poses_that_are_given(sequences, camera_results):
+    asked, given = camera_results
+    given += [(SCENES[0].motions[0], SCENES[0].depth, "converged")] * 6
+    pairs = find_pairs(sequences)
+    result = evaluate(pairs, settings=camera_settings(), give_poses=True)
+    assert not result.faults
+    for pair, pose in zip(pairs, asked, strict=True):
+        np.testing.assert_array_equal(pose, pair.load().pose)
+    assert all(found.pose is None for found in result.pairs)
+    assert [found.depth is not None for found in result.pairs] == [True] * 3 + [False] * 2 + [True]
+    with pytest.raises(ValueError, match='poses are to be given, but motion="field"'):
+        evaluate(pairs, settings=FAST, give_poses=True)
+
+
+def test_depth_beyond_a_limit_does_not_count(sequences):
+    pairs = find_pairs(sequences)[:1]
+    depth = pairs[0].load().depth
+    limit = float(np.nanmedian(depth))
+    (found,) = evaluate(pairs, settings=FAST, max_depth=limit).pairs
+    (whole,) = evaluate(pairs, settings=FAST).pairs
+    result = tisfm.interpret(
+        pairs[0].load().frame0, pairs[0].load().frame1, camera=found.camera, settings=FAST
+    )
+    near = np.where(depth <= limit, depth, np.nan)
+    assert found.depth == depth_errors(result.depth, near) != whole.depth
+    (nothing,) = evaluate(pairs, settings=FAST, max_depth=1e-3).pairs
+    known = np.isfinite(depth).sum()
+    assert nothing.fault == f"no true depth is left up to 0.001 of {known} pixels that have one"
+    for limit in (0, -1, np.nan):
+        with pytest.raises(ValueError, match="expected a positive depth"):
+            evaluate(pairs, settings=FAST, max_depth=limit)
+
+
+def test_depth_is_resampled_as_the_frames_are(tmp_path):
+    """The truth of a camera with distortion and oblong pixels, of a wall that slants."""
+    folder, rows = tmp_path / "room", np.mgrid[:H, :W][0]
+    for k, frame in enumerate((SCENES[0].frame0, SCENES[0].frame1)):
+        put(folder / "images" / f"{k}.png", frame)
+        put(folder / "depth" / f"{k}.png", (1000 + 100 * rows).astype(np.uint16))
+    (folder / "camera.txt").write_text("fx fy cx cy k1 k2 p1 p2\n56 64 27.5 19.5 -.1 0 0 0\n")
+    seen = []
+    (found,) = evaluate(
+        find_pairs(folder), settings=FAST, on_pair=lambda *given: seen.append(given)
+    ).pairs
+    (_, result, loaded), camera = seen[0], found.camera
+    assert camera == Camera((56, 64), (27.5, 19.5), (-0.1, 0, 0, 0))
+    lens = Undistortion(camera, H, W)
+    expected = lens.nearest((1 + 0.1 * rows).astype(np.float32))
+    np.testing.assert_array_equal(loaded.depth, expected)
+    assert 0 < np.isnan(expected).sum() < expected.size / 2
+    assert found.depth == depth_errors(result.depth, expected)
+    assert result.camera == camera.pinhole()

@@ -73,6 +73,17 @@ def test_outliers_need_both_conditions():
     assert outlier_rate(flow, truth, fraction=0.04) == 4 / 5
 
 
+def test_depth_errors_of_all_pixels_by_hand():
+    """Half of it right, one beyond ten times the farthest, one nearer than 0.1, one without."""
+    truth = np.array([[1.0, 2, 4, 1, 2, 4, np.nan]])
+    depth = np.array([[1.0, 2, 4, 1000, 0.001, -1, 5]])
+    errors = depth_errors(depth, truth)
+    assert errors.scale == 1 and errors.density == 5 / 6
+    assert errors.abs_rel_all == pytest.approx((39 / 1 + 1.9 / 2 + 36 / 4) / 6)
+    assert depth_errors(3 * depth, truth).abs_rel_all == pytest.approx(errors.abs_rel_all)
+    assert depth_errors(truth, truth).abs_rel_all == 0
+
+
 def test_all_errors_of_a_flow():
     rng = np.random.default_rng(0)
     truth = rng.normal(scale=20, size=(9, 11, 2))
