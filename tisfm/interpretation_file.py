@@ -88,7 +88,7 @@ def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
         with NpzFile(path) as file:
             try:
                 return _read(file)
-            except (LookupError, RecursionError, TypeError, ValueError) as error:
+            except ValueError as error:
                 reason = " ".join(str(error).split()).removeprefix(f"{name} ")
                 raise FormatError(
                     f"{name} is not a complete interpretation written by tisfm: {reason}"
@@ -131,7 +131,10 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     text = file.read("about", most=_MOST_ABOUT)
     if text.dtype.kind != "U" or text.shape != ():
         raise ValueError(f"about is {text.shape} {text.dtype}, expected one text")
-    about = json.loads(str(text))
+    try:
+        about = json.loads(str(text))
+    except RecursionError as error:
+        raise ValueError("about is nested too deeply") from error
     if not isinstance(about, dict):
         raise ValueError(f"about is {about!r}, expected an object of JSON")
     if "format" in about and about["format"] != FORMAT:

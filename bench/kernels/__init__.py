@@ -1,6 +1,6 @@
 """How fast each kernel is, and does it agree with the NumPy reference: ``python -m bench``.
 
 `bench_kernels` lists the cases and `bench_stream` measures the memory's bandwidth; `operations`,
-`multigrid_steps` and `depth_steps` call kernels, `references` their counterparts; `traffic` says
+`multigrid_steps` and `rigid_steps` call kernels, `references` their counterparts; `traffic` says
 how many bytes each moves. Imports tisfm, its kernels and `bench.shared`.
 """

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from bench.kernels.depth_steps import DepthOperations, DepthReferences
 from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
 from bench.kernels.operations import FieldOperations
 from bench.kernels.references import FieldReferences
+from bench.kernels.rigid_steps import DepthOperations, DepthReferences
 from bench.kernels.traffic import TRAFFIC
 from bench.shared.agreement import check
 from bench.shared.problems import ALPHA, RELAXATION, Problem

@@ -142,7 +142,14 @@ def test_ctrl_c_in_a_process_of_its_own(place):
     for k in range(60):
         write_png(f"many/f{k}.png", texture[:, 60 - k : 190 - k])
     command = [*TISFM, "run", "many", "-o", "out", "--preset", "paper", "--no-figures"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # A shell's background job ignores the signal, and hands that on to its children.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, handler)
     try:
         deadline = time.monotonic() + 60
         while not Path("out/f0.npz").exists() and time.monotonic() < deadline:

@@ -1,6 +1,7 @@
 """Arrays in one file: NumPy's .npz, stored as they are, and read with no trust in what it says."""
 
 import contextlib
+import errno
 import math
 import os
 import struct
@@ -173,6 +174,8 @@ class NpzFile:
         try:
             return function(*arguments)
         except _DAMAGE as error:
+            if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+                raise  # of the disk; EINVAL is a seek to before the file's beginning
             reason = " ".join(str(error).split())
             raise FormatError(f"{self.name} is not a whole .npz file: {reason}") from error
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
-from tisfm.motion.plane_sweep import depth_start
+from tisfm.motion.plane_sweep import swept_start
 from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.outcome import Status
@@ -61,7 +61,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         labels,
         last=level,
         refine=refine,
-        start=depth_start(pyramid, motions[0], start.level, start.flow, start.trust),
+        start=swept_start(pyramid, motions[0], start.level, start.flow, start.trust),
     )
     estimate = replace(with_depth(solution, labels, camera, settings, unit=unit), level=level)
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)

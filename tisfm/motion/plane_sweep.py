@@ -37,7 +37,7 @@ HIDDEN = 0.02  # what the cost of a pixel that is not seen in frame 1 counts for
 BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
 
 
-def depth_start(
+def swept_start(
     pyramid: ImagePyramid,
     motion: np.ndarray,
     level: int,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.stored import entries_of, field_result, half_precision, rigid_result
+from tests.interpretation_file.stored import entries_of, half_precision, rigid_result
 from tests.test_interpretation import H, W, frames
 from tisfm import interpretation_file
 from tisfm.formats import npz
@@ -15,30 +15,6 @@ from tisfm.outcome import Status
 
 EXACT = ("flow", "inverse_depth", "depth", "occlusion", "frame", "labels", "motions",
          "inverse_depth_std")  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def result():
-    return field_result()
-
-
-@pytest.fixture(scope="module")
-def rigid():
-    return rigid_result()
-
-
-@pytest.fixture
-def saved(result, tmp_path):
-    path = tmp_path / "result.npz"
-    result.save(path)
-    return path
-
-
-@pytest.fixture
-def saved_rigid(rigid, tmp_path):
-    path = tmp_path / "rigid.npz"
-    rigid.save(path)
-    return path
 
 
 def assert_same(loaded, result):

@@ -1,6 +1,7 @@
 """Files that are no result: what is refused, and what it costs to find out."""
 
 import dataclasses
+import errno
 import io
 import json
 import tracemalloc
@@ -9,36 +10,11 @@ import zipfile
 import numpy as np
 import pytest
 
-from tests.stored import about, about_of, field_result, rewritten, rigid_result
+from tests.interpretation_file.stored import about, about_of, rewritten
 from tests.test_interpretation import ARRAYS, H, W
 from tisfm.formats import FormatError, npz
 from tisfm.interpretation import Interpretation
 from tisfm.interpretation_file import FORMAT
-
-
-@pytest.fixture(scope="module")
-def result():
-    return field_result()
-
-
-@pytest.fixture(scope="module")
-def rigid():
-    return rigid_result()
-
-
-@pytest.fixture
-def saved(result, tmp_path):
-    path = tmp_path / "result.npz"
-    result.save(path)
-    return path
-
-
-@pytest.fixture
-def saved_rigid(rigid, tmp_path):
-    path = tmp_path / "rigid.npz"
-    rigid.save(path)
-    return path
-
 
 # What is refused
 
@@ -55,6 +31,25 @@ def refused(path, *words, error=FormatError):
 
 def test_load_of_a_missing_file(tmp_path):
     refused(tmp_path / "no.npz", "does not exist", error=FileNotFoundError)
+
+
+def test_a_disk_that_fails_is_no_damage(saved, monkeypatch):
+    def fails(*arguments):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(npz, "_read_header", fails)
+    with pytest.raises(OSError, match="Input/output") as caught:
+        Interpretation.load(saved)
+    assert not isinstance(caught.value, FormatError)
+
+
+def test_a_bug_of_ours_is_no_damage(saved, monkeypatch):
+    def fails(about):
+        raise LookupError("a bug")
+
+    monkeypatch.setattr("tisfm.interpretation_file._camera", fails)
+    with pytest.raises(LookupError, match="a bug"):
+        Interpretation.load(saved)
 
 
 def test_load_of_a_folder(tmp_path):
