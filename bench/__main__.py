@@ -81,7 +81,14 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> b
     command = [sys.executable, "-m", "pytest", str(Path(__file__).parent), "-q", "--tb=short"]
     command += ["-o", "python_files=bench_*.py", "-o", "python_functions=bench_*"]
     command += ["-W", "ignore::DeprecationWarning:taichi._lib.utils"]
-    command += ["-p", "no:cacheprovider", "--benchmark-quiet", f"--benchmark-json={report}"]
+    command += [
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "--benchmark-quiet",
+        f"--benchmark-json={report}",
+    ]
     command += [f"--threads={threads}", f"--lanes={options.lanes}", f"--seconds={options.seconds}"]
     command += [f"--sizes={','.join(options.sizes)}", f"--arch={options.arch}"]
     if options.full_reference:

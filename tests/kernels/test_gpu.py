@@ -219,7 +219,7 @@ def test_every_kernel_agrees_with_the_reference_on_a_gpu(arch):
     need(arch)
     folder = Path(__file__).parent
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider"]
         + [
             str(folder / name)
             for name in ("test_fields.py", "test_data.py", "test_solve.py", "test_epipolar.py")
