@@ -142,8 +142,8 @@ def test_focal_lengths_that_are_refused(options, error, words):
 def test_oblong_pixels_are_resampled(scene, focal, distortion):
     """The frame that a camera with oblong pixels takes gives back that of square ones."""
     height, width = scene.frame0.shape
-    camera = Camera(focal, scene.camera.center, distortion)
-    square = Camera(200.0, camera.center, distortion)
+    center = scene.camera.center_for(height, width)
+    camera, square = Camera(focal, center, distortion), Camera(200.0, center, distortion)
     y, x = np.mgrid[:height, :width].astype(float)
     fx, fy = focal
     cx, cy = camera.center

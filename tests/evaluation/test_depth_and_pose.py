@@ -118,7 +118,7 @@ def test_too_little_parallax_is_counted_and_averaged_nowhere(sequences, camera_r
             "chess, too little parallax: 1",
             "chess, no depth: 1",
         ]
-    assert printed(result)[1][1:5] == ["–"] * 4 and printed(result)[5][1:] == ["–"] * 5
+    assert printed(result)[1][1:6] == ["–"] * 5 and printed(result)[5][1:] == ["–"] * 6
     assert printed(result, table=1)[1][1] == "–"
 
 

@@ -163,7 +163,7 @@ def test_the_record_of_an_earlier_evaluation_does_not_stay(data, tmp_path):
     EvaluationWriter(tmp_path / "out", camera=tisfm.Camera(5.0), settings=tisfm.Settings())
     about = record(tmp_path / "out")
     assert about["pairs"] == [] and about["complete"] is False
-    assert about["camera"] == {"focal": 5.0, "center": None, "distortion": None}
+    assert about["camera"] == asdict(tisfm.Camera(5.0))
 
 
 def test_a_picture_that_cannot_be_written_is_a_fault(data, tmp_path, monkeypatch):

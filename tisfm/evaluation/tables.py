@@ -28,9 +28,9 @@ _FLOW: dict[str, Callable[[_Row], str]] = {
 }
 _DEPTH: dict[str, Callable[[DepthErrors], str]] = {
     "abs-rel": lambda errors: f"{errors.abs_rel:.3f}",
-    "of all": lambda errors: f"{errors.abs_rel_all:.3f}",
+    "all": lambda errors: f"{errors.abs_rel_all:.3f}",
     "SILog": lambda errors: f"{errors.silog:.2f}",
-    "δ<1.25, %": lambda errors: f"{100 * errors.delta1:.1f}",
+    "δ1, %": lambda errors: f"{100 * errors.delta1:.1f}",
     "depth, %": lambda errors: f"{100 * errors.density:.1f}",
 }
 _POSE: dict[str, Callable[[PoseErrors], str]] = {
@@ -119,9 +119,9 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
 
 def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
     notes = [
-        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; of "
-        "all: the same, pixels without depth included, as far; SILog: 100 "
-        "times the deviation of log Z; δ<1.25: off by a factor below 1.25; depth: share of the "
+        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; "
+        "all: the same over all pixels of known depth, those without one taken as far; SILog: 100 "
+        "times the deviation of log Z; δ1: off by a factor below 1.25; depth: share of the "
         "pixels of known depth that have one."
     ]
     if any(pair.without_depth for pair in pairs):
