@@ -105,6 +105,30 @@ def test_coefficients_that_are_refused(value, error, words):
         Camera(100.0, distortion=value)
 
 
+FRAME = np.zeros((8, 9), np.uint8)
+
+
+@pytest.mark.parametrize("focal", [1e-4, 2e6, 1e300])
+def test_focal_lengths_beyond_computing(focal):
+    with pytest.raises(ValueError, match=r"focal is .*: expected 0.001 to 1e\+06, in px"):
+        tisfm.interpret(FRAME, FRAME, camera=Camera(focal))
+
+
+def test_a_center_beyond_computing():
+    with pytest.raises(ValueError, match=r"center is \(0.0, -2000000.0\): expected at most"):
+        tisfm.interpret(FRAME, FRAME, camera=Camera(center=(0, -2e6)))
+
+
+@pytest.mark.parametrize("focal", [1e-3, 1e6])
+@pytest.mark.parametrize("motion", ["field", "camera", "objects"])
+def test_the_longest_and_the_shortest_focal_length(focal, motion):
+    """Whatever comes out, it is a result with a status, and numbers unless that says otherwise."""
+    scene = static_scene("sideways", 40, 56)
+    settings = tisfm.Settings.preset("fast", motion=motion)
+    found = tisfm.interpret(scene.frame0, scene.frame1, camera=Camera(focal), settings=settings)
+    assert found.status == "diverged" or np.isfinite(found.flow).all()
+
+
 def test_scaling_keeps_distortion_and_a_pinhole_has_none():
     camera = Camera(100.0, distortion=BARREL)
     assert camera.scaled(0.5, 24, 40).distortion == BARREL
