@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
+SHORTEST, LONGEST = 1e-3, 1e6  # px: beyond, squares of x̂ and ŷ leave single precision
 
 
 @dataclass(frozen=True, init=False)
@@ -115,11 +116,15 @@ class Camera:
 
 
 def check_camera(camera: Camera | None) -> Camera:
-    """Return the camera, by default the paper's; refuse anything else."""
+    """Return the camera, by default the paper's; refuse anything else, and what no frame has."""
     if camera is None:
         return Camera()
     if not isinstance(camera, Camera):
         raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera")
+    if not SHORTEST <= camera.focal <= LONGEST:
+        raise ValueError(f"focal is {camera.focal:g}: expected {SHORTEST:g} to {LONGEST:g}, in px")
+    if camera.center is not None and max(map(abs, camera.center)) > LONGEST:
+        raise ValueError(f"center is {camera.center}: expected at most {LONGEST:g}, in px")
     return camera
 
 

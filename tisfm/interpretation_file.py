@@ -29,6 +29,7 @@ _RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
 _RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation", "unrelated")
+_WITHOUT_DEPTH = ("no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated")
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
 
 _HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
@@ -137,7 +138,7 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
         raise ValueError("about is nested too deeply") from error
     if not isinstance(about, dict):
         raise ValueError(f"about is {about!r}, expected an object of JSON")
-    if "format" in about and about["format"] != FORMAT:
+    if "format" in about and (about["format"] != FORMAT or type(about["format"]) is not int):
         raise ValueError(
             f"its format is {about['format']!r} and this version reads {FORMAT}: it was written "
             f"by tisfm {about.get('version')}, whose results have to be computed again"
@@ -156,13 +157,19 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
 def _camera(about: Any) -> Camera:
     """Return the camera."""
     _check_names("its camera", about, [part.name for part in fields(Camera)])
-    return Camera(**about)
+    try:
+        return Camera(**about)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
 
 
 def _settings(about: Any) -> Settings:
     """Return the settings; none of them takes a default of today."""
     _check_names("its settings", about, [setting.name for setting in fields(Settings)])
-    return Settings(**about)
+    try:
+        return Settings(**about)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
 
 
 def _check_names(owner: str, values: Any, expected: Iterable[str]) -> None:
@@ -243,6 +250,10 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     for name in ("history_energy", "history_half_quadratic", "history_change"):
         if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
             raise ValueError(f"{name} is NaN, but the status is {status!r}")
+    if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
+        raise ValueError("history_change is negative or infinite somewhere, and a length is not")
+    if status in _WITHOUT_DEPTH and arrays["inverse_depth"].any():
+        raise ValueError(f"inverse_depth is not 0 everywhere, but the status is {status!r}")
 
 
 def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:

@@ -124,7 +124,7 @@ class Settings:
         `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
         in the paper, and hardly from coarse to fine. 0 for sweeps.
     relaxation : float
-        Over-relaxation, in (0, 2); 1 is Gauss–Seidel.
+        Over-relaxation, from 0.01, below 2; 1 is Gauss–Seidel.
     tolerance : float
         Half-quadratic iterations, two at least, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖.
     solver : {"cholesky", "closed_form"}
@@ -207,7 +207,7 @@ class Settings:
             _check_real("depth_normalization", self.depth_normalization, least=0, most=_MOST)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
-        _check_real("relaxation", self.relaxation, above=0, below=2)
+        _check_real("relaxation", self.relaxation, least=0.01, below=2)
         _check_real("tolerance", self.tolerance, least=0)
         for name, most_of in _COUNTS.items():
             if name != "pyramid_levels" or self.pyramid_levels is not None:

@@ -116,9 +116,9 @@ def notes(contest: DepthContest) -> list[str]:
         f"{HORIZON:g} medians, or behind the camera, was put there, so that all pixels count. "
         "δ: share of pixels off by a factor below 1.25.",
         "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
-        "one without depth has the latter, a pair without depth counts as 1, and truth beyond 40 m is "
-        "left out. The most certain: the 40% of the pixels with the least relative deviation, in "
-        "the unit of the given pose, each limited to 3. Converged, off by half: pairs whose status "
+        "one without has the latter, a pair without depth counts as 1, and truth beyond 40 m "
+        "is left out. The most certain: the 40% of the pixels with the least relative deviation, "
+        "in the unit of the given pose, each limited to 3. Converged, off by half: pairs whose status "
         "says converged at an error over all pixels above 0.5. Depth where parallax: pairs with a "
         "depth, of those whose median displacement is more than 3 px beside that of the rotation.",
         "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "

@@ -29,6 +29,11 @@ def as_given(frame: np.ndarray) -> np.ndarray:
     return frame
 
 
+def in_three_channels(frame: np.ndarray) -> np.ndarray:
+    """Return the frame three times, (H, W, 3): what OpenCV's RLOF takes."""
+    return np.repeat(frame[..., None], 3, axis=2)
+
+
 def to_unit_range(frame: np.ndarray) -> np.ndarray:
     """Return grey levels in [0, 1], the range scikit-image's defaults are made for."""
     return frame.astype(np.float32) / 255
@@ -79,6 +84,8 @@ METHODS: dict[str, tuple[Callable[[], Method], Prepare]] = {
     "OpenCV Farneback": (farneback, as_given),
     "OpenCV DeepFlow": (lambda: contrib("DeepFlow"), as_given),
     "OpenCV TV-L1": (lambda: contrib("DualTVL1"), as_given),
+    "OpenCV DenseRLOF": (lambda: contrib("DenseRLOF"), in_three_channels),
+    "OpenCV PCAFlow": (lambda: contrib("PCAFlow"), as_given),
     "scikit-image TV-L1": (skimage_tvl1, to_unit_range),
 }
 VERSIONS = {"OpenCV": "cv2", "scikit-image": "skimage", "SciPy": "scipy", "NumPy": "numpy"}

@@ -53,10 +53,14 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
     ("command", "options"),
     [
         ("demo", {"--output", "--height", "--width", "--seed", "--threads", "--help"}),
-        ("figures", {"--output", "--threads", "--focal", "--center", "--distortion", "--help"}),
+        (
+            "figures",
+            {"--output", "--threads", "--focal", "--center", "--distortion", "--aspect", "--help"},
+        ),
         (
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
+            | {"--give-poses", "--no-give-poses", "--max-depth"}
             | {"--arch", "--no-joint-edges", "--no-align-scales", "--help"}
             | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),

@@ -55,7 +55,7 @@ def test_either_poses_or_depth_suffice(data):
 def test_without_camera_or_images_there_is_no_pair(data, missing):
     make_calibrated(data)
     (data / missing).rename(data / "other")
-    with pytest.raises(FileNotFoundError, match="calibrated: images/ with camera.txt"):
+    with pytest.raises(FileNotFoundError, match=r"calibrated: images/ with camera\.txt"):
         find_pairs(data)
 
 
@@ -69,7 +69,7 @@ def test_without_camera_or_images_there_is_no_pair(data, missing):
         ("1 2 3 4", "1 2 3 4", "has the heading 1 2 3 4: expected each of fx fy cx cy once"),
         ("fx fy cx", "1 2 3", "has the heading fx fy cx:"),
         ("fx fy cx cy fx", "1 2 3 4 5", "has the heading"),
-        ("fx fy cx cy", "1 2 x 4", "could not convert .* 'x', expected numbers"),
+        ("fx fy cx cy", "1 2 x 4", r"could not convert .* 'x', expected numbers"),
         ("fx fy cx cy k1 k2 p1", "1 1 1 1 0 0 0", "no usable camera: distortion has 3"),
         ("fx fy cx cy k1 p1", "1 1 1 1 0 0", "has k1 p1, but not all that come before"),
         ("fx fy cx cy", "-1 2 3 4", "states no usable camera: focal.0. is -1"),

@@ -179,7 +179,7 @@ def test_tables_of_depth_and_pose(sequences, camera_results):
     given += [(SCENES[0].motions[0], SCENES[0].depth, "converged")] * 6
     (sequences / "chess" / "frame-000001.depth.png").unlink()
     result = evaluate(find_pairs(sequences), settings=camera_settings())
-    flow, depth, pose = (printed(result, width=80, table=table) for table in range(3))
+    flow, depth, pose = (printed(result, width=84, table=table) for table in range(3))
     assert [row[0] for row in flow] == ["two/block"]
     assert [row[0] for row in depth] == [
         "chess/frame-000000", "chess/frame-000001 (failed)", "chess/frame-000002",

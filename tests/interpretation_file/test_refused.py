@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from tests.interpretation_file.stored import about, about_of, rewritten
+from tests.interpretation_file.stored import about, about_of, entries_of, rewritten
 from tests.test_interpretation import ARRAYS, H, W
 from tisfm.formats import FormatError, npz
 from tisfm.interpretation import Interpretation
@@ -371,10 +371,17 @@ def test_other_formats_are_named(saved, form, write):
         {"settings": {"model": "rigid", "gravity": 9.81}},
         {"settings": {"motion": "camera"}},
         {"settings": None},
-        {"camera": {"focal": -3.0, "center": None, "distortion": None}},
-        {"camera": {"focal": 3.0, "center": None, "distortion": [0.1]}},
-        {"camera": {"focal": 3.0, "center": None, "distortion": None, "skew": 0.0}},
-        {"camera": {"focal": 3.0, "distortion": None}},
+        *(
+            {"camera": {"focal": v, "center": None, "distortion": None, "aspect": 1.0}}
+            for v in (None, "x", True)
+        ),
+        {"camera": {"focal": 3.0, "center": [1, "a"], "distortion": None, "aspect": 1.0}},
+        {"camera": {"focal": 3.0, "center": None, "distortion": 3, "aspect": 1.0}},
+        {"format": 6.0},
+        {"camera": {"focal": -3.0, "center": None, "distortion": None, "aspect": 1.0}},
+        {"camera": {"focal": 3.0, "center": None, "distortion": [0.1], "aspect": 1.0}},
+        {"camera": {"focal": 3.0, "center": None, "distortion": None, "skew": 0.0, "aspect": 1.0}},
+        {"camera": {"focal": 3.0, "distortion": None, "aspect": 1.0}},
         {"camera": []},
         {"status": "excellent"},
         {"status": 3},
@@ -388,6 +395,29 @@ def test_other_formats_are_named(saved, form, write):
 def test_load_of_what_this_version_does_not_know(saved, changes):
     about(saved, **changes)
     refused(saved)
+
+
+@pytest.mark.parametrize("name", ["smoothness", "stiffness", "warps"])
+@pytest.mark.parametrize("value", ["x", 1.5j, None, [None], {}], ids=str)
+def test_settings_of_another_type(saved, name, value):
+    known = about_of(saved)["settings"]
+    value = repr(value) if isinstance(value, complex) else value
+    about(saved, settings={**known, name: value})
+    refused(saved, name)
+
+
+@pytest.mark.parametrize("status", ["no_motion", "no_texture"])
+def test_depth_where_the_status_says_that_there_is_none(saved, status):
+    about(saved, status=status)
+    refused(saved, "inverse_depth is not 0", status)
+
+
+@pytest.mark.parametrize(("value", "word"), [(-1e-3, "negative"), (np.inf, "infinite")])
+def test_history_that_no_run_has(saved, value, word):
+    change = entries_of(saved)["history_change"]
+    change[-1] = value
+    rewritten(saved, history_change=change)
+    refused(saved, "history_change", word)
 
 
 @pytest.mark.parametrize("name", ["format", "version", "camera", "settings", "status", "message"])

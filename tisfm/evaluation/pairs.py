@@ -206,19 +206,20 @@ def _prepared(
     ValueError
         If no true depth is left.
     """
-    depth = loaded.depth
-    if depth is not None and not camera.is_pinhole:
-        depth = Undistortion(camera, *depth.shape).nearest(depth).astype(np.float32)
-    if depth is not None and max_depth is not None:
-        depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
-    if depth is not None and not np.isfinite(depth).any():
-        raise ValueError(
-            "no true depth is left"
-            + ("" if max_depth is None else f" up to {max_depth:g}")
-            + f" of {np.count_nonzero(np.isfinite(loaded.depth))} pixels that have one"
-        )
     given = loaded.pose_given or (give_poses and loaded.pose is not None)
-    return replace(loaded, depth=depth, pose_given=given)
+    loaded = replace(loaded, pose_given=given)
+    if loaded.depth is None:
+        return loaded
+    depth = loaded.depth
+    if not camera.is_pinhole:
+        depth = Undistortion(camera, *depth.shape).nearest(depth).astype(np.float32)
+    if max_depth is not None:
+        depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
+    if not np.isfinite(depth).any():
+        limit = "" if max_depth is None else f" up to {max_depth:g}"
+        known = np.count_nonzero(np.isfinite(loaded.depth))
+        raise ValueError(f"no true depth is left{limit} of {known} pixels that have one")
+    return replace(loaded, depth=depth)
 
 
 def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | None:

@@ -434,7 +434,10 @@ def _rotation_alone(rays: _Rays) -> np.ndarray:
         vertical = np.stack([-1 - y * y, x * y, x])
         normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
         pull = horizontal @ (weight * left[0]) + vertical @ (weight * left[1])
-        step = np.linalg.solve(normal, pull)
+        try:
+            step = np.linalg.solve(normal, pull)
+        except np.linalg.LinAlgError:  # of rays that are all but parallel
+            break
         rotation = cv2.Rodrigues(step)[0] @ rotation
         if np.linalg.norm(step) < SETTLED:
             break

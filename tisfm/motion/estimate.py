@@ -62,8 +62,8 @@ def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
     if not _any(solution.unknowns.rho, solution.unknowns.components):
         return Status(
             "no_motion",
-            "the frames do not differ, so there is no motion to interpret: take frames further "
-            "apart in time",
+            "the frames do not differ, or by too little to be computed with, so there is no motion "
+            "to interpret: take frames further apart in time",
         )
     return None
 
