@@ -164,9 +164,11 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
     for pair in LAYOUTS[layout].find(data / selection.folder, step=selection.step):
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
-            name = f"{pair.name}{GIVEN}" if selection.pose_given else pair.name
-            if selection.raw:
-                name = f"{name}, {selection.step} apart"
+            name = pair.name
+            if selection.group in ROOMS:  # several have numbers alone, and all are there twice
+                name = f"{selection.folder} {name}, {selection.step} apart"
+            if selection.pose_given:
+                name += GIVEN
             load = partial(_loaded, pair, name, selection.group, selection=selection)
             yield Entry(name, selection.group, load)
 

@@ -118,8 +118,8 @@ def notes(contest: DepthContest) -> list[str]:
         "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
         "one without has the latter, a pair without depth counts as 1, and truth beyond 40 m "
         "is left out. The most certain: the 40% of the pixels with the least relative deviation, "
-        "in the unit of the given pose, each limited to 3. Converged, off by half: pairs whose status "
-        "says converged at an error over all pixels above 0.5. Depth where parallax: pairs with a "
+        "in the unit of the given pose, each limited to 3. Converged, off by half: pairs that say "
+        "converged at an error over all pixels above 0.5. Depth where parallax: pairs with a "
         "depth, of those whose median displacement is more than 3 px beside that of the rotation.",
         "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "
         "the rotations. Mean / median / worst over the pairs. Where the pose is given, it is given "

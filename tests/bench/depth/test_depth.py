@@ -15,16 +15,30 @@ from bench.depth.contest import hold
 from bench.depth.focal_plot import picture
 from bench.depth.methods import Estimate, FlowThenDepth
 from bench.depth.pairs import (
+    GIVEN,
     HAND_HELD,
     HARDLY_MOVED,
     MOVING,
+    OFFICE,
     RENDERED_STUDIO,
+    ROOM,
+    STEPS,
     Entry,
     data_entries,
     scene_entries,
 )
-from bench.depth.report import COMMON, STATIC, details, groups, notes, summary, thresholds, write
-from bench.depth.scores import HORIZON, limited, score
+from bench.depth.report import (
+    COMMON,
+    STATIC,
+    _trusted,
+    details,
+    groups,
+    notes,
+    summary,
+    thresholds,
+    write,
+)
+from bench.depth.scores import CERTAIN, HORIZON, WORST, Score, limited, parallax_of, score
 from bench.depth.two_stage import NoMotion, triangulated, two_stage
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors
@@ -120,6 +134,81 @@ def test_depth_that_is_told_to_be_unseen_is_counted_and_not_averaged():
     assert found.without_depth and found.abs_rel is None and found.direction is None
     assert found.rotation == pytest.approx(0, abs=1e-9)
     assert not score(exact(pair, status="converged"), pair).without_depth
+
+
+def test_no_pixel_is_left_out_and_a_pair_without_depth_counts_as_one():
+    pair = small_entries("sideways-f300")[0].load()
+    assert score(exact(pair), pair).abs_rel_all == pytest.approx(0, abs=1e-9)
+    behind = exact(pair).inverse_depth.copy()
+    behind[:10] *= -1
+    found = score(replace(exact(pair), inverse_depth=behind), pair)
+    expected = (10 * pair.depth.max() / pair.depth[:10] - 1).sum() / pair.depth.size
+    assert found.abs_rel == pytest.approx(0, abs=1e-9)
+    assert found.abs_rel_all == pytest.approx(expected)
+    silent = replace(exact(pair, status="little_parallax"), inverse_depth=None)
+    assert score(silent, pair).abs_rel_all == 1
+
+
+def test_parallax_is_what_the_rotation_leaves():
+    """Of a wall at 2 m, a camera of 50 px that moves by 0.1 m: 50 · 0.1 / 2 px."""
+    pose = np.eye(4)
+    pose[:3, 3] = (-0.1, 0, 0)
+    wall = np.full(SIZE, 2.0)
+    wall[0] = np.nan
+    pair = replace(
+        small_entries("sideways-f300")[0].load(),
+        depth=wall,
+        pose=pose,
+        camera=tisfm.Camera(50.0),
+    )
+    assert parallax_of(pair) == pytest.approx(2.5)
+    turned = pose_matrix([-0.1, 0, 0, 0, 0.05, 0])
+    assert parallax_of(replace(pair, pose=turned)) == pytest.approx(2.5, rel=0.1)
+    assert parallax_of(replace(pair, pose=None)) is None
+
+
+def test_the_most_certain_pixels_are_judged_in_the_unit_of_the_pose():
+    pair = replace(small_entries("sideways-f300")[0].load(), pose_given=True)
+    estimate = exact(pair, factor=1.0, deviation=0.1)
+    certain = np.zeros(pair.depth.shape, bool)
+    certain.ravel()[: round(CERTAIN * certain.size)] = True
+    estimate.inverse_depth[...] = np.where(certain, 0.8 / pair.depth, 0.01 / pair.depth)
+    estimate.deviation[...] = np.where(certain, 1e-6, 1e-3) * estimate.inverse_depth
+    assert score(estimate, pair).abs_rel_certain == pytest.approx(0.25)
+    estimate.deviation[...] = np.where(certain, 1e-3, 1e-6) * estimate.inverse_depth
+    wrong = score(estimate, pair).abs_rel_certain
+    assert wrong == pytest.approx(WORST, rel=1e-6)  # each pixel's error is limited
+    assert score(estimate, replace(pair, pose_given=False)).abs_rel_certain is None
+
+
+def test_what_a_status_promises_is_counted():
+    def of(status, error, parallax):
+        return Score(
+            method="a", pair="p", group="g", status=status, abs_rel_all=error, parallax=parallax
+        )
+
+    scores = [
+        of("converged", 0.6, 5.0),
+        of("converged", 0.4, 1.0),
+        of("diverged", 0.9, 4.0),
+        of("little_parallax", 1.0, 3.5),
+        of("little_parallax", 1.0, 2.5),
+    ]
+    assert _trusted(scores) == ("1 of 5", "2 of 3")
+    assert _trusted([replace(scores[0], status="")]) == ("–", "–")
+
+
+def test_the_rooms_are_there_with_and_without_their_pose(shared_data):
+    entries, _ = data_entries(shared_data)
+    for group, count in ((ROOM, 7), (OFFICE, 11), (STEPS, 16)):
+        for given in (GIVEN, ""):
+            mine = [entry for entry in entries if entry.group == group + given]
+            assert len(mine) == count
+            pair = mine[0].load()
+            assert pair.pose_given == bool(given) and pair.camera.is_pinhole
+            assert np.nanmax(pair.depth) <= 40 and parallax_of(pair) > 0
+    names = [entry.name for entry in entries]
+    assert len(set(names)) == len(names)
 
 
 def test_limited_depth_has_neither_gaps_nor_depths_beyond_the_horizon():
