@@ -5,6 +5,8 @@ import os
 import numpy as np
 import numpy.typing as npt
 
+from tisfm.checks import refuse_masked
+
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
 LARGEST_GREY = 1e36  # grey levels: their differences are numbers of float32
 # Of float frames in [0, 1] that were resampled or sharpened: how far values lie beyond, at most
@@ -67,13 +69,12 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
             f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    if np.ma.is_masked(frame):
-        hidden = np.ma.count_masked(frame)
-        raise ValueError(
-            f"{name} has {hidden} of {np.size(frame)} values masked, and every pixel counts as "
-            f"seen: fill them, for instance by {name}.filled(0), and leave out of the result what "
-            "they cover"
-        )
+    refuse_masked(
+        frame,
+        name,
+        f"every pixel counts as seen, so fill them, for instance by {name}.filled(0), and leave "
+        "out of the result what they cover",
+    )
     try:
         array = np.asarray(frame)
     except ValueError as error:  # rows of different lengths

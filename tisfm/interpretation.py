@@ -149,8 +149,9 @@ class Interpretation:
         OSError
             If the folder does not exist or cannot be written to.
         ValueError
-            If `load` would refuse what is written: if arrays do not fit each other, or hold NaN or
-            infinity though the status is another than ``"diverged"`` or ``"pose_mismatch"``.
+            If a value is masked, or if `load` would refuse what is written: if arrays do not fit
+            each other, or hold NaN or infinity though the status is another than ``"diverged"`` or
+            ``"pose_mismatch"``.
         """
         from tisfm.interpretation_file import write_interpretation
 

@@ -50,7 +50,7 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     Raises
     ------
     ValueError
-        If `flow` is not (H, W, 2) with 1 to 99999 rows and columns.
+        If `flow` is not (H, W, 2) with 1 to 99999 rows and columns, or a value is masked.
     TypeError
         If `flow` does not hold real numbers.
     OSError

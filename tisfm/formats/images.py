@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
@@ -112,11 +113,11 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     TypeError
         If `image` is not uint8 or uint16.
     ValueError
-        If `image` has another shape or no pixels.
+        If `image` has another shape, no pixels, or a masked value.
     OSError
         If the file cannot be written.
     """
-    image = np.asarray(image)
+    image = unmasked(image, "image", advice="fill them first, for instance by image.filled(0)")
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise TypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")

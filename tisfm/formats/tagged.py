@@ -6,6 +6,7 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.errors import FormatError
 from tisfm.formats.reading import read_bytes
@@ -87,7 +88,7 @@ def write_tagged(
     Raises
     ------
     ValueError
-        If the shape is another, or a side is not from 1 to 99999.
+        If the shape is another, a side is not from 1 to 99999, or a value is masked.
     TypeError
         If `values` does not hold real numbers.
     OSError
@@ -108,8 +109,8 @@ def write_tagged(
 
 
 def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
-    """Return an array of real numbers, or raise a TypeError that names it."""
-    array = np.asarray(values)
+    """Return an array of real numbers without a mask, or raise an error that names it."""
+    array = unmasked(values, name)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers, such as float32")
     return array

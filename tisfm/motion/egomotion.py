@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.checks import unmasked
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.visibility.confidence import median
 
@@ -93,7 +94,7 @@ def camera_motion(
     TooFewPixelsError
         A ValueError: if too few pixels are trusted.
     ValueError
-        If the camera has distortion.
+        If the camera has distortion, or a value is masked.
 
     References
     ----------
@@ -102,6 +103,10 @@ def camera_motion(
     problem", PAMI 2004, doi 10.1109/TPAMI.2004.17.
     """
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
+    flow = unmasked(flow, "flow")
+    confidence = unmasked(
+        confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
+    )
     rays = _correspondences(flow, confidence, camera)
     few = rays.every(max(1, rays.trust.size // FEW))
     if few.confident.sum() < FEWEST:  # they lie in a small part of the image
