@@ -15,7 +15,8 @@ from tisfm.formats.reading import read_bytes
 _TAG = struct.pack("<f", 202021.25)
 _HEADER = struct.Struct("<4sii")
 LARGEST_SIDE = 99_999
-"""Beyond this a size is the sign of a damaged header, not of a picture."""
+"""Middlebury's readers of .flo files, and Sintel's of .dpt files, refuse greater sizes, which they
+take for the sign of a damaged header."""
 
 
 def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> NDArray[np.float32]:
