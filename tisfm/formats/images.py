@@ -16,7 +16,7 @@ from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.png import encode_png
+from tisfm.formats.png import SIGNATURE, encode_png
 from tisfm.formats.reading import opencv_memory, read_bytes
 
 IMAGE_SUFFIXES = (
@@ -30,7 +30,7 @@ PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
 _BITS_PER_SAMPLE, _EXTRA_SAMPLES = 258, 338  # tags of TIFF
 _SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
-_KNOWN_BEGINNINGS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
+_KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
 _log_level_lock = threading.Lock()
 
 

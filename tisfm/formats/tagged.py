@@ -11,8 +11,11 @@ from tisfm.formats.atomic import atomic_write
 from tisfm.formats.errors import FormatError
 from tisfm.formats.reading import read_bytes
 
-# The float32 202021.25, whose little-endian bytes read "PIEH": a check of type and byte order.
-_TAG = struct.pack("<f", 202021.25)
+TAG = 202021.25
+"""Tag of .flo, .dpt and Sintel's .cam files: a check of type and byte order. The little-endian
+bytes of this float32 read "PIEH"."""
+
+_TAG = struct.pack("<f", TAG)
 _HEADER = struct.Struct("<4sii")
 LARGEST_SIDE = 99_999
 """Middlebury's readers of .flo files, and Sintel's of .dpt files, refuse greater sizes, which they

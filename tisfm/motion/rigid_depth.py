@@ -14,7 +14,7 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
-from tisfm.motion.egomotion import spin_prior
+from tisfm.motion.egomotion import hold_scale, spin_prior
 from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
@@ -389,9 +389,7 @@ def _stepped(
     length = np.linalg.norm(translation)
     if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
         return motion
-    # Along t the scale changes, which nothing tells: hold it.
-    along_t = np.concatenate([translation / length, np.zeros(3)])
-    matrix = matrix + (np.trace(matrix) + 1e-30) * (np.outer(along_t, along_t) + 1e-9 * np.eye(6))
+    matrix = hold_scale(matrix, translation / length)
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
     turn = cv2.Rodrigues(step[3:])[0]
