@@ -11,7 +11,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import refuse_masked, unmasked
 
-FARTHEST = 10.0  # median depths: near the horizon of inverse depth its noise throws points far off
+FARTHEST_MEDIANS = 10.0  # depths: near the horizon of inverse depth its noise throws points off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +132,7 @@ def point_cloud(
     confidence: np.ndarray,
     occlusion: np.ndarray,
     min_confidence: float = 0.0,
-    max_depth: float | None = FARTHEST,
+    max_depth: float | None = FARTHEST_MEDIANS,
     occluded: bool = False,
 ) -> PointCloud:
     """Take the pixels of a depth map out into space.

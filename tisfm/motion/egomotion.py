@@ -19,7 +19,7 @@ SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
-FEWEST = 8  # confident samples, at least: essential matrices are drawn from 5, and more decide
+FEWEST_SAMPLES = 8  # that are confident: essential matrices are drawn from 5, and more decide
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution: its deviation over its median distance
 LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30  # of normal equations, the former of their trace
 # In place of what may be 0 and divides: lengths and squares of normalised vectors, and the typical
@@ -114,7 +114,7 @@ def camera_motion(
     )
     rays = _correspondences(flow, confidence, camera)
     few = rays.every(max(1, rays.trust.size // FEW))
-    if few.confident.sum() < FEWEST:  # they lie in a small part of the image
+    if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
         few = rays
     free = _Free(unknowns=6 if rotation is None else 3, near=near)
     starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
@@ -308,10 +308,10 @@ def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -
     trust = confidence[rows, columns].astype(np.float64)
     taken = (trust > 0) & np.isfinite(moved).all(axis=1)
     confident = int((trust[taken] > CONFIDENT).sum())
-    if confident < FEWEST:
+    if confident < FEWEST_SAMPLES:
         raise TooFewPixelsError(
             f"only {confident} of {trust.size} sampled pixels have a confidence above "
-            f"{CONFIDENT}: the camera's motion needs at least {FEWEST}"
+            f"{CONFIDENT}: the camera's motion needs at least {FEWEST_SAMPLES}"
         )
     cx, cy = camera.center_for(height, width)
     start = np.stack([columns - cx, rows - cy])[:, taken]

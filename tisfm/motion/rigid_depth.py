@@ -29,7 +29,7 @@ MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
-WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
+DEVIATION_WINDOW = 15  # px, over which curvature and residual are averaged for it
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
@@ -75,7 +75,7 @@ class RigidSolution:
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
         pixel's edges weigh, and the unit is the residual there.
         """
-        window, known = (WINDOW, WINDOW), self.precision
+        window, known = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
         precision = cv2.blur(known[0], window)
         precision += LEAST_DIVISOR
         residual = cv2.blur(known[3], window)
