@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_bytes
+from tisfm.formats.tagged import TAG
 
 STATED_SIZE = (480, 640)
 """Height and width of the frames that `STATED` is about, px."""
@@ -28,7 +29,6 @@ COLOUR_OFFSET = 0.025
 """Where the colour camera of that sensor is, to the right of its depth camera, m."""
 
 _CAM = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
-_CAM_TAG = 202021.25
 
 
 def read_camera(path: Path, frame: Path) -> Camera:
@@ -74,8 +74,8 @@ def _sintel_matrix(path: Path) -> np.ndarray:
     if len(data) != _CAM.size:
         raise FormatError(f"{path} is no .cam file: {len(data)} bytes, expected {_CAM.size}")
     tag, *numbers = _CAM.unpack(data)
-    if tag != _CAM_TAG:
-        raise FormatError(f"{path} is no .cam file: its tag is {tag}, expected {_CAM_TAG}")
+    if tag != TAG:
+        raise FormatError(f"{path} is no .cam file: its tag is {tag}, expected {TAG}")
     return np.array(numbers[:9]).reshape(3, 3)
 
 

@@ -75,6 +75,7 @@ def evaluate(
     *,
     camera: Camera | None = None,
     settings: Settings | None = None,
+    on_load: Callable[[LoadedPair], None] | None = None,
     on_pair: Callable[[PairEvaluation, Interpretation | None, LoadedPair | None], None]
     | None = None,
 ) -> Evaluation:
@@ -93,6 +94,9 @@ def evaluate(
         Camera of every pair; by default the one that the dataset states, or else `Camera()`.
     settings : Settings, optional
         By default those of the preset "balanced".
+    on_load : callable, optional
+        Called with what was loaded of a pair before it is interpreted. An error that it raises is
+        the fault of the pair.
     on_pair : callable, optional
         Called after every pair with its evaluation, the interpretation and what was loaded (None
         for a pair with a fault). An error that it raises is the fault of the pair, and it is then
@@ -121,6 +125,8 @@ def evaluate(
     for pair in dict.fromkeys(pairs):
         try:
             loaded = pair.load()
+            if on_load is not None:
+                on_load(loaded)
             kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
             if kind not in compiled:
                 _warm_up(settings, *kind)
