@@ -62,8 +62,8 @@ def test_floats_up_to_one_are_stretched_to_255(frame):
 @pytest.mark.parametrize(
     ("outlier", "factor"),
     [
-        *((value, 255) for value in (1.001, -0.001, 1.5, -0.5)),
-        *((value, 1) for value in (1.501, -0.501, 200.0, 3.0)),
+        *((value, 255) for value in (1.001, -0.001, 1.6, -0.51, 3.0, 11.0)),
+        *((value, 1) for value in (11.5, -10.5, 200.0)),  # more than a thousandth of so few pixels
     ],
 )
 @pytest.mark.parametrize("second", [False, True])
@@ -75,13 +75,49 @@ def test_one_factor_serves_both_frames(outlier, factor, second):
     assert pair[second][3, 5] == outlier
 
 
-@pytest.mark.parametrize("share", [0.04, 0.06])
-@pytest.mark.parametrize("value", [1.2, -0.2])
-def test_overshoots_are_few(share, value):
+@pytest.mark.parametrize(("value", "most"), [(0.2, 0.2), (0.9, 0.2), (1.1, 0.01), (11.0, 0.001)])
+@pytest.mark.parametrize("more", [False, True])
+@pytest.mark.parametrize("above", [False, True])
+def test_overshoots_are_few(value, most, more, above):
     frame = np.full((50, 40), 0.5, np.float32)
-    frame.ravel()[: round(share * frame.size)] = value
+    frame.ravel()[: round(most * frame.size) + more] = 1 + value if above else -value
     stretched = grey_pair(frame, np.full_like(frame, 0.5))[1][0, 0] > 1
-    assert stretched == (share < 0.05)
+    assert stretched != more
+
+
+@pytest.mark.parametrize("outlier", [1.6, -0.51, 40.0, 255.0, -1e6, 1e6])
+def test_a_single_pixel_does_not_decide(outlier):
+    pair = [frame.astype(np.float32) / 255 for frame in textured_pair((96, 128))]
+    pair[0][2, 3] = outlier
+    assert np.ptp(grey_pair(*pair)[1]) > 200
+    assert len(np.unique(eight_bit(*pair))) > 100
+
+
+def test_a_sharpened_frame_has_the_scale_of_the_one_before():
+    frame = textured_pair()[0].astype(np.float32) / 255
+    edges = frame - cv2.GaussianBlur(frame, (0, 0), 2)
+    sharp = frame + 2.4 * edges
+    beyond = ((sharp < -0.01) | (sharp > 1.01)).mean()
+    assert 0.12 < beyond < 0.2
+    np.testing.assert_array_equal(grey_pair(sharp, frame)[0], sharp * np.float32(255))
+
+
+@pytest.mark.parametrize(("spots", "factor"), [(12, 255), (13, 1), (123, 1)])
+def test_black_frames_with_bright_spots(spots, factor):
+    """On the scale of 8 bits, which nobody can tell where the spots are few."""
+    rng = np.random.default_rng(0)
+    frame = rng.integers(0, 2, (96, 128)).astype(np.float32)
+    frame.ravel()[rng.permutation(frame.size)[:spots]] = 200
+    np.testing.assert_array_equal(grey_pair(frame, frame)[0], frame * np.float32(factor))
+
+
+@pytest.mark.parametrize("scale", [20, 60, 200])
+def test_nights_on_the_scale_of_8_bits_stay_as_they_are(scale):
+    """Ten of a hundred pixels lit, the others nearly black."""
+    frame = textured_pair((96, 128))[0] / 255
+    night = np.maximum(frame - np.quantile(frame, 0.9), 0)
+    night = (night * scale / night.max()).astype(np.float32)
+    np.testing.assert_array_equal(grey_pair(night, night)[0], night)
 
 
 @pytest.mark.parametrize(

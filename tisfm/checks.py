@@ -1,9 +1,10 @@
-"""Checks of the values that describe a scene."""
+"""Checks of values that are given."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 Floats = NDArray[np.float64]
 # Of a field: array_like when it is given, a read-only float64 array once it is checked.
@@ -12,6 +13,7 @@ Vector = Any
 
 def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """Return a read-only float64 copy; raise ValueError unless of this shape and finite."""
+    refuse_masked(value, name, "expected numbers without a mask")
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}: expected {shape}")
@@ -27,3 +29,45 @@ def whole(least: int, **values: object) -> None:
         if not isinstance(value, int | np.integer) or value < least:
             kind = "positive" if least else "non-negative"
             raise ValueError(f"{name} is {value!r}: expected a {kind} whole number")
+
+
+def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
+    """Raise ValueError if an array has masked values: NumPy's functions would drop the mask.
+
+    Parameters
+    ----------
+    values : array_like
+        An array, or nested sequences, of which a row may be a masked array.
+    name : str
+        What errors call it.
+    advice : str, optional
+        What to do; by default to fill the values with NaN, which stands for unknown.
+    """
+    hidden, total = _masked(values)
+    if hidden:
+        advice = advice or f"fill them first, for instance by {name}.filled(np.nan)"
+        raise ValueError(f"{name} has {hidden} of {total} values masked: {advice}")
+
+
+def unmasked(
+    values: ArrayLike, name: str, dtype: DTypeLike | None = None, *, advice: str | None = None
+) -> NDArray[Any]:
+    """Return values as a plain array, or raise as `refuse_masked` does."""
+    refuse_masked(values, name, advice)
+    return np.asarray(values, dtype)
+
+
+def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """Return where a mask is nonzero, or raise as `refuse_masked` does."""
+    advice = f"fill them first, for instance by {name}.filled(0)"
+    return unmasked(values, name, advice=advice).astype(bool)
+
+
+def _masked(values: object) -> tuple[int, int]:
+    """Return how many values are masked, and how many there are."""
+    if isinstance(values, np.ma.MaskedArray):
+        return int(np.ma.count_masked(values)), values.size
+    if not isinstance(values, Sequence) or isinstance(values, str | bytes):
+        return 0, getattr(values, "size", 1)
+    counts = [_masked(item) for item in values]
+    return sum(hidden for hidden, _ in counts), sum(total for _, total in counts)

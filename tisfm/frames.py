@@ -5,12 +5,15 @@ import os
 import numpy as np
 import numpy.typing as npt
 
+from tisfm.checks import refuse_masked
+
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
 LARGEST_GREY = 1e36  # grey levels: their differences are numbers of float32
-# Of float frames in [0, 1] that were resampled or sharpened: how far values lie beyond, at most
-# (0.45 after bicubic interpolation at its worst), how many of them may, and what is no more than
-# rounding.
-OVERSHOOT, OVERSHOOTING, ROUNDING = 0.5, 0.05, 0.01
+# Of float frames in [0, 1], how far values lie beyond, and the share of them that may lie further:
+# beyond rounding after resampling and sharpening, which take up to a sixth of the values there;
+# beyond 1 where that is strong; beyond 10 in bright spots. A frame on the 8-bit scale so dark has
+# nothing to see but spots: 99% of it are no brighter than grey level 2.
+OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
 ROWS = 32  # at a time, which stay in the cache
 
 # ITU-R BT.601 luma.
@@ -67,13 +70,12 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
             f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    if np.ma.is_masked(frame):
-        hidden = np.ma.count_masked(frame)
-        raise ValueError(
-            f"{name} has {hidden} of {np.size(frame)} values masked, and every pixel counts as "
-            f"seen: fill them, for instance by {name}.filled(0), and leave out of the result what "
-            "they cover"
-        )
+    refuse_masked(
+        frame,
+        name,
+        f"every pixel counts as seen, so fill them, for instance by {name}.filled(0), and leave "
+        "out of the result what they cover",
+    )
     try:
         array = np.asarray(frame)
     except ValueError as error:  # rows of different lengths
@@ -116,20 +118,20 @@ def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = T
 def in_unit_range(frame: np.ndarray) -> bool:
     """Return whether a float frame has its values in [0, 1], but for overshoots.
 
-    It has if all of them lie in [−0.5, 1.5], and 95% in [−0.01, 1.01]: interpolation of a frame
-    in [0, 1] takes some values beyond, and sharpening as well. A dark frame on the 8-bit scale is
-    taken for one in [0, 1] only if it hardly exceeds the first grey level anywhere. True for other
-    types, which are on a scale of their own.
+    It has if 80% of them lie in [−0.01, 1.01], 99% in [−1, 2], and 99.9% in [−10, 11]:
+    interpolation of a frame in [0, 1] takes some values beyond, sharpening more of them, and some
+    pixels may be wrong. No single value decides. A frame on the 8-bit scale is taken for one in
+    [0, 1] if it is as dark as that: black, with bright spots on less than a thousandth of it. True
+    for other types, which are on a scale of their own.
     """
     if not _is_float(frame) or frame.size == 0:
         return True
-    low, high = frame.min(), frame.max()
-    if low >= 0 and high <= 1:
+    if frame.min() >= 0 and frame.max() <= 1:  # as most are: it takes a tenth of the time
         return True
-    if not (low >= -OVERSHOOT and high <= 1 + OVERSHOOT):
-        return False
-    beyond = np.count_nonzero((frame < -ROUNDING) | (frame > 1 + ROUNDING))
-    return bool(beyond <= OVERSHOOTING * frame.size)
+    return all(
+        np.count_nonzero((frame < -beyond) | (frame > 1 + beyond)) <= share * frame.size
+        for beyond, share in OVERSHOOTS
+    )
 
 
 def _is_float(array: np.ndarray) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import History, Status
-from tisfm.point_cloud import FARTHEST, PointCloud, point_cloud
+from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud, point_cloud
 from tisfm.settings import Settings
 
 
@@ -92,7 +92,7 @@ class Interpretation:
         self,
         *,
         min_confidence: float = 0.0,
-        max_depth: float | None = FARTHEST,
+        max_depth: float | None = FARTHEST_MEDIANS,
         occluded: bool = False,
     ) -> PointCloud:
         """Return the scene as coloured points, one for every pixel with a depth.
@@ -149,8 +149,9 @@ class Interpretation:
         OSError
             If the folder does not exist or cannot be written to.
         ValueError
-            If `load` would refuse what is written: if arrays do not fit each other, or hold NaN or
-            infinity though the status is another than ``"diverged"`` or ``"pose_mismatch"``.
+            If a value is masked, or if `load` would refuse what is written: if arrays do not fit
+            each other, or hold NaN or infinity though the status is another than ``"diverged"`` or
+            ``"pose_mismatch"``.
         """
         from tisfm.interpretation_file import write_interpretation
 

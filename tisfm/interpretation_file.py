@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.checks import refuse_masked
 from tisfm.formats import FormatError
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.frames import MIN_SIDE
@@ -69,6 +70,8 @@ def write_interpretation(path: str | os.PathLike[str], result: Any) -> None:
     arrays = {name: getattr(result, name) for name in (*_ALWAYS, *_RIGID)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
     given = {name: array for name, array in arrays.items() if array is not None}
+    for name, array in given.items():
+        refuse_masked(array, name)
     layout = {name: (array.shape, array.dtype) for name, array in given.items()}
     _check_layout(layout, {name: (kind,) for name, kind in _TYPES.items()}, result.settings)
     _check_values(given, result.status)

@@ -40,9 +40,11 @@ def interpret(
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) array
         Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
-        Float frames are taken to be in [0, 1] if all values of both lie in [−0.5, 1.5], and 95%
-        of each in [−0.01, 1.01], so that resampling and sharpening may overshoot. Otherwise they
-        are taken to be on the 8-bit scale, whatever their range.
+        Float frames are taken to be in [0, 1] if, of the values of each, 80% lie in [−0.01, 1.01],
+        99% in [−1, 2], and 99.9% in [−10, 11], so that resampling and sharpening may overshoot and
+        some pixels may be wrong. Otherwise they are taken to be on the 8-bit scale, whatever their
+        range. Frames on that scale so dark that they meet this are taken to be in [0, 1] as well:
+        give them as uint8.
     camera : Camera, optional
         By default the image's centre and a focal length of 600 px, as in the paper, or, because
         depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with

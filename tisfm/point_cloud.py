@@ -9,8 +9,9 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.checks import refuse_masked, unmasked
 
-FARTHEST = 10.0  # median depths: near the horizon of inverse depth its noise throws points far off
+FARTHEST_MEDIANS = 10.0  # depths: near the horizon of inverse depth its noise throws points off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +34,7 @@ class PointCloud(NDArrayOperatorsMixin):
     Raises
     ------
     ValueError
-        If the arrays are not of these shapes and types.
+        If the arrays are not of these shapes and types, or a value is masked.
     """
 
     positions: np.ndarray
@@ -48,6 +49,7 @@ class PointCloud(NDArrayOperatorsMixin):
             ("confidence", (number,), np.float32),
         ):
             array = getattr(self, name)
+            refuse_masked(array, name, "leave out the points that they belong to")
             if array.shape != shape or array.dtype != kind:
                 raise ValueError(
                     f"{name} is {array.shape} {array.dtype}: expected {shape} {np.dtype(kind).name}"
@@ -130,7 +132,7 @@ def point_cloud(
     confidence: np.ndarray,
     occlusion: np.ndarray,
     min_confidence: float = 0.0,
-    max_depth: float | None = FARTHEST,
+    max_depth: float | None = FARTHEST_MEDIANS,
     occluded: bool = False,
 ) -> PointCloud:
     """Take the pixels of a depth map out into space.
@@ -156,8 +158,8 @@ def point_cloud(
     Raises
     ------
     TypeError, ValueError
-        If `min_confidence` is not in [0, 1], or `max_depth` not positive; if the camera has
-        distortion.
+        If `min_confidence` is not in [0, 1], or `max_depth` not positive; if a value is masked; if
+        the camera has distortion.
     """
     check_pinhole(camera, "give the camera of the frame without it, camera.pinhole()")
     _check_number(min_confidence, "min_confidence", "a number in [0, 1]")
@@ -167,6 +169,11 @@ def point_cloud(
         _check_number(max_depth, "max_depth", "a number of median depths, or None")
         if not max_depth > 0:
             raise ValueError(f"max_depth is {max_depth:g}: expected a positive number, or None")
+    depth = unmasked(depth, "depth")
+    frame, confidence, occlusion = (
+        unmasked(array, name, advice=f"fill them first, for instance by {name}.filled(0)")
+        for name, array in (("frame", frame), ("confidence", confidence), ("occlusion", occlusion))
+    )
     kept = np.isfinite(depth) & (depth > 0) & (confidence >= min_confidence)
     if not occluded:
         kept &= ~occlusion

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import Floats, finite
+from tisfm.checks import Floats, finite, refuse_masked
 
 __all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
 
@@ -34,7 +34,7 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     Raises
     ------
     ValueError
-        If `motion` is not six finite numbers.
+        If `motion` is not six finite numbers, none of them masked.
     """
     twist = finite(motion, (6,), "motion")
     velocity, spin = twist[:3], twist[3:]
@@ -145,8 +145,7 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     """
     if pose is None:
         return None
-    if np.ma.is_masked(pose):
-        raise ValueError("pose has masked values: expected a 4×4 or 3×3 array without a mask")
+    refuse_masked(pose, "pose", "expected a 4×4 or 3×3 array without a mask")
     try:
         given = np.asarray(pose)
         if given.dtype.kind in "bc":

@@ -20,7 +20,6 @@ __all__ = ["start"]
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
-_HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _starting = threading.Lock()
 _process: int | None = None  # in which Taichi was started, or found running
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
@@ -139,13 +138,15 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
 
 
 def _arch_of_environment() -> str:
+    from tisfm.kernels.layout.archs import HOSTS
+
     arch = os.environ.get("TI_ARCH", "cpu")
-    if arch not in (*ARCHS, *_HOSTS):
+    if arch not in (*ARCHS, *HOSTS):
         raise ValueError(
             f"the environment variable TI_ARCH is {arch!r}: expected one of "
             f"{', '.join(map(repr, ARCHS))}"
         )
-    return "cpu" if arch in _HOSTS else arch
+    return "cpu" if arch in HOSTS else arch
 
 
 def on_gpu() -> bool:

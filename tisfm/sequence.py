@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
+from tisfm.checks import unmasked
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import in_unit_range
 from tisfm.interpretation import Interpretation
@@ -379,9 +380,10 @@ class _Arrays:
                     f"the source yields {item!r}: expected arrays; give paths as a list, in "
                     "the order of the frames"
                 )
-            # Masks are refused when the pair is interpreted.
-            frame = item if isinstance(item, np.ma.MaskedArray) else np.asarray(item)
-            yield f"frame_{index * self._step:06d}", frame
+            name = f"frame_{index * self._step:06d}"
+            # Its mask is refused when the pair is interpreted.
+            frame = item if isinstance(item, np.ma.MaskedArray) else unmasked(item, name)
+            yield name, frame
 
 
 class _ImageFiles:

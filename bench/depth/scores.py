@@ -9,6 +9,7 @@ from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
 from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, pose_errors
+from tisfm.metrics.known import is_known
 
 CERTAIN = 0.4  # share of the pixels: those of the least relative deviation
 WORST = 3.0  # relative error at which a pixel's is limited
@@ -103,10 +104,9 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
     if estimate.inverse_depth is None:
         return replace(found, abs_rel_all=1.0)
     depth, inverse_depth = depth_of(estimate.inverse_depth), estimate.inverse_depth
-    try:
-        errors_of_depth = depth_errors(depth, pair.depth)
-    except ValueError as error:
-        return replace(found, failure=f"its depth cannot be compared: {error}")
+    if not (known_depth(pair.depth) & np.isfinite(depth)).any():
+        return replace(found, failure="its depth cannot be compared: none where the true one is")
+    errors_of_depth = depth_errors(depth, pair.depth)
     raw = None if pair.raw_depth is None else depth_errors(depth, pair.raw_depth).abs_rel
     return replace(
         found,
@@ -128,6 +128,11 @@ def depth_of(inverse_depth: NDArray) -> NDArray[np.float64]:
     depth = np.full(inverse_depth.shape, np.nan)
     np.divide(1, inverse_depth, out=depth, where=inverse_depth > 0)
     return depth
+
+
+def known_depth(truth: NDArray) -> NDArray[np.bool_]:
+    """Return where a true depth is known, (H, W) bool, as `tisfm.metrics.depth_errors` has it."""
+    return is_known(truth) & (truth > 0)
 
 
 def limited(depth: NDArray) -> NDArray[np.float64]:
@@ -176,10 +181,9 @@ def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None
     total, pixels = 0.0, 0
     for part in parts:
         mine = pair.movers == part
-        try:
-            error = depth_errors(limited(depth), pair.depth, mine).abs_rel
-        except ValueError:
+        if not known_depth(pair.depth)[mine].any():
             return None
+        error = depth_errors(limited(depth), pair.depth, mine).abs_rel
         total, pixels = total + error * mine.sum(), pixels + int(mine.sum())
     return total / pixels if pixels else None
 
@@ -190,7 +194,7 @@ def _within(
     """Return the share of visible pixels off by less than their standard deviation."""
     if estimate.deviation is None or pair.depth is None:
         return None
-    counted = np.isfinite(pair.depth) & (pair.depth > 0)
+    counted = known_depth(pair.depth)
     visible = estimate.visible if pair.visible is None else pair.visible
     if visible is not None:
         counted &= visible

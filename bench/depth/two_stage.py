@@ -13,7 +13,7 @@ from tisfm.camera import Camera
 
 CORRESPONDENCES = 4800  # about so many, on a regular grid
 CONFIDENCE, ITERATIONS = 0.9999, 10_000  # of the random sampling
-FEWEST = 5  # correspondences of a sample
+FEWEST_CORRESPONDENCES = 5  # of a sample
 
 
 class NoMotion(ValueError):  # noqa: N818 (it says what was found, not what went wrong)
@@ -114,7 +114,7 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
     start = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
     end = start + flow[rows.ravel(), columns.ravel()]
     seen = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
-    if np.count_nonzero(seen) < FEWEST:
+    if np.count_nonzero(seen) < FEWEST_CORRESPONDENCES:
         raise NoMotion(f"only {np.count_nonzero(seen)} of {len(seen)} points stay in the image")
     cx, cy = camera.center_for(height, width)
     intrinsic = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1.0]])

@@ -12,7 +12,7 @@ from bench.shared.problems import (
     RATIO,
     RELAXATION,
     SCALES,
-    TOLERATED,
+    TOLERATED_SQUARE,
     UNIQUENESS,
 )
 from tisfm.kernels.data import constraints, derivatives, forward_splatting, image_edges, warp
@@ -145,7 +145,7 @@ class FieldOperations(TaichiSide):
     def share_of_data(self) -> Timed:
         p = self.problem
         given, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
-        options = {"tolerated": TOLERATED, "freedom": 2}
+        options = {"tolerated": TOLERATED_SQUARE, "freedom": 2}
         return lambda: data_precision.share_of_data(given, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:

@@ -11,7 +11,7 @@ from bench.shared.problems import (
     RELAXATION,
     SCALES,
     SMOOTHNESS,
-    TOLERATED,
+    TOLERATED_SQUARE,
     UNIQUENESS,
 )
 from tisfm import reference
@@ -135,7 +135,7 @@ class FieldReferences(NumpySide):
             trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
             product = np.maximum(j11 * j22 - j12**2, 0) * np.maximum(m11 * m22 - m12**2, 0)
             share = 1 - (1 + 0.5 * trace) / (1 + trace + product)  # ½ tr[J M (I + J M)⁻¹]
-            return (share / (1 + residual / TOLERATED))[None]
+            return (share / (1 + residual / TOLERATED_SQUARE))[None]
 
         return run
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
-from bench.shared.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED, Problem
+from bench.shared.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED_SQUARE, Problem
 from tisfm import reference
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
@@ -40,7 +40,7 @@ class DepthOperations(TaichiSide):
             inverse_depth,
             labels,
         )
-        options = {"label": 0, "scales": SCALES, "held": HELD, "tolerated": TOLERATED}
+        options = {"label": 0, "scales": SCALES, "held": HELD, "tolerated": TOLERATED_SQUARE}
         options |= self._motions()
         return (
             lambda: motion_system.motion_system(*arguments, **options),
@@ -141,7 +141,7 @@ class DepthReferences(NumpySide):
             squares = sum(reference.residual(term, identity, moved) for term in p.terms)
             east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
             around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
-            trusted = (p.labels == 0) / (1 + squares / TOLERATED) ** 2
+            trusted = (p.labels == 0) / (1 + squares / TOLERATED_SQUARE) ** 2
             return np.column_stack(
                 reference.motion_system(
                     tensor * trusted, p.inverse_depth[0], HELD * around, p.camera, *pose

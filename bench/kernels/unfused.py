@@ -18,7 +18,7 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
 )
 from tisfm.kernels.solve.linear_system import LinearSystem
-from tisfm.kernels.solve.relaxation import BAND, relax_at
+from tisfm.kernels.solve.relaxation import RELAXATION_BAND, relax_at
 
 
 def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, solver: str) -> None:
@@ -35,7 +35,7 @@ def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, sol
         system.components,
         system.sets,
         solver == "closed_form",
-        max(1, grid.height // BAND),
+        max(1, grid.height // RELAXATION_BAND),
         rho,
     )
 

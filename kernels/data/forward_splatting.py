@@ -6,7 +6,7 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
-BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
+SPLATTING_BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
 BLOCK = 64  # pixels of a row that a thread takes at a time
 
 
@@ -38,7 +38,8 @@ def splat(
     height = residual.shape[0]
     farthest = max(flow[1].max(), -flow[1].min())
     reach = min(int(farthest) + 1, height)  # rows that a pixel can go up or down
-    pairs = height // (2 * max(BAND, 2 * reach))  # of bands: two threads have as many each
+    # Of bands, so that two threads have as many each.
+    pairs = height // (2 * max(SPLATTING_BAND, 2 * reach))
     bands = max(1, 2 * pairs)
     _splat(flow, residual, bands, reach, sums)
 

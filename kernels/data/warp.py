@@ -19,7 +19,7 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 
-BAND = 16  # rows, at least
+WARP_BAND = 16  # rows, at least
 
 
 @operation
@@ -57,7 +57,7 @@ def warp(
     grid.check(mask, 1, "mask")
     if grid.lanes == 1:
         return _warp_sites[1].bind(image, taps, flow, halo, out, mask)
-    bands = 1 if grid.serial else max(1, grid.height // BAND)
+    bands = 1 if grid.serial else max(1, grid.height // WARP_BAND)
     return _warp[grid.lanes].bind(image, taps, flow, halo, grid.serial, bands, out, mask)
 
 

@@ -11,9 +11,10 @@ import taichi as ti
 from taichi.lang import impl
 from taichi.lang.impl import expr_init
 
+from tisfm.kernels.layout.archs import HOSTS
+
 bind = expr_init  # names a value while a kernel is compiled, so that it is computed once
 
-_HOSTS = ("x64", "arm64")  # Taichi's names of a CPU
 _FLOATS, _INTEGERS = (ti.f32, ti.f64), (ti.i32,)
 _NUMPY: dict[str, Any] = {
     "f32": np.dtype(np.float32),
@@ -40,7 +41,7 @@ def configuration() -> Any:
 def arch() -> str:
     """Return where the running program computes: "cpu", or Taichi's name of the arch."""
     name: str = impl.current_cfg().arch.name
-    return "cpu" if name in _HOSTS else name
+    return "cpu" if name in HOSTS else name
 
 
 def materialize() -> None:

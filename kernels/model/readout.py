@@ -9,7 +9,7 @@ from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
-BAND = 16  # rows, at least
+READOUT_BAND = 16  # rows, at least
 
 
 def motion_fields(
@@ -50,7 +50,7 @@ def motion_fields(
     if by_pixel:
         _motion_fields_by_pixel(rho, x_hat, y_hat, 1 / focal, n, flow, inverse_depth)
         return
-    bands = max(1, height // BAND)
+    bands = max(1, height // READOUT_BAND)
     _motion_fields(rho, x_hat, y_hat, 1 / focal, n, bands, flow, inverse_depth)
 
 
@@ -169,7 +169,7 @@ def rigid_fields(
     if by_pixel:
         _rigid_fields_by_pixel(*where, flow, rho)
         return
-    _rigid_fields(*where, max(1, height // BAND), flow, rho)
+    _rigid_fields(*where, max(1, height // READOUT_BAND), flow, rho)
 
 
 @Kernel

@@ -34,7 +34,7 @@ from tisfm.kernels.model.small_spd import (
 )
 
 SOLVERS = ("cholesky", "closed_form")
-BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
+RELAXATION_BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
 AT_ONCE = 64  # sweeps of one band in one launch
 
 
@@ -77,7 +77,7 @@ def bind_sweeps(
         return _repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
-    bands = max(1, 2 * (grid.height // (2 * BAND)))
+    bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
     alone = bands == 1
 
     def launch(repeats: int) -> Callable[[], None]:

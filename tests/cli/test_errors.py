@@ -14,7 +14,7 @@ from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid
 from tisfm import interpretation_file, pair
 from tisfm.cli import demo, outputs
 from tisfm.evaluation import pairs
-from tisfm.formats import write_png
+from tisfm.formats import flo, write_png
 
 
 def damaged(kind, place):
@@ -160,6 +160,37 @@ def test_an_output_that_is_no_folder_is_one_line(
     code, _, err = tisfm_run(command, *source[command], "-o", output)
     assert_one_line(code, err, output, "give another with -o")
     assert (place / "file").read_text() == "mine"
+
+
+LONG = (100_000, 4)  # px: a row more than .flo files can have
+
+
+@pytest.mark.parametrize("size", [LONG, LONG[::-1]])
+def test_frames_beyond_what_files_can_hold_are_one_line(tisfm_run, place, monkeypatch, size):
+    monkeypatch.setattr(pair, "interpret", forbid)
+    for name in ("a.png", "b.png"):
+        write_png(place / name, np.zeros(size, np.uint8))
+    before = set(place.rglob("*"))
+    code, _, err = tisfm_run("run", "a.png", "b.png", "-o", "out", "--preset", "fast")
+    assert_one_line(code, err, f"frame a is {size[0]} × {size[1]} px", 99999, "scale the frames")
+    options = ["--height", size[0], "--width", size[1]]
+    code, _, err = tisfm_run("demo", "-o", "out", *options)
+    assert_one_line(code, err, f"scene is {size[0]} × {size[1]} px", 99999, "scale the frames")
+    assert set(place.rglob("*")) == before
+
+
+def test_pairs_beyond_what_files_can_hold_are_faults(tisfm_run, benchmark_folder, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(flo, "LARGEST_SIDE", 39)
+        patched.setattr(pairs, "interpret", forbid)
+        code, _, err = tisfm_run("eval", "flows", "-o", "out", "--preset", "fast")
+    assert code == 1
+    for name in ("Slow", "Fast"):
+        line = f"tisfm: flows/{name}: frame0 is 24 × 40 px, but its flow goes into a .flo file"
+        assert line in err
+    assert [path.name for path in Path("out").rglob("*")] == ["eval.json"]
+    monkeypatch.setattr(flo, "LARGEST_SIDE", 39)
+    assert tisfm_run("eval", "flows", "--preset", "fast")[0] == 0  # nothing is written
 
 
 @pytest.mark.parametrize("source", ["frames", "frames/*.png", "./frames/../frames"])

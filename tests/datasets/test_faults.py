@@ -1,5 +1,8 @@
 """What is missing, damaged or of another size is named."""
 
+import contextlib
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -16,6 +19,7 @@ from tests.datasets.made import (
     write_tiff,
 )
 from tisfm.datasets import find_pairs
+from tisfm.datasets.disparity import read_disparity
 from tisfm.formats import FormatError, write_flo, write_kitti_flow, write_png
 
 POSE_ROW = "1 0 0 5 0 1 0 6 0 0 1 7"
@@ -141,7 +145,8 @@ def test_truth_that_knows_nothing(data):
         ({"a": np.ones((H, W)), "b": np.ones((H, W))}, "holds 2 arrays, expected one"),
         ({"a": np.ones((H, W, 2))}, r"holds \(30, 44, 2\), expected a disparity map"),
         ({"a": np.ones((H, W), np.int64)}, "holds int64, expected uint8, uint16 or float"),
-        ({"a": np.array([{}])}, "cannot be read as NumPy arrays"),
+        ({"a": np.full((H, W), None)}, "holds object, expected uint8, uint16 or float"),
+        ({}, "holds 0 arrays, expected one"),
     ],
 )
 def test_arrays_that_are_no_disparity(data, arrays, message):
@@ -149,6 +154,67 @@ def test_arrays_that_are_no_disparity(data, arrays, message):
     np.savez(data / "scene_disp.npz", **arrays)
     with pytest.raises(FormatError, match=rf"scene_disp\.npz {message}"):
         find_pairs(data)[1].load()
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_nothing_but_a_map_is_unpacked(tmp_path, count):
+    path = tmp_path / "disp.npz"
+    arrays = {f"part{k}": np.zeros((1000, 1000, 20)) for k in range(count)}
+    np.savez_compressed(path, **arrays)
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match=r"holds (3 arrays|\(1000, 1000, 20\))"):
+            read_disparity(path)
+        assert tracemalloc.get_traced_memory()[1] < 20e6  # an eighth of one of them
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed, np.save])
+def test_too_little_memory_is_no_damage(tmp_path, monkeypatch, save):
+    path = tmp_path / ("disp.npy" if save is np.save else "disp.npz")
+    save(path, np.ones((H, W)))
+
+    def no_memory(*arguments, **options):
+        raise MemoryError
+
+    monkeypatch.setattr(np.lib.format, "read_magic", no_memory)
+    with pytest.raises(MemoryError):
+        read_disparity(path)
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed, np.save])
+def test_damaged_arrays_are_said_to_be(tmp_path, save):
+    path = tmp_path / ("disp.npy" if save is np.save else "disp.npz")
+    save(path, np.arange(20, dtype=np.uint8).reshape(4, 5) + 1)
+    whole = path.read_bytes()
+    np.testing.assert_array_equal(read_disparity(path).ravel(), np.arange(20) + 1)
+    for end in range(len(whole)):
+        path.write_bytes(whole[:end])
+        with pytest.raises(FormatError, match=path.name):
+            read_disparity(path)
+    for place in range(len(whole)):
+        for flip in (1, 0x80, 0xFF):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :])
+            with contextlib.suppress(FormatError):
+                read_disparity(path)
+
+
+@pytest.mark.parametrize("shape", ["(10000000, 100000000)", "(3, 4", "(-3, 4)", "(3, 5)"])
+def test_headers_of_arrays_are_not_believed(tmp_path, shape):
+    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}}}".encode()
+    path = tmp_path / "disp.npy"
+    start = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    path.write_bytes(start + bytes(12))
+    with pytest.raises(FormatError, match=r"disp\.npy"):
+        read_disparity(path)
+
+
+def test_arrays_may_be_stored_by_columns(tmp_path):
+    disparity = np.asfortranarray(np.arange(12, dtype=np.float32).reshape(3, 4))
+    for save, name in ((np.save, "a.npy"), (np.savez, "a.npz"), (np.savez_compressed, "b.npz")):
+        save(tmp_path / name, disparity)
+        np.testing.assert_array_equal(read_disparity(tmp_path / name), disparity)
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,14 @@ def test_load_of_a_foreign_zip(tmp_path):
     refused(tmp_path / "foreign.npz", "it has no about")
 
 
+def test_a_header_that_does_not_end_is_damage(tmp_path):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (3,"
+    start = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(tmp_path / "open.npz", "w") as file:
+        file.writestr("about.npy", start + bytes(24))
+    refused(tmp_path / "open.npz", "not a whole .npz file")
+
+
 # Parts that nobody asked for
 
 

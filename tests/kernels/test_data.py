@@ -68,12 +68,12 @@ def test_warp(size, lanes, make_problem):
 @each_lanes
 @pytest.mark.parametrize("halo", [1, 2])
 def test_warp_in_parallel_and_to_any_halo(lanes, halo, make_problem):
-    from tisfm.kernels.data.warp import BAND, warp
+    from tisfm.kernels.data.warp import WARP_BAND, warp
     from tisfm.kernels.layout.images import image_to_lanes
     from tisfm.kernels.layout.lanes import SERIAL
     from tisfm.solver.sampling import spline_taps
 
-    size = (6 * BAND + 5, 131)
+    size = (6 * WARP_BAND + 5, 131)
     assert size[0] * size[1] > SERIAL
     problem = make_problem(*size, 2, lanes)
     grid, rng = problem.grid, np.random.default_rng(3)

@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from tests.rendered import static_scene, two_blocks
-from tisfm.motion.egomotion import camera_motion, triangulate
+from tisfm.motion.egomotion import camera_motion, hold_scale, triangulate
 from tisfm.rigid import rigid_motion
 from tisfm.scenes.ready import STATIC_KINDS
 
@@ -114,3 +114,19 @@ def test_from_frames(kind):
 def test_nothing_trusted_is_an_error():
     with pytest.raises(ValueError, match="needs at least 8"):
         camera_motion(np.zeros((*SIZE, 2)), np.zeros(SIZE), tisfm.Camera())
+
+
+def test_normal_equations_are_made_regular_along_the_scale():
+    direction = np.array([0.6, 0.0, 0.8])
+    slope = np.random.default_rng(0).normal(size=(6, 40))
+    slope[:3] -= np.outer(direction, direction @ slope[:3])  # nothing depends on the length of t
+    normal = slope @ slope.T
+    along = np.concatenate([direction, np.zeros(3)])
+    held = hold_scale(normal, direction)
+    assert np.linalg.cond(held) < 1e3 < 1e9 < np.linalg.cond(normal)
+    assert along @ held @ along == pytest.approx(np.trace(normal))
+    across = np.eye(6) - np.outer(along, along)
+    kept = across @ (held - normal) @ across
+    assert np.abs(kept).max() <= 1.1e-9 * np.trace(normal)
+    nothing = hold_scale(np.zeros((6, 6)), direction)
+    assert not np.linalg.solve(nothing, np.zeros(6)).any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tisfm.solver.image_pyramid import (
-    COARSEST_SIDE,
+    COARSEST_FRAME_SIDE,
     gaussian_pyramid,
     level_count,
     smooth,
@@ -31,8 +31,8 @@ def test_level_count():
     for factor in (0.5, 0.6, 0.7, 0.8, 0.95):
         image = np.zeros((480, 640), np.float32)
         coarsest = gaussian_pyramid(image, factor, level_count(480, 640, factor))[-1]
-        assert min(coarsest.shape) >= COARSEST_SIDE - 1
-        assert min(coarsest.shape) * factor < COARSEST_SIDE + 1
+        assert min(coarsest.shape) >= COARSEST_FRAME_SIDE - 1
+        assert min(coarsest.shape) * factor < COARSEST_FRAME_SIDE + 1
 
 
 def test_smoothing_keeps_constants_and_reduces_noise():

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from tisfm.evaluation.pairs import PairEvaluation
 from tisfm.evaluation.pairs import evaluate as evaluate_pairs
 from tisfm.evaluation.tables import evaluation_tables
 from tisfm.focal_guess import guess_focal
+from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.outputs import InputFiles
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
@@ -60,6 +61,10 @@ def run(
     _refuse_mixing(source, pairs.files, output)
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
+    first = next(posed)  # before anything is written; the others have its size
+    require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
+    posed = chain([first], posed)
+    del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
     if guess:
         camera = _guessed(camera, pairs)
@@ -148,6 +153,7 @@ def evaluate(
             settings=settings,
             give_poses=give_poses,
             max_depth=max_depth,
+            on_load=None if writer is None else _require_writable,
             on_pair=finish_pair,
         )
     if writer is not None:
@@ -205,6 +211,11 @@ def _write(
         pose=None if pair.pose is None else np.asarray(pair.pose),
         baseline_flow=baseline,
     )
+
+
+def _require_writable(loaded: LoadedPair) -> None:
+    """Refuse frames that are too large for the files of `tisfm eval`."""
+    require_writable_flow("frame0", *loaded.frame0.shape[:2])
 
 
 def _refuse_mixing(source: Source, files: Iterable[Path], output: Path) -> None:

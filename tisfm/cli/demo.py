@@ -11,6 +11,7 @@ from tisfm import runtime
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.outputs import ENDINGS, RECORD, PairWriter
 from tisfm.cli.paper_figures import PAPER_FIGURES, write_paper_figures
+from tisfm.formats.flo import require_writable_flow
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import (
@@ -59,6 +60,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         raise ValueError(
             f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
         )
+    require_writable_flow("the demo scene", height, width)
     folders = output, output / "camera", output / "objects"
     _refuse_foreign(folders)
     runtime.start(threads=threads)

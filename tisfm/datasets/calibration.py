@@ -10,6 +10,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_bytes
+from tisfm.formats.tagged import TAG
 
 STATED_SIZE = (480, 640)
 """Height and width of the frames that `STATED` is about, px."""
@@ -32,7 +33,6 @@ _NAMES = ("fx", "fy", "cx", "cy")
 _LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
 _DEPTH_SCALE = "depth_scale"
 _CAM = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
-_CAM_TAG = 202021.25
 
 
 def read_camera(path: Path, frame: Path) -> Camera:
@@ -149,8 +149,8 @@ def _sintel_matrix(path: Path) -> np.ndarray:
     if len(data) != _CAM.size:
         raise FormatError(f"{path} is no .cam file: {len(data)} bytes, expected {_CAM.size}")
     tag, *numbers = _CAM.unpack(data)
-    if tag != _CAM_TAG:
-        raise FormatError(f"{path} is no .cam file: its tag is {tag}, expected {_CAM_TAG}")
+    if tag != TAG:
+        raise FormatError(f"{path} is no .cam file: its tag is {tag}, expected {TAG}")
     return np.array(numbers[:9]).reshape(3, 3)
 
 

@@ -1,15 +1,26 @@
 """Disparities of stereo pairs."""
 
 import io
+import math
 import os
+import zipfile
+import zlib
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError, read_image
+from tisfm.formats.npz import DAMAGE
 from tisfm.formats.reading import read_bytes
 
 _KITTI_STEPS = 256  # 16-bit file values per pixel of disparity
+_ZIP = b"PK"  # what .npz files begin with
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may unpack to any size at once
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -32,15 +43,14 @@ def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
         If the file is damaged, or does not hold one (H, W) map of these types.
     OSError
         If the file does not exist or cannot be read.
+    MemoryError
+        If memory does not suffice for the map.
     """
     name = os.fspath(path)
     stored = _read_array(name) if name.lower().endswith((".npy", ".npz")) else read_image(name)
-    if stored.ndim != 2 or stored.size == 0:
-        raise FormatError(f"{name} holds {stored.shape}, expected a disparity map, (H, W)")
+    _check_map(name, stored.shape, stored.dtype)
     if stored.dtype.kind == "f":
         return np.where(np.isfinite(stored), stored, np.nan).astype(np.float32)
-    if stored.dtype not in (np.uint8, np.uint16):
-        raise FormatError(f"{name} holds {stored.dtype}, expected uint8, uint16 or float")
     disparity = stored.astype(np.float32)
     if stored.dtype == np.uint16:
         disparity /= np.float32(_KITTI_STEPS)
@@ -48,17 +58,46 @@ def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return disparity
 
 
-def _read_array(name: str) -> NDArray[np.generic]:
-    """Return the one array of an .npy or .npz file."""
+def _read_array(name: str) -> NDArray[Any]:
+    """Return the one map of an .npy or .npz file; nothing else in it is unpacked."""
     data = read_bytes(name)
     try:
-        loaded = np.load(io.BytesIO(data), allow_pickle=False)
-        arrays = (
-            [loaded] if isinstance(loaded, np.ndarray) else [loaded[key] for key in loaded.files]
-        )
-    except Exception as error:  # the decoders raise whatever a damaged file leads them to
+        if not data.startswith(_ZIP):
+            return _read_npy(name, io.BytesIO(data), len(data))
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            parts = archive.infolist()
+            if len(parts) != 1:
+                raise FormatError(f"{name} holds {len(parts)} arrays, expected one: the disparity")
+            if parts[0].compress_type not in _PACKINGS:
+                raise FormatError(f"{name} is packed as NumPy never does it: unpack it")
+            with archive.open(parts[0]) as part:
+                return _read_npy(name, part, parts[0].file_size)
+    except FormatError:
+        raise
+    except (*DAMAGE, zlib.error) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{name} cannot be read as NumPy arrays: {reason}") from error
-    if len(arrays) != 1:
-        raise FormatError(f"{name} holds {len(arrays)} arrays, expected one: the disparity")
-    return arrays[0]
+
+
+def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
+    """Return the map of an .npy file of so many bytes, whose header is checked first."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADERS:
+        raise ValueError(f"its header is of version {version}")
+    shape, by_columns, dtype = _HEADERS[version](file)
+    _check_map(name, shape, dtype)
+    expected, rest = math.prod(shape) * dtype.itemsize, length - file.tell()
+    if rest != expected:
+        raise FormatError(
+            f"{name} is damaged: {rest} bytes of numbers, expected {expected} for {shape} {dtype}"
+        )
+    numbers = file.read(expected)
+    file.read(1)  # the end, where the check sum is compared
+    return np.frombuffer(numbers, dtype).reshape(shape, order="F" if by_columns else "C")
+
+
+def _check_map(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    if len(shape) != 2 or min(shape) < 1:
+        raise FormatError(f"{name} holds {shape}, expected a disparity map, (H, W)")
+    if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):
+        raise FormatError(f"{name} holds {dtype}, expected uint8, uint16 or float")

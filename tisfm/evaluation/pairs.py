@@ -78,6 +78,7 @@ def evaluate(
     settings: Settings | None = None,
     give_poses: bool = False,
     max_depth: float | None = None,
+    on_load: Callable[[LoadedPair], None] | None = None,
     on_pair: Callable[[PairEvaluation, Interpretation | None, LoadedPair | None], None]
     | None = None,
 ) -> Evaluation:
@@ -101,6 +102,9 @@ def evaluate(
         Whether every true pose is given, and only depth is compared, for ``motion="camera"``.
     max_depth : float, optional
         True depth beyond it is taken to be unknown; in the unit of the dataset.
+    on_load : callable, optional
+        Called with what was loaded of a pair before it is interpreted. An error that it raises is
+        the fault of the pair.
     on_pair : callable, optional
         Called after every pair with its evaluation, the interpretation and what was loaded (None
         for a pair with a fault). An error that it raises is the fault of the pair, and it is then
@@ -139,6 +143,8 @@ def evaluate(
             loaded = pair.load()
             taken_by = camera or loaded.camera or Camera()
             loaded = _prepared(loaded, taken_by, give_poses=give_poses, max_depth=max_depth)
+            if on_load is not None:
+                on_load(loaded)
             kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
             if kind not in compiled:
                 _warm_up(settings, *kind)

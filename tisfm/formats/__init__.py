@@ -1,9 +1,9 @@
 """Files: optical flow, pictures and depth.
 
 Readers refuse a file that is not complete, with a `FormatError` that names it; writers leave a
-complete file or none.
+complete file or none. They refuse arrays with masked values, for which no format has a place.
 
-May import: nothing of `tisfm`.
+May import: of the top level `checks`.
 """
 
 from tisfm.formats.atomic import atomic_write

@@ -9,7 +9,8 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+from tisfm.formats.png import SIGNATURE
+
 # TIFF value types to NumPy: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
 _TIFF_TYPES = {
     1: "u1", 2: "u1", 3: "u2", 4: "u4", 5: "V8", 6: "i1", 7: "u1", 8: "i2", 9: "i4", 10: "V8",
@@ -32,7 +33,7 @@ def missing_part(data: bytes) -> str | None:
     str or None
         What is missing, such as "its end mark"; None if nothing is, or for another format.
     """
-    if data.startswith(_PNG_SIGNATURE):
+    if data.startswith(SIGNATURE):
         return _missing_from_png(data)
     if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         try:
@@ -44,7 +45,7 @@ def missing_part(data: bytes) -> str | None:
 
 def _missing_from_png(data: bytes) -> str | None:
     """Walk the chunks (length, type, payload, check sum) up to the end mark."""
-    position = len(_PNG_SIGNATURE)
+    position = len(SIGNATURE)
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
         position += 12 + length

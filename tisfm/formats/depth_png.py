@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
+from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
@@ -39,9 +40,10 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     Raises
     ------
     ValueError
-        If no depth is valid. (An answer such as 1.0 could be kept by mistake for a sequence.)
+        If a value is masked, or no depth is valid. (An answer such as 1.0 could be kept by mistake
+        for a sequence.)
     """
-    values = np.asarray(depth, dtype=np.float64)
+    values = unmasked(depth, "depth", np.float64)
     valid = values[_is_valid(values)]
     if valid.size == 0:
         raise ValueError(
@@ -70,11 +72,11 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     Raises
     ------
     ValueError
-        If `depth` is not (H, W) or `scale` is not a finite positive number.
+        If `depth` is not (H, W), has a masked value, or `scale` is not a finite positive number.
     OSError
         If the file cannot be written.
     """
-    values = np.asarray(depth, dtype=np.float64)
+    values = unmasked(depth, "depth", np.float64)
     if values.ndim != 2 or values.size == 0:
         raise ValueError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)

@@ -50,7 +50,7 @@ def write_dpt(path: str | os.PathLike[str], depth: ArrayLike) -> None:
     Raises
     ------
     ValueError
-        If `depth` is not (H, W) with 1 to 99999 rows and columns.
+        If `depth` is not (H, W) with 1 to 99999 rows and columns, or a value is masked.
     TypeError
         If `depth` does not hold real numbers.
     OSError

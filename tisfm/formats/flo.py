@@ -5,7 +5,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.formats.tagged import read_tagged, write_tagged
+from tisfm.formats.tagged import LARGEST_SIDE, read_tagged, write_tagged
 
 
 def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -50,10 +50,19 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     Raises
     ------
     ValueError
-        If `flow` is not (H, W, 2) with 1 to 99999 rows and columns.
+        If `flow` is not (H, W, 2) with 1 to 99999 rows and columns, or a value is masked.
     TypeError
         If `flow` does not hold real numbers.
     OSError
         If the file cannot be written.
     """
     write_tagged(path, "flow", flow, channels=2)
+
+
+def require_writable_flow(name: str, height: int, width: int) -> None:
+    """Raise ValueError unless a .flo file can hold the flow of a frame, by its name and size."""
+    if max(height, width) > LARGEST_SIDE:
+        raise ValueError(
+            f"{name} is {height} × {width} px, but its flow goes into a .flo file, whose sides are "
+            f"at most {LARGEST_SIDE} px: scale the frames down"
+        )

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.png import encode_png
+from tisfm.formats.png import SIGNATURE, encode_png
 from tisfm.formats.reading import opencv_memory, read_bytes
 
 IMAGE_SUFFIXES = (
@@ -31,7 +32,7 @@ PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
 _BITS_PER_SAMPLE, _EXTRA_SAMPLES = 258, 338  # tags of TIFF
 _SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
-_KNOWN_BEGINNINGS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
+_KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
 _log_level_lock = threading.Lock()
 
 
@@ -114,11 +115,11 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     TypeError
         If `image` is not uint8 or uint16.
     ValueError
-        If `image` has another shape or no pixels.
+        If `image` has another shape, no pixels, or a masked value.
     OSError
         If the file cannot be written.
     """
-    image = np.asarray(image)
+    image = unmasked(image, "image", advice="fill them first, for instance by image.filled(0)")
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise TypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")

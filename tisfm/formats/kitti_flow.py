@@ -65,8 +65,8 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     Raises
     ------
     ValueError
-        If `flow` is not (H, W, 2), or a known flow is outside -512 to 511.984375 px, which the
-        format cannot hold.
+        If `flow` is not (H, W, 2), a value is masked, or a known flow is outside -512 to
+        511.984375 px, which the format cannot hold.
     TypeError
         If `flow` does not hold real numbers.
     OSError

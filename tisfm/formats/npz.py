@@ -5,6 +5,7 @@ import errno
 import math
 import os
 import struct
+import tokenize
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from types import TracebackType
@@ -20,7 +21,7 @@ from tisfm.formats.reading import open_file
 _SUFFIX = ".npy"
 _ENCRYPTED = 1  # bit of a part's flags
 # What zipfile and NumPy's reader of headers raise for damaged files.
-_DAMAGE = (
+DAMAGE = (
     zipfile.BadZipFile,
     zipfile.LargeZipFile,
     EOFError,
@@ -34,6 +35,7 @@ _DAMAGE = (
     TypeError,
     ValueError,
     struct.error,
+    tokenize.TokenError,
 )
 
 
@@ -173,7 +175,7 @@ class NpzFile:
         """Call a decoder; what a damaged file leads it to raise becomes a FormatError."""
         try:
             return function(*arguments)
-        except _DAMAGE as error:
+        except DAMAGE as error:
             if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
                 raise  # of the disk; EINVAL is a seek to before the file's beginning
             reason = " ".join(str(error).split())

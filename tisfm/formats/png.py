@@ -13,7 +13,7 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+SIGNATURE = b"\x89PNG\r\n\x1a\n"  # what the files begin with
 _GREY, _COLOUR = 0, 2  # colour types of the header
 _UP = 2  # filter: every byte less the one above it
 _LEVEL = 1  # of ISA-L's four: smaller than 0 by a fifth, and hardly larger than 2 and 3
@@ -41,7 +41,7 @@ def encode_png(image: NDArray[Any], texts: Mapping[str, str] | None = None) -> I
     """
     height, width = image.shape[:2]
     kind = _COLOUR if image.ndim == 3 else _GREY
-    yield _SIGNATURE
+    yield SIGNATURE
     header = (width, height, 8 * image.itemsize, kind, 0, 0, 0)
     yield from _chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
     for keyword, text in (texts or {}).items():

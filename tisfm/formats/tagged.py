@@ -6,15 +6,20 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.errors import FormatError
 from tisfm.formats.reading import read_bytes
 
-# The float32 202021.25, whose little-endian bytes read "PIEH": a check of type and byte order.
-_TAG = struct.pack("<f", 202021.25)
+TAG = 202021.25
+"""Tag of .flo, .dpt and Sintel's .cam files: a check of type and byte order. The little-endian
+bytes of this float32 read "PIEH"."""
+
+_TAG = struct.pack("<f", TAG)
 _HEADER = struct.Struct("<4sii")
 LARGEST_SIDE = 99_999
-"""Beyond this a size is the sign of a damaged header, not of a picture."""
+"""Middlebury's readers of .flo files, and Sintel's of .dpt files, refuse greater sizes, which they
+take for the sign of a damaged header."""
 
 
 def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> NDArray[np.float32]:
@@ -87,7 +92,7 @@ def write_tagged(
     Raises
     ------
     ValueError
-        If the shape is another, or a side is not from 1 to 99999.
+        If the shape is another, a side is not from 1 to 99999, or a value is masked.
     TypeError
         If `values` does not hold real numbers.
     OSError
@@ -108,8 +113,8 @@ def write_tagged(
 
 
 def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
-    """Return an array of real numbers, or raise a TypeError that names it."""
-    array = np.asarray(values)
+    """Return an array of real numbers without a mask, or raise an error that names it."""
+    array = unmasked(values, name)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers, such as float32")
     return array

@@ -1,9 +1,9 @@
 """Errors of flow, depth, occlusion, pose and deviation against the truth.
 
 They are those that the usual benchmarks define. Pixels whose truth is unknown never count: those
-where it is not finite or above 1e9 in magnitude, the Middlebury convention. Sums are float64
-whatever the input.
-May import: of the top level `rigid`.
+where it is not finite or above 1e9 in magnitude, the Middlebury convention. Masked arrays are
+refused if a value is masked. Sums are float64 whatever the input.
+May import: of the top level `checks` and `rigid`.
 """
 
 from tisfm.metrics.calibration import std_coverage

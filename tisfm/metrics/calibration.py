@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tisfm.checks import unmasked, unmasked_mask
+
 
 def std_coverage(
     inverse_depth: ArrayLike,
@@ -33,10 +35,12 @@ def std_coverage(
     Raises
     ------
     ValueError
-        If shapes differ, or no pixel that counts has a known truth and a positive estimate.
+        If shapes differ, a value is masked, or no pixel that counts has a known truth and a
+        positive estimate.
     """
-    found, deviation = (np.asarray(a, np.float64) for a in (inverse_depth, inverse_depth_std))
-    true = np.asarray(truth, np.float64)
+    found = unmasked(inverse_depth, "inverse_depth", np.float64)
+    deviation = unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
+    true = unmasked(truth, "truth", np.float64)
     counts = np.isfinite(true) & (true > 0)
     shapes = {"inverse_depth_std": deviation.shape, "truth": true.shape}
     if mask is not None:
@@ -47,7 +51,7 @@ def std_coverage(
                 f"inverse_depth is {found.shape} and {name} is {shape}: expected the same shape"
             )
     if mask is not None:
-        counts &= np.asarray(mask, bool)
+        counts &= unmasked_mask(mask, "mask")
     ratio = found[counts] * true[counts]
     if not (ratio > 0).any():
         raise ValueError(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.metrics.known import counting, is_known
 
 
@@ -72,8 +73,8 @@ def depth_errors(
     Raises
     ------
     ValueError
-        If shapes differ, `align` is unknown, or no pixel has both a known truth and a valid
-        estimate.
+        If shapes differ, a value is masked, `align` is unknown, or no pixel has both a known truth
+        and a valid estimate.
 
     References
     ----------
@@ -148,7 +149,8 @@ def _depths(
     """
     if align not in ("median", None):
         raise ValueError(f"align is {align!r}: expected 'median' or None")
-    estimate, true = np.asarray(depth, np.float64), np.asarray(truth, np.float64)
+    estimate = unmasked(depth, "depth", np.float64)
+    true = unmasked(truth, "truth", np.float64)
     if estimate.shape != true.shape or true.ndim != 2:
         raise ValueError(
             f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"

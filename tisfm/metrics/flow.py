@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.metrics.known import counting, is_known
 
 
@@ -28,7 +29,7 @@ def endpoint_error_map(
     Raises
     ------
     ValueError
-        If shapes differ, or no pixel counts.
+        If shapes differ, a value is masked, or no pixel counts.
     """
     estimate, truth, counts = _flows(flow, truth, mask)
     counts &= np.isfinite(estimate).all(axis=-1)
@@ -53,7 +54,8 @@ def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None 
     Raises
     ------
     ValueError
-        If shapes differ, no pixel counts, or the flow is not finite where one does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
+        does.
 
     References
     ----------
@@ -80,7 +82,8 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
     Raises
     ------
     ValueError
-        If shapes differ, no pixel counts, or the flow is not finite where one does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
+        does.
 
     References
     ----------
@@ -123,7 +126,7 @@ def outlier_rate(
     Raises
     ------
     ValueError
-        If shapes differ, or no pixel counts.
+        If shapes differ, a value is masked, or no pixel counts.
 
     References
     ----------
@@ -178,7 +181,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
     Raises
     ------
     ValueError
-        If shapes differ, no pixel counts, or the flow is not finite where one does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
+        does.
     """
     estimate, known = _finite_pairs(flow, truth, mask)
     # All of them at once below: a mask would be applied once for each.
@@ -194,7 +198,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
 
 def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:
     """Check a pair of flows; return them in float64 with the map of pixels that count."""
-    estimate, truth = np.asarray(flow, np.float64), np.asarray(truth, np.float64)
+    estimate = unmasked(flow, "flow", np.float64)
+    truth = unmasked(truth, "truth", np.float64)
     if estimate.shape != truth.shape or truth.ndim != 3 or truth.shape[-1] != 2:
         raise ValueError(
             f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "

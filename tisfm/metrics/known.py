@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked_mask
+
 UNKNOWN = 1e9
 
 
@@ -16,7 +18,7 @@ def counting(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_
     """Return where a mask counts: everywhere without one."""
     if mask is None:
         return np.ones(shape, bool)
-    counting = np.asarray(mask) != 0
+    counting = unmasked_mask(mask, "mask")
     if counting.shape != shape:
         raise ValueError(f"mask is {counting.shape}: expected the shape of the truth, {shape}")
     return counting

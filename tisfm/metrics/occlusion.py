@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
+from tisfm.checks import unmasked_mask
 from tisfm.metrics.known import counting
 
 
@@ -69,9 +69,9 @@ def occlusion_scores(
     Raises
     ------
     ValueError
-        If shapes differ, or no pixel counts.
+        If shapes differ, a value is masked, or no pixel counts.
     """
-    found, true = np.asarray(occlusion, bool), np.asarray(truth, bool)
+    found, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
     if found.shape != true.shape or found.ndim != 2:
         raise ValueError(
             f"occlusion is {found.shape} and truth is {true.shape}: both must be (H, W)"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.rigid import is_rotation
 
 
@@ -41,7 +42,8 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Raises
     ------
     ValueError
-        If one is not (4, 4), not finite, or its upper left part is no rotation.
+        If one is not (4, 4), has a masked value, is not finite, or its upper left part is no
+        rotation.
 
     References
     ----------
@@ -66,7 +68,7 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
 
 def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
     """Return rotation and translation of a checked rigid motion."""
-    matrix = np.asarray(pose, np.float64)
+    matrix = unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(
             f"{name} is {matrix.shape} {matrix.tolist()}: expected a finite (4, 4) matrix"

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.outcome import Status
-from tisfm.visibility.confidence import WINDOW
+from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
@@ -103,7 +103,7 @@ def _moved(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
 
 
 def _mean(image: np.ndarray) -> np.ndarray:
-    return cv2.blur(image, (WINDOW, WINDOW))
+    return cv2.blur(image, (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW))
 
 
 def _variance(image: np.ndarray, mean: np.ndarray) -> np.ndarray:

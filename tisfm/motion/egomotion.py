@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
+from tisfm.checks import unmasked
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.visibility.confidence import median
 
@@ -18,7 +19,12 @@ SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
 SMALLEST_SCALE = 0.01  # px: no flow is better than that
 SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
 CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
-FEWEST = 8  # confident samples, at least: essential matrices are drawn from 5, and more decide
+FEWEST_SAMPLES = 8  # that are confident: essential matrices are drawn from 5, and more decide
+MAD_TO_DEVIATION = 1.4826  # of a normal distribution: its deviation over its median distance
+LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30  # of normal equations, the former of their trace
+# In place of what may be 0 and divides: lengths and squares of normalised vectors, and the typical
+# displacement of flow that is a rotation.
+LEAST_LENGTH, LEAST_SQUARE, LEAST_DISPLACEMENT = 1e-9, 1e-18, 1e-12
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 
@@ -93,7 +99,7 @@ def camera_motion(
     TooFewPixelsError
         A ValueError: if too few pixels are trusted.
     ValueError
-        If the camera has distortion.
+        If the camera has distortion, or a value is masked.
 
     References
     ----------
@@ -102,9 +108,13 @@ def camera_motion(
     problem", PAMI 2004, doi 10.1109/TPAMI.2004.17.
     """
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
+    flow = unmasked(flow, "flow")
+    confidence = unmasked(
+        confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
+    )
     rays = _correspondences(flow, confidence, camera)
     few = rays.every(max(1, rays.trust.size // FEW))
-    if few.confident.sum() < FEWEST:  # they lie in a small part of the image
+    if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
         few = rays
     free = _Free(unknowns=6 if rotation is None else 3, near=near)
     starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
@@ -121,7 +131,7 @@ def camera_motion(
         rotation=turn,
         translation=translation,
         rotation_alone=alone,
-        residual=1.4826 * _weighted_median(distance, rays.trust),
+        residual=_robust_deviation(distance, rays.trust),
         parallax=camera.focal * float(np.median(_length(_beyond(rays, alone)))),
         inliers=float((distance <= 3 * scale).mean()),
     )
@@ -163,7 +173,7 @@ def distance_from_rays(
     nearest = _nearest(rays, rotation, translation / np.linalg.norm(translation))
     end = camera.focal * _length(_beyond(rays, rotation))
     off = np.where(nearest.inverse_depth > 0, np.abs(nearest.distance), end)
-    return 1.4826 * _weighted_median(off, rays.trust)
+    return _robust_deviation(off, rays.trust)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,6 +253,22 @@ def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[fl
     return CORRELATED * (noise / SPIN) ** 2, offset
 
 
+def hold_scale(normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the normal equations of a step in (t, ω), made regular.
+
+    Along t the scale changes, which nothing tells: it is held.
+
+    Parameters
+    ----------
+    normal : (6, 6)
+    direction : (3,)
+        Of t, of length 1.
+    """
+    along = np.concatenate([direction, np.zeros(3)])
+    held = np.outer(along, along) + LEAST_STIFFNESS * np.eye(6)
+    return normal + (np.trace(normal) + LEAST_TRACE) * held
+
+
 def triangulate(
     before: np.ndarray, after: np.ndarray, rotation: np.ndarray, translation: np.ndarray
 ) -> np.ndarray:
@@ -269,7 +295,7 @@ def _inverse_depth(turned: np.ndarray, after: np.ndarray, translation: np.ndarra
     along_y = translation[1] - after[1] * translation[2]
     pulled = (after[0] * turned[2] - turned[0]) * along_x
     pulled += (after[1] * turned[2] - turned[1]) * along_y
-    return pulled / np.maximum(along_x * along_x + along_y * along_y, 1e-18)
+    return pulled / np.maximum(along_x * along_x + along_y * along_y, LEAST_SQUARE)
 
 
 def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> _Rays:
@@ -282,10 +308,10 @@ def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -
     trust = confidence[rows, columns].astype(np.float64)
     taken = (trust > 0) & np.isfinite(moved).all(axis=1)
     confident = int((trust[taken] > CONFIDENT).sum())
-    if confident < FEWEST:
+    if confident < FEWEST_SAMPLES:
         raise TooFewPixelsError(
             f"only {confident} of {trust.size} sampled pixels have a confidence above "
-            f"{CONFIDENT}: the camera's motion needs at least {FEWEST}"
+            f"{CONFIDENT}: the camera's motion needs at least {FEWEST_SAMPLES}"
         )
     cx, cy = camera.center_for(height, width)
     start = np.stack([columns - cx, rows - cy])[:, taken]
@@ -351,13 +377,11 @@ def _refine(
             translation = -translation
             nearest = _nearest(rays, rotation, translation)
         distance, slope = nearest.distance, _slope(nearest, rays.focal)
-        scale = max(1.4826 * _weighted_median(np.abs(distance), rays.trust), SMALLEST_SCALE)
+        scale = max(_robust_deviation(np.abs(distance), rays.trust), SMALLEST_SCALE)
         weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
         weight *= np.where(nearest.inverse_depth > 0, 1.0, 0.2)  # behind the camera
         normal = (slope * weight) @ slope.T
-        # Along t the scale changes, which nothing tells: hold it.
-        along = np.concatenate([translation, np.zeros(3)])
-        normal += (np.trace(normal) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(6))
+        normal = hold_scale(normal, translation)
         pull = slope @ (weight * distance)
         if free.near is not None:
             stiffness, offset = spin_prior(rotation, free.near, scale)
@@ -389,7 +413,7 @@ def _nearest(rays: _Rays, rotation: np.ndarray, translation: np.ndarray) -> _Nea
     x = (turned[0] + inverse_depth * translation[0]) * nearness
     y = (turned[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
-    inverse = 1 / np.maximum(np.sqrt(normal_x * normal_x + normal_y * normal_y), 1e-9)
+    inverse = 1 / np.maximum(np.sqrt(normal_x * normal_x + normal_y * normal_y), LEAST_LENGTH)
     normal_x *= inverse
     normal_y *= inverse
     return _Nearest(
@@ -429,7 +453,7 @@ def _rotation_alone(rays: _Rays) -> np.ndarray:
         left = _beyond(rays, rotation)
         x, y = rays.after - left
         length = _length(left)
-        weight = 1 / np.maximum(length, max(median(length), 1e-12))  # Huber's
+        weight = 1 / np.maximum(length, max(median(length), LEAST_DISPLACEMENT))  # Huber's
         horizontal = np.stack([-x * y, 1 + x * x, -y])
         vertical = np.stack([-1 - y * y, x * y, x])
         normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
@@ -453,6 +477,11 @@ def _beyond(rays: _Rays, rotation: np.ndarray) -> np.ndarray:
 def _length(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths of vectors, (2, N)."""
     return np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1])
+
+
+def _robust_deviation(distances: np.ndarray, weights: np.ndarray) -> float:
+    """Return the standard deviation that normally distributed distances (N,), unsigned, have."""
+    return MAD_TO_DEVIATION * _weighted_median(distances, weights)
 
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

@@ -32,7 +32,7 @@ COST = 2.4
 NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.05), np.float32(0.3)
 STEP, JUMP = 0.3, 5.0  # of a change of depth along a path
 EDGE = 1.2  # steps between neighbours at which a jump costs half
-FAINTEST = 0.01  # grey levels: the least mean step
+FAINTEST_STEP = 0.01  # grey levels: the least mean step
 HIDDEN = 0.02  # what the cost of a pixel that is not seen in frame 1 counts for
 BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
 
@@ -201,7 +201,7 @@ def swept(
     height, width = frame0.shape
     count, wide = len(hypotheses), lanes()
     padded = -(-count // wide) * wide
-    unit = max(mean_step(frame0), FAINTEST)
+    unit = max(mean_step(frame0), FAINTEST_STEP)
     cost = aligned_empty((height, width, padded))
     cost[..., count:] = FORBIDDEN
     matching_cost(

@@ -14,7 +14,7 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
-from tisfm.motion.egomotion import spin_prior
+from tisfm.motion.egomotion import hold_scale, spin_prior
 from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
@@ -29,7 +29,7 @@ MEDIAN = 5  # px, a window for depth after each linearisation
 QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
-WINDOW = 15  # px, over which curvature and residual are averaged for the deviation of depth
+DEVIATION_WINDOW = 15  # px, over which curvature and residual are averaged for it
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
@@ -75,7 +75,7 @@ class RigidSolution:
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
         pixel's edges weigh, and the unit is the residual there.
         """
-        window, known = (WINDOW, WINDOW), self.precision
+        window, known = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
         precision = cv2.blur(known[0], window)
         precision += LEAST_DIVISOR
         residual = cv2.blur(known[3], window)
@@ -389,9 +389,7 @@ def _stepped(
     length = np.linalg.norm(translation)
     if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
         return motion
-    # Along t the scale changes, which nothing tells: hold it.
-    along_t = np.concatenate([translation / length, np.zeros(3)])
-    matrix = matrix + (np.trace(matrix) + 1e-30) * (np.outer(along_t, along_t) + 1e-9 * np.eye(6))
+    matrix = hold_scale(matrix, translation / length)
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
     turn = cv2.Rodrigues(step[3:])[0]

@@ -11,7 +11,7 @@ from tisfm.rigid import rigid_motion
 from .texture import Texture
 
 # Surfaces farther than this count as missed, which keeps grazing rays finite.
-FARTHEST = 1e9
+FARTHEST_SURFACE = 1e9
 # Shade by direction of a box's face, -X +X -Y +Y -Z +Z: the top light, one side in the shade.
 FACE_SHADES = (0.66, 0.76, 1.16, 0.6, 0.98, 0.86)
 
@@ -58,7 +58,7 @@ class Plane:
 
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
         depth = -origin[2] / ray[2]
-        return np.where((depth > 0) & (depth < FARTHEST), depth, np.inf)
+        return np.where((depth > 0) & (depth < FARTHEST_SURFACE), depth, np.inf)
 
     def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
         return self.texture._grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))

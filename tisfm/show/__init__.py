@@ -1,9 +1,9 @@
 """Pictures of depth and motion, as arrays and as figures.
 
 Arrays in, arrays out: uint8 pictures, grey or red, green, blue. Whatever has a range takes it as
-`limit`, so that all pictures of a sequence can share one.
+`limit`, so that all pictures of a sequence can share one. Arrays with masked values are refused.
 
-May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `frames`.
+May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `checks` and `frames`.
 """
 
 from tisfm.show.anaglyph import anaglyph, dubois, second_view

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked_mask
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
@@ -95,8 +96,8 @@ def comparison_figure(
     Raises
     ------
     ValueError
-        If a shape is wrong, sizes differ, a limit is negative or not finite, or `names` has
-        another key.
+        If a shape is wrong, sizes differ, a value is masked, a limit is negative or not finite,
+        or `names` has another key.
     ImportError
         If Matplotlib is not installed.
 
@@ -115,7 +116,7 @@ def comparison_figure(
         flows["baseline_flow"] = as_flow("baseline_flow", baseline_flow)
     if truth_flow is not None:
         flows["truth_flow"] = as_flow("truth_flow", truth_flow)
-    hidden = None if occlusion is None else np.asarray(occlusion, bool)
+    hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
     masks = {} if hidden is None else {"occlusion": hidden}
     for name, array in (*depths.items(), *flows.items(), *masks.items()):
         require_same_size(name, array, "frame", picture)

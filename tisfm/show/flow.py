@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, check_limit
 
 # Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
@@ -19,7 +20,6 @@ _SEGMENTS = (
     ((0, 0, 255), 13),  # blue to magenta
     ((255, 0, 255), 6),  # magenta to red
 )
-_UNKNOWN = 1e9
 _BEYOND = 0.75
 
 
@@ -46,8 +46,7 @@ def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
         Length, px.
     """
     values = as_flow("flow", flow)
-    # A comparison with NaN is false, which is what unknown means here.
-    known = (np.abs(values) <= _UNKNOWN).all(axis=2)
+    known = is_known(values[..., 0]) & is_known(values[..., 1])
     values = np.where(known[..., None], values, 0)
     radius = np.hypot(values[..., 0], values[..., 1])
     radius[~known] = np.nan
@@ -180,7 +179,7 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
     rows, columns = (_centred_nodes(length, step) for length in values.shape[:2])
     y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
     tails = values[y, x]
-    known = (np.abs(tails) <= _UNKNOWN).all(axis=1)
+    known = is_known(tails[:, 0]) & is_known(tails[:, 1])
     return Arrows(x[known], y[known], tails[known, 0], tails[known, 1])
 
 

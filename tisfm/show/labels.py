@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.checks import unmasked
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 
 _GOLDEN = (5**0.5 - 1) / 2  # of the circle of hues: however many there are, none are near
@@ -58,10 +59,10 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     Raises
     ------
     TypeError, ValueError
-        If a shape is wrong, sizes differ, or labels are not integers from 0.
+        If a shape is wrong, sizes differ, a value is masked, or labels are not integers from 0.
     """
     (picture,) = as_uint8(as_image("image", image))
-    label = np.asarray(labels)
+    label = unmasked(labels, "labels", advice="fill them first, for instance by labels.filled(0)")
     if label.dtype.kind not in "iu":
         raise TypeError(f"labels has dtype {label.dtype}, expected integers")
     if label.ndim != 2:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.drawing import (
     BAR_SIZE,
@@ -85,7 +86,8 @@ def rigid_figure(
     Raises
     ------
     TypeError, ValueError
-        If a shape or type is wrong, sizes differ, or a limit is negative or not finite.
+        If a shape or type is wrong, sizes differ, a value is masked, or a limit is negative or not
+        finite.
     ImportError
         If Matplotlib is not installed.
     """
@@ -99,7 +101,8 @@ def rigid_figure(
     true_depth = (
         None if truth_inverse_depth is None else as_map("truth_inverse_depth", truth_inverse_depth)
     )
-    hidden = None if occlusion is None else np.asarray(occlusion, bool)
+    hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
+    refuse_masked(labels, "labels", "fill them first, for instance by labels.filled(0)")
     arrays = {
         "inverse_depth": depth,
         "inverse_depth_std": deviation,

@@ -12,7 +12,7 @@ from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
-FEWEST = 2  # iterations, if so many are allowed: the first alone brings nothing from afar
+FEWEST_ITERATIONS = 2  # if so many are allowed: the first alone brings nothing from afar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ class HalfQuadratic:
                 )
             )
             settled = sums.moved <= self._effort.tolerance * sums.size
-            if len(iterations) >= FEWEST and settled:
+            if len(iterations) >= FEWEST_ITERATIONS and settled:
                 return iterations, True
         return iterations, False
 

@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 
-COARSEST_SIDE = 12  # px
+COARSEST_FRAME_SIDE = 12  # px
 BESIDE = 1 << 16  # pixels from which on a second thread pays
 
 
@@ -30,7 +30,7 @@ class ImagePyramid:
     factor : float
         Ratio of neighbouring levels' sampling densities, in [0.5, 1).
     levels : int, optional
-        As many at most; by default as many as `COARSEST_SIDE` admits.
+        As many at most; by default as many as `COARSEST_FRAME_SIDE` admits.
     presmoothing : float
         Standard deviation of a Gaussian applied first, px.
     last : int
@@ -103,11 +103,11 @@ class ImagePyramid:
 
 
 def level_count(height: int, width: int, factor: float, most: int | None = None) -> int:
-    """Return the number of levels: `most`, as far as `COARSEST_SIDE` admits them."""
+    """Return the number of levels: `most`, as far as `COARSEST_FRAME_SIDE` admits them."""
     side = min(height, width)
     count = 1
-    if side > COARSEST_SIDE:
-        count += int(math.log(COARSEST_SIDE / side) / math.log(factor))
+    if side > COARSEST_FRAME_SIDE:
+        count += int(math.log(COARSEST_FRAME_SIDE / side) / math.log(factor))
     return count if most is None else min(count, most)
 
 

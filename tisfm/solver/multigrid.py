@@ -24,7 +24,7 @@ from tisfm.solver.unknowns import Unknowns
 
 # What tells rotation from translation is hardly seen by the data, and as large as the image: where
 # the coarsest system is not solved to the end, all else waits for it.
-COARSEST_SIDE = 2  # px
+COARSEST_GRID_SIDE = 2  # px
 COARSEST_SWEEPS = 32
 RELAXATION = 1.2  # of the smoother: 1 and 1.4 take more cycles, see bench/results/solvers.md
 
@@ -54,7 +54,7 @@ class Multigrid:
     ) -> None:
         grid = unknowns.grid
         self._levels = [_Level(unknowns, system, solver=solver, relaxation=relaxation)]
-        while min(self._levels[-1].size) > COARSEST_SIDE:
+        while min(self._levels[-1].size) > COARSEST_GRID_SIDE:
             self._levels.append(self._levels[-1].coarser())
         self._solve_coarsest = self._levels[-1].bind_smooth(COARSEST_SWEEPS)
         self._before = grid.allocate(unknowns.components)

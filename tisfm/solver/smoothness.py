@@ -11,7 +11,7 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
-FAINTEST = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
+FAINTEST_EDGE = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,5 +68,5 @@ def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> 
         Eastern and southern edges; 0 across the border.
     """
     out = grid.allocate(2)
-    image_edges(grid, frame, out, rate=strength / max(mean_step(frame), FAINTEST))
+    image_edges(grid, frame, out, rate=strength / max(mean_step(frame), FAINTEST_EDGE))
     return out

@@ -5,9 +5,9 @@ import numpy as np
 
 from tisfm import runtime
 
-WINDOW = 15  # px: about as far as the regularisation carries data
+CONFIDENCE_WINDOW = 15  # px: about as far as the regularisation carries data
 ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an image is uniform
-TOLERATED = 4.0  # times the median residual that halves the confidence
+TOLERATED_RESIDUAL = 4.0  # times the median residual that halves the confidence
 # px, and grey levels where constraints are not normalised: residuals that are no cause for doubt,
 # though all of a background at rest may be smaller.
 QUIET, QUIET_GREY = 0.05, 0.5
@@ -50,11 +50,12 @@ def confidence(
     # Without a gradient there is no residual: uniform parts say nothing of what is usual.
     gradient = precision[0] + precision[2]
     textured = gradient > ROUNDING * gradient.max()
+    window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
     for k in range(4):
-        cv2.boxFilter(precision[k], -1, (WINDOW, WINDOW), dst=precision[k], normalize=k == 3)
+        cv2.boxFilter(precision[k], -1, window, dst=precision[k], normalize=k == 3)
     usual = median(precision[3][textured]) if textured.any() else 0.0
     # In this order: where motion diverged, the median may be no number.
-    tolerated = TOLERATED * max((QUIET if normalized else QUIET_GREY) ** 2, usual)
+    tolerated = TOLERATED_RESIDUAL * max((QUIET if normalized else QUIET_GREY) ** 2, usual)
     share = np.empty_like(precision[3])
     share_of_data(precision, share, tolerated=tolerated, freedom=freedom)
     if share.shape != occlusion.shape:

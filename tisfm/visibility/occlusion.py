@@ -17,7 +17,7 @@ DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be see
 # by 0.14 px/frame relative to each other. What moves alike is one surface, seen at a smaller scale.
 APART = 0.07
 MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
-WINDOW = 3  # px: residuals are means over it
+RESIDUAL_WINDOW = 3  # px: residuals are means over it
 FAR = 1e7  # px/frame: outside any image
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
@@ -151,4 +151,5 @@ def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.
             cv2.multiply(slope, slope, dst=slope)
             cv2.scaleAdd(slope, settings.gradient, residual, dst=residual)
     np.sqrt(residual, out=residual)
-    return cv2.blur(residual, (WINDOW, WINDOW), dst=change, borderType=cv2.BORDER_REFLECT_101)
+    window = (RESIDUAL_WINDOW, RESIDUAL_WINDOW)
+    return cv2.blur(residual, window, dst=change, borderType=cv2.BORDER_REFLECT_101)

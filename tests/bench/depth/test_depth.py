@@ -10,7 +10,7 @@ import pytest
 
 import tisfm
 from bench.depth import __main__ as depth
-from bench.depth import focal
+from bench.depth import focal, scores
 from bench.depth.contest import hold
 from bench.depth.focal_plot import picture
 from bench.depth.methods import Estimate, FlowThenDepth
@@ -125,6 +125,32 @@ def test_things_that_move_have_scales_of_their_own():
     assert found.abs_rel > 0.1
     assert found.abs_rel_rest == pytest.approx(0, abs=1e-9)
     assert found.abs_rel_movers == pytest.approx(0, abs=1e-9)
+
+
+def test_what_cannot_be_compared_is_no_bug():
+    pair = small_entries("two-blocks-0")[0].load()
+    behind = score(replace(exact(pair), inverse_depth=-1 / pair.depth), pair)
+    assert "cannot be compared" in behind.failure and behind.abs_rel is None
+    unknown = replace(pair, depth=np.where(pair.movers == 2, np.nan, pair.depth))
+    found = score(exact(unknown), unknown)
+    assert found.abs_rel_movers is None and not found.failure
+    assert found.abs_rel_rest == pytest.approx(0, abs=1e-9)
+
+
+def test_a_bug_of_the_comparison_is_no_dash(monkeypatch):
+    pair = small_entries("two-blocks-0")[0].load()
+    with pytest.raises(ValueError, match="shape"):
+        score(replace(exact(pair), inverse_depth=1 / pair.depth[1:]), pair)
+    known = scores.depth_errors
+
+    def broken(depth, truth, mask=None):
+        if mask is not None:
+            raise ValueError("operands could not be broadcast")
+        return known(depth, truth)
+
+    monkeypatch.setattr(scores, "depth_errors", broken)
+    with pytest.raises(ValueError, match="could not be broadcast"):
+        score(exact(pair), pair)
 
 
 def test_depth_that_is_told_to_be_unseen_is_counted_and_not_averaged():

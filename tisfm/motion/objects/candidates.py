@@ -9,7 +9,7 @@ from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.potts import Potts
 
 PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
-TOLERATED, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow may be off by
+TOLERATED_ERROR, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow may be off by
 UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of that
 SMALLEST = 0.002  # of the pixels: what is smaller is no object
 EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
@@ -67,7 +67,7 @@ def motion_candidates(
         small_trust,
         camera.scaled(ratio, height, width),
         cv2.resize(frame, size, interpolation=cv2.INTER_AREA),
-        TOLERATED * residual * ratio + FLOOR,
+        TOLERATED_ERROR * residual * ratio + FLOOR,
     )
     motions, labels = search.run(np.array(background, np.float64), most)
     labels = cv2.resize(

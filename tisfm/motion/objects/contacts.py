@@ -7,7 +7,7 @@ import numpy as np
 from tisfm.motion.estimate import Estimate
 
 APART = 3  # px from the boundary, on both sides, where depths are read
-FEWEST = 8  # columns that a contact needs
+FEWEST_COLUMNS = 8  # columns that a contact needs
 LOWEST = 0.5  # of an object's rows: what touches the floor is its lower half
 
 
@@ -74,4 +74,4 @@ def _contact(
     known = (standing != 0) & np.isfinite(standing) & np.isfinite(ground)
     ratio = ground[known] / standing[known]
     ratio = ratio[ratio > 0]
-    return float(np.median(ratio)) if len(ratio) >= FEWEST else None
+    return float(np.median(ratio)) if len(ratio) >= FEWEST_COLUMNS else None

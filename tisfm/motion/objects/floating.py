@@ -17,7 +17,7 @@ NEARER = 1.3  # times: rooms are full of lamps and leaves that hang, but hardly 
 GROUND = 0.9  # of the depth around a thing: at least as near is what lies below it at the border
 LOWEST = 3  # rows at the border
 MOST_PARTS = 255  # parts
-FAINTEST = 0.05  # of the median: less inverse depth is as good as none
+FAINTEST_DEPTH = 0.05  # of the median: less inverse depth is as good as none
 
 
 def floating(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) -> np.ndarray:
@@ -57,7 +57,7 @@ def floating(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) ->
         cv2.medianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), MEDIAN)
         for image in (inverse_depth.astype(np.float32), SURE * deviation.astype(np.float32))
     )
-    faintest = FAINTEST * float(np.median(np.abs(depth)))
+    faintest = FAINTEST_DEPTH * float(np.median(np.abs(depth)))
     highest = np.maximum(depth + margin, faintest)
     around = without_domes(cv2.dilate(highest, np.ones((BRIDGE, BRIDGE), np.uint8)))
     before = (depth - margin > NEARER * around).astype(np.uint8)

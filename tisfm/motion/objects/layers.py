@@ -19,8 +19,8 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import QUIET, QUIET_GREY
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
-WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
-TOLERATED = 3.0  # of the median residual: a unit of cost
+LAYER_WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
+COST_UNIT = 3.0  # of the median residual: a unit of cost
 TRUNCATED = 16.0  # units: more is no worse
 UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
 MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
@@ -108,13 +108,13 @@ class Layering:
             for label, motion in reversed(list(enumerate(motions))):
                 surface = self._continued(motion, _core(labels == label) & ~hidden)
                 residual, flow = self._residual(surface)
-                residuals.append(cv2.blur(residual, (WINDOW, WINDOW)))
+                residuals.append(cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW)))
                 flows.append(flow)
             background = surface
             flows.reverse()
             stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
             usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
-            costs = np.minimum(stacked / (TOLERATED * max(usual, self._quiet**2)), TRUNCATED)
+            costs = np.minimum(stacked / (COST_UNIT * max(usual, self._quiet**2)), TRUNCATED)
             # Where a layer leaves the image, the others have to decide.
             gone = np.stack([leaves_image(flow) for flow in flows])
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
@@ -288,7 +288,7 @@ def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
 
 def _core(mask: np.ndarray) -> np.ndarray:
     """Return a mask without its rim, or all of it where little else would be left."""
-    core = cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+    core = cv2.erode(mask.astype(np.uint8), np.ones((LAYER_WINDOW, LAYER_WINDOW), np.uint8)) > 0
     return core if core.sum() >= 64 else mask
 
 
