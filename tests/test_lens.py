@@ -124,7 +124,7 @@ def test_two_focal_lengths(focal, smaller, aspect):
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({"focal": (1, 2, 3)}, ValueError, r"focal is \(1, 2, 3\): give a focal length, or two"),
+        ({"focal": (1, 2, 3)}, TypeError, r"focal is \(1, 2, 3\): expected a number, or two"),
         ({"focal": (1, 0)}, ValueError, r"focal\[1\] is 0: the focal length must be positive"),
         ({"focal": ("1", 2)}, TypeError, r"focal\[0\] is '1': expected a number"),
         ({"focal": (1, 2), "aspect": 2}, ValueError, "give one of fy and aspect"),

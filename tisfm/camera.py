@@ -155,8 +155,8 @@ def _focals(value: Any) -> tuple[float, float]:
     try:
         fx, fy = value
     except (TypeError, ValueError):
-        raise ValueError(
-            f"focal is {value!r}: give a focal length, or two as (fx, fy), in px"
+        raise TypeError(
+            f"focal is {value!r}: expected a number, or two as (fx, fy), in px"
         ) from None
     what = "the focal length"
     return _positive(fx, "focal[0]", what), _positive(fy, "focal[1]", what)

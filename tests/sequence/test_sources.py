@@ -21,7 +21,8 @@ from tests.sequence.sources import (
     numbered,
 )
 from tisfm.formats import write_png
-from tisfm.sequence import FrameSource, _natural
+from tisfm.formats.images import natural_order
+from tisfm.sequence import FrameSource
 
 # Sources
 
@@ -230,18 +231,18 @@ names = st.lists(st.text("ab1029-_.²٣", min_size=1, max_size=8), min_size=1, m
 def test_natural_order_does_not_depend_on_the_order_before(names, seed):
     paths = [Path("folder") / name for name in names]
     shuffled = random.Random(seed).sample(paths, len(paths))
-    assert sorted(paths, key=_natural) == sorted(shuffled, key=_natural)
+    assert sorted(paths, key=natural_order) == sorted(shuffled, key=natural_order)
 
 
 @given(numbers=st.lists(st.integers(0, 10**6), min_size=2, unique=True))
 def test_natural_order_is_that_of_the_numbers(numbers):
-    ordered = sorted((Path(f"x{number}.png") for number in numbers), key=_natural)
+    ordered = sorted((Path(f"x{number}.png") for number in numbers), key=natural_order)
     assert ordered == [Path(f"x{number}.png") for number in sorted(numbers)]
 
 
 def test_natural_order_of_names_with_several_numbers():
     names = ["a2b10", "a10b1", "a2b9", "a02b9", "b1", "a", "2", "10"]
-    ordered = [path.name for path in sorted(map(Path, names), key=_natural)]
+    ordered = [path.name for path in sorted(map(Path, names), key=natural_order)]
     assert ordered == ["2", "10", "a", "a02b9", "a2b9", "a2b10", "a10b1", "b1"]
 
 
