@@ -29,7 +29,7 @@ _ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
-_RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation", "unrelated")
+_RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation")
 _WITHOUT_DEPTH = ("no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated")
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
 
@@ -253,9 +253,10 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     for name in ("history_energy", "history_half_quadratic", "history_change"):
         if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
             raise ValueError(f"{name} is NaN, but the status is {status!r}")
+    without_depth = _WITHOUT_DEPTH if "motions" in arrays else ("no_motion", "no_texture")
     if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
         raise ValueError("history_change is negative or infinite somewhere, and a length is not")
-    if status in _WITHOUT_DEPTH and arrays["inverse_depth"].any():
+    if status in without_depth and arrays["inverse_depth"].any():
         raise ValueError(f"inverse_depth is not 0 everywhere, but the status is {status!r}")
 
 

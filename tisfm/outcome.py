@@ -18,11 +18,11 @@ class Status(str):
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
     gradient that motion could be seen by, or too few pixels are trusted to fit a motion to them;
     ``"diverged"``, the numbers are of no use: somewhere the image motion grew beyond half of the
-    image's longer side, or more than half of the pixels leave the image. With
-    ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
-    camera only turned, ``"little_parallax"``, it hardly changed its place, and ``"unrelated"``,
-    the frames have nothing in common: there is no depth. With a pose given, ``"pose_mismatch"``:
-    it contradicts the images, and the depth is what follows from it all the same.
+    image's longer side, or more than half of the pixels leave the image; ``"unrelated"``, the
+    frames have nothing in common. With ``motion="camera"``, or ``"objects"`` that find one motion
+    only, also ``"pure_rotation"``, the camera only turned, and ``"little_parallax"``, it hardly
+    changed its place: there is no depth. With a pose given, ``"pose_mismatch"``: it contradicts
+    the images, and the depth is what follows from it all the same.
     """
 
     message: str

@@ -112,6 +112,7 @@ def interpret_pair(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    from tisfm.motion.agreement import unrelated_field
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
@@ -147,6 +148,8 @@ def interpret_pair(
     status = estimate.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = overflow or diverged(flow, leaves) or (status if counted else UNCOUNTED)
+    if settings.motion == "field" and status == "converged":
+        status = unrelated_field(pyramid, flow, trust) or status
     return Interpretation(
         rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved

@@ -4,11 +4,13 @@ import cv2
 import numpy as np
 
 from tisfm.outcome import Status
+from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
+JUDGED = 2**14  # pixels, at least, of the level that a flow field is judged on
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
@@ -50,6 +52,29 @@ def unrelated(
         f"{median:.2f}): check that they are of one scene, take them closer in time, or with less "
         "noise",
     )
+
+
+def unrelated_field(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
+    """Return the same of a flow field of the finest level, judged on a coarser one.
+
+    Motion that is free at every pixel makes fine detail alike in any two frames.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    flow : (2, H, W) float32
+        px/frame.
+    trust : (H, W) float32
+        Its confidence.
+    """
+    level = max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
+    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+    size, area = frame0.shape[::-1], cv2.INTER_AREA
+    trust = cv2.resize(trust, size, interpolation=area)
+    if not trust.any():
+        return None
+    coarse = [cv2.resize(part, size, interpolation=area) for part in flow * pyramid.scales[level]]
+    return unrelated(frame0, frame1, cv2.merge(coarse), trust)
 
 
 def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status | None:

@@ -27,7 +27,9 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
     solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
-    status = unmoved(solution) or ended(history, solution.converged, settings)
+    status = unmoved(solution, textured=pyramid.contrast > 0) or ended(
+        history, solution.converged, settings
+    )
     del solution  # the larger part of the memory
     rho = at_finest(pyramid, unknowns, pyramid.last)
     flow, inverse_depth = _read_out(rho, camera)
