@@ -31,6 +31,7 @@ _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
 _RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation")
 _WITHOUT_DEPTH = ("no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated")
+_WITHOUT_MOTION = ("no_motion", "no_texture")  # and so without depth; of a field as well
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
 
 _HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
@@ -253,7 +254,7 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     for name in ("history_energy", "history_half_quadratic", "history_change"):
         if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
             raise ValueError(f"{name} is NaN, but the status is {status!r}")
-    without_depth = _WITHOUT_DEPTH if "motions" in arrays else ("no_motion", "no_texture")
+    without_depth = _WITHOUT_DEPTH if "motions" in arrays else _WITHOUT_MOTION
     if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
         raise ValueError("history_change is negative or infinite somewhere, and a length is not")
     if status in without_depth and arrays["inverse_depth"].any():

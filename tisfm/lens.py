@@ -98,13 +98,13 @@ class Undistortion:
 
         Returns
         -------
-        (H, W) array
+        (H, W) array of the same type
             NaN where there are no data.
         """
         height, width = self.valid.shape
         x = np.rint(self._flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
         y = np.rint(self._flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
-        return np.where(self.valid, values[y.astype(np.intp), x], np.nan)
+        return np.where(self.valid, values[y.astype(np.intp), x], values.dtype.type(np.nan))
 
     def missing(self, flow: np.ndarray) -> np.ndarray:
         """Return which pixels have no data, or go to where frame 1 has none.
@@ -152,6 +152,15 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     if camera.is_pinhole:
         return image
     return Undistortion(camera, *image.shape[:2]).apply(image)
+
+
+def undistort_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return a depth map, (H, W) float, of the frame that `undistort` returns.
+
+    Each pixel's is the nearest one, NaN where there are no data; the map itself, if the lens does
+    not distort and pixels are square.
+    """
+    return depth if camera.is_pinhole else Undistortion(camera, *depth.shape).nearest(depth)
 
 
 def _fold(coefficients: np.ndarray, reach: float) -> float:

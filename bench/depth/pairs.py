@@ -13,7 +13,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
 from tisfm.datasets.calibration import STATED
 from tisfm.datasets.depth_maps import read_depth
-from tisfm.lens import Undistortion, undistort
+from tisfm.lens import undistort, undistort_depth
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
@@ -181,8 +181,8 @@ def _loaded(
     depth, raw = loaded.depth, None
     if pair.layout in STATED and pair.depth is not None:
         raw = read_depth(pair.depth)
-    if depth is not None and not camera.is_pinhole:
-        depth = Undistortion(camera, *depth.shape).nearest(depth)
+    if depth is not None:
+        depth = undistort_depth(depth, camera)
     if selection is not None and selection.raw:
         depth, raw = raw, None
     if depth is not None and group in ROOMS:

@@ -147,7 +147,7 @@ def parallax_of(pair: DepthPair) -> float | None:
         return None
     height, width = pair.depth.shape
     cx, cy = pair.camera.center_for(height, width)
-    rows, columns = np.nonzero(np.isfinite(pair.depth) & (pair.depth > 0))
+    rows, columns = np.nonzero(known_depth(pair.depth))
     rays = np.stack([columns - cx, rows - cy, np.full(len(rows), pair.camera.focal)])
     turned = pair.pose[:3, :3] @ rays / pair.camera.focal
     moved = turned + pair.pose[:3, 3:] / pair.depth[rows, columns]
@@ -163,7 +163,7 @@ def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
     if not pair.pose_given or estimate.deviation is None or estimate.inverse_depth is None:
         return None
     assert pair.depth is not None
-    known = np.isfinite(pair.depth) & (pair.depth > 0)
+    known = known_depth(pair.depth)
     inverse, true = estimate.inverse_depth[known], pair.depth[known]
     deviation = np.where(inverse > 0, estimate.deviation[known], np.inf)
     relative = deviation / np.where(inverse > 0, inverse, 1)

@@ -74,12 +74,13 @@ class Calibration:
 
     Attributes
     ----------
-    camera : Camera
+    camera : Camera or None
+        None where nothing says what it is.
     depth_scale : float or None
         Values of its depth maps per unit of depth, if it says so.
     """
 
-    camera: Camera
+    camera: Camera | None
     depth_scale: float | None = None
 
 

@@ -13,6 +13,7 @@ from tisfm.datasets.calibration import (
     COLOUR_OFFSET,
     DEPTH_CAMERA,
     STATED,
+    Calibration,
     for_width,
     read_calibration,
     read_camera,
@@ -158,16 +159,17 @@ class DatasetPair:
         size = frame0.shape[:2]
         self._require_size(self.frame1, frame1, size)
         flow = None if self.truth is None else self._read_flow(self.truth, size)
+        calibration = self._read_calibration(size)
         return LoadedPair(
             frame0=frame0,
             frame1=frame1,
             flow=flow,
-            depth=self._read_depth(flow, size),
+            depth=self._read_depth(flow, size, calibration.depth_scale or MILLIMETRES),
             pose=self._read_pose(),
             pose_given=self.truth_format == "disparity",
             occlusion=self._read_occlusion(flow, size),
             sky=None if self.sky is None else self._read_mask(self.sky, size),
-            camera=self._read_camera(size),
+            camera=calibration.camera,
         )
 
     def _read_flow(self, path: Path, size: tuple[int, ...]) -> NDArray[np.float32]:
@@ -194,10 +196,10 @@ class DatasetPair:
         return flow
 
     def _read_depth(
-        self, flow: NDArray[np.float32] | None, size: tuple[int, ...]
+        self, flow: NDArray[np.float32] | None, size: tuple[int, ...], scale: float
     ) -> NDArray[np.float32] | None:
         if self.depth is not None:
-            depth = read_depth(self.depth, self._depth_scale())
+            depth = read_depth(self.depth, scale)
             self._require_size(self.depth, depth, size)
             if self.layout in STATED:
                 own, other = (
@@ -215,11 +217,6 @@ class DatasetPair:
             raise FormatError(f"{source} has no known depth at any of its {pixels} pixels")
         return depth
 
-    def _depth_scale(self) -> float:
-        if self.layout != "calibrated" or self.calibration is None:
-            return MILLIMETRES
-        return read_calibration(self.calibration).depth_scale or MILLIMETRES
-
     def _read_pose(self) -> NDArray[np.float64] | None:
         if self.truth_format == "disparity":
             pose = np.eye(4)
@@ -232,13 +229,13 @@ class DatasetPair:
         row0, row1 = self.pose_rows
         return motion_between(read_pose_row(self.pose0, row0), read_pose_row(self.pose1, row1))
 
-    def _read_camera(self, size: tuple[int, ...]) -> Camera | None:
-        if self.calibration is not None:
-            if self.layout == "calibrated":
-                return read_calibration(self.calibration).camera
-            return read_camera(self.calibration, self.frame0)
-        stated = STATED.get(self.layout)
-        return None if stated is None else for_width(stated, size[1])
+    def _read_calibration(self, size: tuple[int, ...]) -> Calibration:
+        if self.calibration is None:
+            stated = STATED.get(self.layout)
+            return Calibration(camera=None if stated is None else for_width(stated, size[1]))
+        if self.layout == "calibrated":
+            return read_calibration(self.calibration)
+        return Calibration(camera=read_camera(self.calibration, self.frame0))
 
     def _read_occlusion(
         self, flow: NDArray[np.float32] | None, size: tuple[int, ...]

@@ -13,7 +13,7 @@ from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.means import MeanErrors, mean_errors
 from tisfm.evaluation.record import LITTLE_PARALLAX, PairEvaluation
 from tisfm.interpretation import Interpretation
-from tisfm.lens import Undistortion
+from tisfm.lens import undistort_depth
 from tisfm.metrics import (
     DepthErrors,
     FlowErrors,
@@ -216,9 +216,7 @@ def _prepared(
     loaded = replace(loaded, pose_given=given)
     if loaded.depth is None:
         return loaded
-    depth = loaded.depth
-    if not camera.is_pinhole:
-        depth = Undistortion(camera, *depth.shape).nearest(depth).astype(np.float32)
+    depth = undistort_depth(loaded.depth, camera)
     if max_depth is not None:
         depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
     if not np.isfinite(depth).any():

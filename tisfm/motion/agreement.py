@@ -73,8 +73,8 @@ def unrelated_field(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) 
     trust = cv2.resize(trust, size, interpolation=area)
     if not trust.any():
         return None
-    coarse = [cv2.resize(part, size, interpolation=area) for part in flow * pyramid.scales[level]]
-    return unrelated(frame0, frame1, cv2.merge(coarse), trust)
+    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in flow])
+    return unrelated(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
 
 
 def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status | None:
