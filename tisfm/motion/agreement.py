@@ -10,7 +10,7 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
-JUDGED = 2**14  # pixels, at least, of the level that a flow field is judged on
+JUDGED = 2**12  # pixels, at least, of the level that a flow field is judged on
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
