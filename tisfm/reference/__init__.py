@@ -53,6 +53,7 @@ from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
 )
+from tisfm.reference.patch_match import plane_cost
 from tisfm.reference.plane_sweep import aggregate, matching_cost
 from tisfm.reference.pyramid import (
     coarse_to_fine,
@@ -93,6 +94,7 @@ __all__ = [
     "minimise",
     "motion_matrix",
     "motion_system",
+    "plane_cost",
     "prolong",
     "residual",
     "robust_energy",

@@ -1,0 +1,468 @@
+"""PatchMatch: at every pixel the plane by which frame 1 looks most like frame 0.
+
+A hypothesis is an inverse depth and its slopes: a surface that is flat within a window, whose
+inverse depth is then linear in the image. It costs 1 − c, c being the correlation of the window of
+frame 0 with where frame 1 would show it, normalised, weighted by how much a pixel looks like the
+window's centre, and with the variance of the noise added to both variances, so that noise alone
+correlates with nothing. Good hypotheses are handed on from pixel to pixel, as planes, and others
+are drawn at random.
+
+The state is an (H, W, 4) array: D in px/frame, ∂D/∂x and ∂D/∂y, and the cost, `UNSEEN` where the
+window shows no more than noise.
+
+References
+----------
+Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC
+2011, doi 10.5244/C.25.14. Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis
+by surface normal diffusion", ICCV 2015, doi 10.1109/ICCV.2015.106 (red and black). Schönberger,
+Zheng, Frahm, Pollefeys, "Pixelwise view selection for unstructured multi-view stereo", ECCV 2016,
+doi 10.1007/978-3-319-46487-9_31 (weights).
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import check_array
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model.constants import NEAREST
+
+RADIUS = 5  # px: the window has 11×11, of which every second one in both directions is compared
+SIDE = range(-RADIUS, RADIUS + 1, 2)
+# Without its corners it fills two vectors.
+WINDOW = [(j, i) for j in SIDE for i in SIDE if abs(i) < RADIUS or abs(j) < RADIUS]
+VECTOR = 16
+UNSEEN = 4.0  # a cost that no hypothesis has: nothing to be compared
+NOWHERE = 1.0  # of a hypothesis that takes the pixel out of frame 1: that of noise
+SIMILAR = 20.0  # levels: pixels that differ by so much from the centre weigh 1/e, about
+ALIKE = 0.03  # px: hypotheses that differ by less within the window are taken for the same
+STEEPEST = 3.0  # of random slopes, D over the focal length: a surface at 72° to the image
+LEVELS = 255  # of frame 1, in bytes
+
+_PADDED = [[float(offset[axis]) for offset in WINDOW] for axis in (1, 0)]
+_ACROSS, _DOWN = ([values[:VECTOR], values[VECTOR:]] for values in _PADDED)
+_Plane = ti.types.vector(4, ti.f32)
+
+
+def packed(levels: np.ndarray) -> np.ndarray:
+    """Return each pixel with its eastern, southern and south-eastern neighbour, a byte each.
+
+    So that one load brings all that an interpolation needs. Beyond its border the image repeats.
+
+    Parameters
+    ----------
+    levels : (H, W) float32
+        In [0, 255]; rounded.
+
+    Returns
+    -------
+    (H·W,) int32
+    """
+    whole = np.clip(np.rint(levels), 0, LEVELS).astype(np.uint32)
+    whole = np.pad(whole, ((0, 1), (0, 1)), "edge")
+    here, east, south, both = whole[:-1, :-1], whole[:-1, 1:], whole[1:, :-1], whole[1:, 1:]
+    return (here | east << 8 | south << 16 | both << 24).view(np.int32).ravel()
+
+
+def with_margin(levels: np.ndarray) -> np.ndarray:
+    """Return (H + 2·RADIUS, W + 2·RADIUS) float32: an image whose border repeats as far."""
+    return np.pad(levels, RADIUS, "edge")
+
+
+class PlaneSearch:
+    """A search for planes that take frame 0 to frame 1, on one level.
+
+    Parameters
+    ----------
+    levels0, levels1 : (H, W) float32
+        Grey levels of both frames, in [0, 255].
+    motion : (3, 4) array
+        R and t.
+    center : (float, float)
+        Principal point, px.
+    focal : float
+        px.
+    noise : float
+        Standard deviation of the noise of a frame, levels; above 0.
+    seen : float
+        Times the variance of the noise: what a window has to vary by to be compared.
+    nearest, largest : float
+        D is sought between them, px/frame.
+    """
+
+    def __init__(
+        self,
+        levels0: np.ndarray,
+        levels1: np.ndarray,
+        motion: np.ndarray,
+        *,
+        center: tuple[float, float],
+        focal: float,
+        noise: float,
+        seen: float,
+        nearest: float,
+        largest: float,
+    ) -> None:
+        self._shape = levels0.shape
+        for name, levels in (("levels0", levels0), ("levels1", levels1)):
+            check_array(levels, self._shape, name, aligned=False)
+        if np.shape(motion) != (3, 4):
+            raise ValueError(f"motion is {np.shape(motion)}: expected (3, 4)")
+        if not noise > 0:
+            raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
+        if not 0 < nearest < largest:
+            raise ValueError(f"D is sought from {nearest} to {largest}: expected 0 < from < to")
+        self._images = with_margin(levels0), packed(levels1)
+        self._motion = np.ascontiguousarray(motion, np.float32)
+        self._view = *map(float, center), float(focal)
+        self._noise = float(noise) ** 2
+        self._seen, self._bounds = float(seen), (float(nearest), float(largest))
+
+    def score(self, planes: np.ndarray) -> None:
+        """Compute the cost of the planes (H, W, 4) float32, in place."""
+        self._check(planes)
+        _score(*self._images, self._motion, *self._view, self._noise, self._seen, planes)
+
+    def improve(
+        self, planes: np.ndarray, *, reach: int, draws: int, spread: float, tilt: float, seed: int
+    ) -> None:
+        """Replace planes by better ones, in place: red pixels, and then black ones.
+
+        Each compares what it has with the planes of its neighbours 1 and `reach` px away in four
+        directions, with one drawn from all that are possible, and with `draws` drawn nearby, each
+        from half the range of the one before. No cost rises.
+
+        Parameters
+        ----------
+        planes : (H, W, 4) float32
+            Of `score`.
+        reach : int
+            px, odd, so that red pixels look at black ones alone.
+        draws : int
+        spread, tilt : float
+            How far the first of these may be in D, px/frame, and in its slopes.
+        seed : int
+            Of the random numbers.
+        """
+        self._check(planes)
+        if reach % 2 != 1:
+            raise ValueError(f"reach is {reach}: expected an odd number of pixels")
+        for color in range(2):
+            _improve(
+                *self._images,
+                self._motion,
+                *self._view,
+                self._noise,
+                *self._bounds,
+                color,
+                reach,
+                draws,
+                spread,
+                tilt,
+                2 * seed + color,
+                planes,
+            )
+
+    def _check(self, planes: np.ndarray) -> None:
+        check_array(planes, (*self._shape, 4), "planes", aligned=False)
+
+
+def disagreement(
+    planes0: np.ndarray,
+    planes1: np.ndarray,
+    motion: np.ndarray,
+    out: np.ndarray,
+    *,
+    center: tuple[float, float],
+    focal: float,
+) -> None:
+    """Compute how far what frame 1 says of a pixel of frame 0 is from what that says itself.
+
+    Parameters
+    ----------
+    planes0 : (H, W, 4) float32
+        Of frame 0, under `motion`.
+    planes1 : (H, W, 4) float32
+        Of frame 1, under the inverse motion.
+    motion : (3, 4) array
+        R and t.
+    out : (H, W) float32
+        Difference of D in frame 1, px/frame; infinite where the pixel leaves the image, or there
+        is nothing to compare.
+    center : (float, float)
+        Principal point, px.
+    focal : float
+        px.
+    """
+    shape = planes0.shape[:2]
+    for name, planes in (("planes0", planes0), ("planes1", planes1)):
+        check_array(planes, (*shape, 4), name, aligned=False)
+    check_array(out, shape, "out", aligned=False)
+    motion = np.ascontiguousarray(motion, np.float32)
+    check_array(motion, (3, 4), "motion", aligned=False)
+    _disagreement(planes0, planes1, motion, *map(float, center), focal, out)
+
+
+@Kernel
+def _score(
+    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    noise: ti.f32,
+    seen: ti.f32,
+    planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (H, W), in place
+):
+    height, width = planes.shape[0], planes.shape[1]
+    for y, x in ti.ndrange(height, width):
+        plane = planes[y, x]
+        weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+        plane[3] = UNSEEN
+        if variance > seen * noise:
+            plane[3] = _cost(
+                packed1, height, width, motion, cx, cy, focal, noise,
+                weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
+            )  # fmt: skip
+        planes[y, x] = plane
+
+
+@Kernel
+def _improve(
+    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    noise: ti.f32,
+    nearest: ti.f32,
+    largest: ti.f32,
+    color: ti.i32,
+    reach: ti.i32,
+    draws: ti.i32,
+    spread: ti.f32,
+    tilt: ti.f32,
+    seed: ti.i32,
+    planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (H, W), in place
+):
+    height, width = planes.shape[0], planes.shape[1]
+    for y, pair in ti.ndrange(height, (width + 1) // 2):
+        x = 2 * pair + (y + color) % 2
+        if x < width:
+            best = planes[y, x]
+            if best[3] < UNSEEN:
+                weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+                random = ti.cast(4 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
+                random = _hash(random + _hash(ti.cast(seed, ti.u32)))
+                span = 1.0
+                for n in range(9 + draws):  # 8 neighbours, one of all, and those nearby
+                    plane = best
+                    if n < 8:
+                        plane = _neighbour(planes, y, x, n, reach)
+                    else:
+                        a, b, c = (
+                            _unit(random),
+                            _unit(random + ti.u32(1)),
+                            _unit(random + ti.u32(2)),
+                        )
+                        random += ti.u32(4)
+                        if n == 8:
+                            plane[0] = nearest + (largest - nearest) * a
+                            steepest = STEEPEST / focal * plane[0]
+                            plane[1] = steepest * (2.0 * b - 1.0)
+                            plane[2] = steepest * (2.0 * c - 1.0)
+                        else:
+                            plane[0] += span * spread * (2.0 * a - 1.0)
+                            plane[1] += span * tilt * (2.0 * b - 1.0)
+                            plane[2] += span * tilt * (2.0 * c - 1.0)
+                            span *= 0.5
+                    if plane[0] > nearest and plane[0] < largest and _apart(plane, best):
+                        plane[3] = _cost(
+                            packed1, height, width, motion, cx, cy, focal, noise,
+                            weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
+                        )  # fmt: skip
+                        if plane[3] < best[3]:
+                            best = plane
+                planes[y, x] = best
+
+
+@ti.func
+def _neighbour(planes: ti.template(), y, x, n, reach):
+    """Return the plane of one of eight neighbours, as it is here; D is −1 where there is none."""
+    away = ti.select(n < 4, 1, reach)
+    way = n % 4
+    row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
+    column = x + ti.select(way == 2, away, ti.select(way == 3, -away, 0))
+    plane = ti.Vector([-1.0, 0.0, 0.0, UNSEEN])
+    if row >= 0 and row < planes.shape[0] and column >= 0 and column < planes.shape[1]:
+        other = planes[row, column]
+        if other[3] < UNSEEN:
+            plane = other
+            plane[0] += other[1] * (x - column) + other[2] * (y - row)
+    return plane
+
+
+@ti.func
+def _apart(plane, other):
+    """Return whether two planes differ by more than what is too little to try."""
+    apart = ti.abs(plane[0] - other[0])
+    apart += RADIUS * (ti.abs(plane[1] - other[1]) + ti.abs(plane[2] - other[2]))
+    return apart > ALIKE
+
+
+@ti.func
+def _window(levels0: ti.template(), y, x):
+    """Return what a pixel's window of frame 0 is compared by.
+
+    Weights, which add up to 1, and the grey levels less their mean, weighted, in two vectors each;
+    the variance; and the level of the centre.
+    """
+    centre = levels0[y + RADIUS, x + RADIUS]
+    grey0, grey1 = ti.Vector([0.0] * VECTOR), ti.Vector([0.0] * VECTOR)
+    for n in ti.static(range(VECTOR)):
+        row, column = ti.static(WINDOW[n])
+        grey0[n] = levels0[y + RADIUS + row, x + RADIUS + column] - centre
+        row1, column1 = ti.static(WINDOW[VECTOR + n])
+        grey1[n] = levels0[y + RADIUS + row1, x + RADIUS + column1] - centre
+    weight0, weight1 = _likeness(grey0), _likeness(grey1)
+    inverse = 1.0 / _sum(weight0 + weight1)
+    weight0 *= inverse
+    weight1 *= inverse
+    mean = _sum(weight0 * grey0 + weight1 * grey1)
+    grey0 = grey0 - mean
+    grey1 = grey1 - mean
+    weighted0, weighted1 = weight0 * grey0, weight1 * grey1
+    variance = _sum(weighted0 * grey0 + weighted1 * grey1)
+    return weight0, weight1, weighted0, weighted1, variance, centre
+
+
+@ti.func
+def _likeness(apart):
+    """Return a weight for each difference from the centre: e⁻ⁿ, by four terms of eⁿ."""
+    n = ti.max(apart, 0.0 - apart) * (1.0 / SIMILAR)
+    return 1.0 / (1.0 + n * (1.0 + n * (0.5 + n * (1.0 / 6.0))))
+
+
+@ti.func
+def _cost(
+    packed1: ti.template(),
+    height,
+    width,
+    motion: ti.template(),
+    cx,
+    cy,
+    focal,
+    noise,
+    weight0,
+    weight1,
+    weighted0,
+    weighted1,
+    variance,
+    centre,
+    y,
+    x,
+    plane,
+):
+    """Return 1 − c of a hypothesis."""
+    x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
+    p1 = motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2] + motion[0, 3] * d
+    p2 = motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2] + motion[1, 3] * d
+    p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2] + motion[2, 3] * d
+    nearness = 1.0 / ti.max(p3, NEAREST)
+    x_there, y_there = p1 * nearness, p2 * nearness
+    # The plane's homography, linear within the window.
+    away_x = motion[2, 0] + motion[2, 3] * plane[1]
+    away_y = motion[2, 1] + motion[2, 3] * plane[2]
+    ux = nearness * (motion[0, 0] + motion[0, 3] * plane[1] - x_there * away_x)
+    uy = nearness * (motion[0, 1] + motion[0, 3] * plane[2] - x_there * away_y)
+    vx = nearness * (motion[1, 0] + motion[1, 3] * plane[1] - y_there * away_x)
+    vy = nearness * (motion[1, 1] + motion[1, 3] * plane[2] - y_there * away_y)
+    u, v = cx + focal * x_there, cy + focal * y_there
+    cost = NOWHERE
+    if p3 > NEAREST and u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
+        across0, down0 = ti.Vector(_ACROSS[0]), ti.Vector(_DOWN[0])
+        across1, down1 = ti.Vector(_ACROSS[1]), ti.Vector(_DOWN[1])
+        grey0 = _there(
+            packed1, height, width, u + ux * across0 + uy * down0, v + vx * across0 + vy * down0
+        )
+        grey1 = _there(
+            packed1, height, width, u + ux * across1 + uy * down1, v + vx * across1 + vy * down1
+        )
+        grey0 = grey0 - centre  # squares stay small
+        grey1 = grey1 - centre
+        mean = _sum(weight0 * grey0 + weight1 * grey1)
+        square = _sum(weight0 * grey0 * grey0 + weight1 * grey1 * grey1) - mean * mean
+        product = _sum(weighted0 * grey0 + weighted1 * grey1)
+        cost = 1.0 - product / ti.sqrt((variance + noise) * (ti.max(square, 0.0) + noise))
+    return cost
+
+
+@ti.func
+def _there(packed1: ti.template(), height, width, u, v):
+    """Return frame 1, interpolated bilinearly, at a vector of places; its border repeats."""
+    u = ti.max(0.0, ti.min(u, width - 1.0))
+    v = ti.max(0.0, ti.min(v, height - 1.0))
+    column, row = ti.floor(u), ti.floor(v)
+    a, b = u - column, v - row
+    place = row * ti.cast(width, ti.f32) + column  # whole, below 2²⁴
+    here, east, south, both = 0.0 * u, 0.0 * u, 0.0 * u, 0.0 * u
+    for n in ti.static(range(VECTOR)):  # compiled to gathering loads, where a CPU has them
+        found = packed1[ti.cast(place[n], ti.i32)]
+        here[n] = ti.cast(found & LEVELS, ti.f32)
+        east[n] = ti.cast((found >> 8) & LEVELS, ti.f32)
+        south[n] = ti.cast((found >> 16) & LEVELS, ti.f32)
+        both[n] = ti.cast((found >> 24) & LEVELS, ti.f32)
+    above, below = here + a * (east - here), south + a * (both - south)
+    return above + b * (below - above)
+
+
+@ti.func
+def _sum(vector):
+    """Return the sum of the elements of a vector, folded in halves."""
+    half = ti.Vector([vector[n] + vector[n + 8] for n in range(8)])
+    quarter = ti.Vector([half[n] + half[n + 4] for n in range(4)])
+    return (quarter[0] + quarter[2]) + (quarter[1] + quarter[3])
+
+
+@ti.func
+def _hash(value: ti.u32) -> ti.u32:
+    """Return a well-mixed number (Jarzynski, Olano, JCGT 2020: PCG)."""
+    state = value * ti.u32(747796405) + ti.u32(2891336453)
+    word = ((state >> ((state >> ti.u32(28)) + ti.u32(4))) ^ state) * ti.u32(277803737)
+    return (word >> ti.u32(22)) ^ word
+
+
+@ti.func
+def _unit(number: ti.u32) -> ti.f32:
+    """Return a number in [0, 1) that looks random, for each whole number."""
+    return ti.cast(_hash(number) >> ti.u32(8), ti.f32) * (1.0 / 2**24)
+
+
+@Kernel
+def _disagreement(
+    planes0: ti.types.ndarray(dtype=_Plane, ndim=2),  # (H, W)
+    planes1: ti.types.ndarray(dtype=_Plane, ndim=2),  # (H, W)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+):
+    height, width = out.shape[0], out.shape[1]
+    for y, x in ti.ndrange(height, width):
+        plane = planes0[y, x]
+        x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
+        p1 = motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2] + motion[0, 3] * d
+        p2 = motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2] + motion[1, 3] * d
+        p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2] + motion[2, 3] * d
+        nearness = 1.0 / ti.max(p3, NEAREST)
+        u, v = cx + focal * p1 * nearness, cy + focal * p2 * nearness
+        apart = ti.math.inf
+        if plane[3] < UNSEEN and u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
+            column, row = ti.cast(u + 0.5, ti.i32), ti.cast(v + 0.5, ti.i32)
+            other = planes1[row, column]
+            if other[3] < UNSEEN:
+                back = other[0] + other[1] * (u - column) + other[2] * (v - row)
+                apart = ti.abs(back - plane[0] * nearness)
+        out[y, x] = apart

@@ -1,0 +1,106 @@
+"""Which inverse depth is believed: planes matched both ways round."""
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.rendered import static_scene
+from tisfm.motion.problems import pyramid_of
+from tisfm.rigid import rigid_motion
+
+SETTINGS = tisfm.Settings()
+
+
+def scaled_motion(scene):
+    """Return the true motion as D in px/frame wants it, and the true D."""
+    from tisfm.motion.rigid_depth import scaled_translations
+
+    labels = np.zeros(scene.depth.shape, np.int32)
+    rotation, translation = rigid_motion(scene.motions[0])
+    motion = np.column_stack([rotation, translation])
+    scaled = scaled_translations(motion[None], labels, scene.camera)[0]
+    ratio = np.linalg.norm(translation) / np.linalg.norm(scaled[:, 3])
+    return scaled, ratio * scene.camera.focal / scene.depth
+
+
+def matched(frame0, frame1, camera, motion, settings=SETTINGS):
+    from tisfm.motion.matched_planes import matched_planes
+
+    pyramid = pyramid_of(frame0.astype(np.float32), frame1.astype(np.float32), camera, settings)
+    return matched_planes(pyramid, motion)
+
+
+@pytest.mark.parametrize("kind", ["sideways+rotation", "forward"])
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_what_is_believed_is_right(kind, preset):
+    scene = static_scene(kind, 240, 320)
+    motion, true = scaled_motion(scene)
+    settings = tisfm.Settings.preset(preset)
+    planes = matched(scene.frame0, scene.frame1, scene.camera, motion, settings)
+    height, width = planes.inverse_depth.shape
+    scale = width / 320
+    expected = scale * cv2.resize(true.astype(np.float32), (width, height))
+    off = np.abs(planes.inverse_depth - expected)[planes.believed]
+    assert planes.believed.mean() > 0.5
+    assert np.median(off) < 0.15
+    assert (off < 1).mean() > 0.97
+
+
+def test_bare_surfaces_and_noise_are_not_believed():
+    scene = static_scene("sideways", 240, 320)
+    motion, _ = scaled_motion(scene)
+    rng = np.random.default_rng(0)
+    frames = [frame.astype(np.float32) for frame in (scene.frame0, scene.frame1)]
+    for frame in frames:
+        frame[:, 160:] = 90  # bare
+        frame += rng.normal(0, 2, frame.shape)
+    planes = matched(*frames, scene.camera, motion)
+    assert planes.believed[:, 180:].mean() < 0.005
+    assert planes.believed[:, 10:140].mean() > 0.3
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (30, 1), (5, 7), (33, 47)])
+def test_any_size(size):
+    rng = np.random.default_rng(0)
+    frame = rng.uniform(0, 255, size)
+    motion = np.column_stack([np.eye(3), [1, 0, 0]])
+    planes = matched(frame, frame, tisfm.Camera(focal=30.0), motion)
+    assert planes.inverse_depth.shape == planes.believed.shape == size
+    assert np.isfinite(planes.inverse_depth).all()
+
+
+def test_constant_frames():
+    frame = np.full((40, 60), 99.0)
+    motion = np.column_stack([np.eye(3), [1, 0, 0]])
+    planes = matched(frame, frame, tisfm.Camera(focal=30.0), motion)
+    assert not planes.believed.any()
+
+
+def test_no_island_is_left():
+    from tisfm.motion.matched_planes import ISLAND, without_islands
+
+    depth = np.full((60, 60), 5.0, np.float32)
+    believed = np.zeros((60, 60), bool)
+    believed[:30, :30] = True  # large
+    believed[40:45, 40:45] = True  # small
+    depth[10:15, 10:15] = 8  # another surface within the large one, and small
+    kept = without_islands(depth, believed)
+    assert kept.sum() == 30 * 30 - 5 * 5
+    assert ISLAND > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
+    ramp = np.broadcast_to(np.linspace(1, 50, 60, dtype=np.float32), (60, 60))
+    assert without_islands(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, yet one
+
+
+@pytest.mark.parametrize("deviation", [1.0, 4.0])
+def test_noise_deviation(deviation):
+    from tisfm.motion.matched_planes import noise_deviation
+
+    rng = np.random.default_rng(1)
+    rows, columns = np.mgrid[:240, :320]
+    frame = 100 + 0.2 * columns + 0.1 * rows  # shading is no noise
+    frame[100:150, 100:200] += 60 * rng.random((50, 100))  # nor is texture
+    noisy = (frame + rng.normal(0, deviation, frame.shape)).astype(np.float32)
+    assert noise_deviation(noisy) == pytest.approx(deviation, rel=0.15)
+    assert noise_deviation(frame.astype(np.float32)) < 0.01
+    assert noise_deviation(noisy[:5, :9]) == pytest.approx(deviation, rel=0.6)

@@ -1,0 +1,197 @@
+"""Inverse depth that can be believed: planes matched both ways round, and what agrees."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.rigid.patch_match import LEVELS, STEEPEST, PlaneSearch, disagreement
+from tisfm.solver.image_pyramid import ImagePyramid
+
+MOST = 2**19  # pixels of the finest level that is searched: a coarser one serves larger frames
+FEWEST = 2**14  # pixels of the coarsest, at least
+ROUNDS = (4, 2, 1)  # of improvement: on the coarsest level, on the next, and on all others
+REACH = 5  # px: how far away the further neighbours are
+DRAWS = 2  # of planes that are nearly a pixel's own
+SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest level and others; of slopes
+SHRINKING = 0.6  # of both, with every round
+NEAREST = 1e-3  # px/frame: the least D
+LARGEST = 0.35  # of the longer side: the largest
+LEAST_NOISE = 0.7  # grey levels: what rounding, compression and interpolation leave
+QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
+# Of the variance of the noise: windows that vary by less correlate with nothing, or cost too much
+# to be believed.
+SEEN = 1.8
+QUIET, BLOCK = 0.2, 16  # the noise is that of the quietest fifth of the blocks, px
+DEVIATION = 1.4826  # of a normal distribution, over its median absolute value
+COST = 0.35  # what is believed costs less,
+AGREEMENT = 0.6  # px: is found the other way round as near,
+ISLAND, SIXTEENTHS = 200, 16  # and belongs to as many pixels that lie within 1 px of each other
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchedPlanes:
+    """A plane at every pixel of a level, and which are believed.
+
+    Attributes
+    ----------
+    level : int
+    inverse_depth : (h, w) float32
+        D, px/frame of the level.
+    cost : (h, w) float32
+        One minus the correlation of its window.
+    believed : (h, w) bool
+    """
+
+    level: int
+    inverse_depth: np.ndarray
+    cost: np.ndarray
+    believed: np.ndarray
+
+
+def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
+    """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare them.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    motion : (3, 4) array
+        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+    """
+    levels = _levels(pyramid)
+    finest = levels[-1]
+    rotation, translation = motion[:, :3], motion[:, 3]
+    back = np.column_stack([rotation.T, -rotation.T @ translation])
+    first, second = (
+        [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
+    )
+    low = min(float(first[-1].min()), float(second[-1].min()))
+    high = max(float(first[-1].max()), float(second[-1].max()))
+    gain = LEVELS / max(high - low, LEAST_NOISE)
+    noise = gain * max(LEAST_NOISE, *(noise_deviation(frames[-1]) for frames in (first, second)))
+    first, second = ([gain * (frame - low) for frame in frames] for frames in (first, second))
+    scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
+    search = _Search(
+        cameras=[pyramid.cameras[level] for level in levels], scales=scales, noise=noise
+    )
+    there = search.run(first, second, motion, seed=0)
+    here = search.run(second, first, back, seed=1)
+    apart = np.empty(there.shape[:2], np.float32)
+    camera = pyramid.cameras[finest]
+    center = camera.center_for(*apart.shape)
+    disagreement(there, here, motion, apart, center=center, focal=camera.focal)
+    depth, cost = np.ascontiguousarray(there[..., 0]), np.ascontiguousarray(there[..., 3])
+    believed = without_islands(depth, (cost < COST) & (apart < AGREEMENT))
+    return MatchedPlanes(level=finest, inverse_depth=depth, cost=cost, believed=believed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    """What searches of both directions share.
+
+    Attributes
+    ----------
+    cameras : list of Camera
+        Of each level, the coarsest first.
+    scales : list of float
+        Sampling densities, over that of the last.
+    noise : float
+        Of the last level, levels.
+    """
+
+    cameras: list[Camera]
+    scales: list[float]
+    noise: float
+
+    def run(
+        self, first: list[np.ndarray], second: list[np.ndarray], motion: np.ndarray, *, seed: int
+    ) -> np.ndarray:
+        """Return the planes (h, w, 4) float32 of the last level of `first`."""
+        planes = None
+        largest = LARGEST * max(first[-1].shape)
+        for k, (levels0, levels1) in enumerate(zip(first, second, strict=True)):
+            camera, scale = self.cameras[k], self.scales[k]
+            height, width = levels0.shape
+            if planes is None:
+                planes = _drawn(levels0.shape, camera, scale * largest, seed)
+            else:
+                ratio = scale / self.scales[k - 1]
+                planes = cv2.resize(planes, (width, height), interpolation=cv2.INTER_NEAREST)
+                planes[..., 0] *= ratio
+            search = PlaneSearch(
+                levels0,
+                levels1,
+                motion,
+                center=camera.center_for(height, width),
+                focal=camera.focal,
+                noise=max(self.noise * scale, QUIETEST),
+                seen=SEEN,
+                nearest=NEAREST,
+                largest=scale * largest,
+            )
+            search.score(planes)
+            rounds = ROUNDS[min(k, len(ROUNDS) - 1)]
+            for turn in range(rounds):
+                narrower = SHRINKING**turn
+                search.improve(
+                    planes,
+                    reach=REACH,
+                    draws=DRAWS,
+                    spread=SPREAD[min(k, 1)] * narrower,
+                    tilt=TILT * narrower,
+                    seed=(seed * len(self.scales) + k) * max(ROUNDS) + turn,
+                )
+        assert planes is not None
+        return planes
+
+
+def _levels(pyramid: ImagePyramid) -> list[int]:
+    """Return the levels that are searched, each about half as dense as the next, coarsest first."""
+    large = [k for k in range(pyramid.last, pyramid.levels) if pyramid.frames0[k].size <= MOST]
+    finest = min(large, default=pyramid.levels - 1)
+    step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
+    levels = range(finest, pyramid.levels, step)
+    enough = [k for k in levels if pyramid.frames0[k].size >= FEWEST] or [finest]
+    return enough[::-1]
+
+
+def _drawn(shape: tuple[int, ...], camera: Camera, largest: float, seed: int) -> np.ndarray:
+    """Return planes (h, w, 4) float32 drawn at random."""
+    random = np.random.default_rng(seed).random((*shape, 4), np.float32)
+    random[..., 0] *= largest
+    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / camera.focal)
+    return random
+
+
+def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
+    """Return which of some pixels lie among `ISLAND` that are connected and differ by 1 px at most.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        D, px/frame; positive.
+    believed : (H, W) bool
+    """
+    fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    fixed = fixed.astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
+    return fixed > 0
+
+
+def noise_deviation(frame: np.ndarray) -> float:
+    """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
+
+    That of what a mask leaves which smooth images do not pass, in the quietest blocks.
+
+    References
+    ----------
+    Immerkær, "Fast noise variance estimation", CVIU 1996, doi 10.1006/cviu.1996.0060 (mask).
+    """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
+    left = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
+    height, width = (side // BLOCK for side in frame.shape)
+    if not height * width:
+        return DEVIATION * float(np.median(left))
+    blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
+    return DEVIATION * float(np.quantile(np.median(blocks, axis=(1, 3)), QUIET))
