@@ -42,9 +42,7 @@ def line_search(
     rho, before, step : lane arrays, n components
         In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
     """
-    # In memory: written as a difference within `_plane`, it would be reordered there, and rounded
-    # as the unknowns are, not as what is left of them.
-    _subtract[grid.lanes](before, rho)
+    subtract(grid, before, rho)
     descend(grid, *lowest(*plane(grid, arrays, rho, before, step)), rho, before, step)
 
 
@@ -157,6 +155,15 @@ def descend(
 ) -> None:
     """Move from `before` by p rho + q step, `rho` a correction; in place as `line_search` does."""
     _descend[grid.lanes](p, q, rho.shape[0], rho, before, step)
+
+
+def subtract(grid: LaneGrid, before: LaneData, rho: LaneData) -> None:
+    """Make a corrected `rho` the correction itself, in place, halo included.
+
+    In memory: written as a difference within `_plane`, it would be reordered there, and rounded as
+    the unknowns are, not as what is left of them.
+    """
+    _subtract[grid.lanes](before, rho)
 
 
 @lane_kernel

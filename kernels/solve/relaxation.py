@@ -74,7 +74,7 @@ def bind_sweeps(
     system = (*arrays, rho if source is None else source, relaxation)
     options = (components, sets, closed_form, sourced)
     if grid.lanes == 1:
-        return _repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
+        return repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
     # A function of the size alone: with the threads it would move the borders between bands, and
     # the rows beside them are computed by a loop of their own, which may round otherwise.
     bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
@@ -84,14 +84,14 @@ def bind_sweeps(
         return _sweep[grid.lanes].bind(*system, *options, alone, bands, repeats, rho)
 
     if not alone:
-        return _repeated((launch(1), sweeps))
+        return repeated((launch(1), sweeps))
     # One band is one thread's, which may as well go on to the next sweep; but not for so long that
     # nobody could interrupt it.
     whole, rest = divmod(sweeps, AT_ONCE)
-    return _repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
+    return repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
 
 
-def _repeated(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
+def repeated(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
     """Return what runs each of some launches so many times."""
 
     def run() -> None:

@@ -1,0 +1,294 @@
+"""A system and its unknowns brought to a grid of half the density, and back.
+
+Grids and layouts are those of `tisfm.kernels.solve.coarsening`. D and the slopes keep their units,
+those of the finest level, so that the weights of all three kinds of edges change alike: half the
+sum of the two that they replace.
+
+Corrections are interpolated so that r stays what it is: the slopes bilinearly, and D as their
+integral, which between two coarse pixels H apart is linear interpolation and
+−t(1 − t) H Δv/2, t = ¼ from the nearer one.
+"""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import (
+    SMALL,
+    LaneArray,
+    LaneData,
+    LaneGrid,
+    element,
+    lane_kernel,
+    planes_of,
+    refresh_halo,
+)
+from tisfm.kernels.layout.launch import Launch, operation
+from tisfm.kernels.solve.coarsening import check_halved
+from tisfm.kernels.solve.second_order.stencil import (
+    COMPONENTS,
+    WEIGHTS,
+    center_at,
+    edges_at,
+    residual_at,
+    stiffness_at,
+)
+
+
+@operation
+def coarsen_system(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    coarse_tensor: LaneData,
+    coarse_weights: LaneData,
+) -> Launch:
+    """Sum the children's data, and combine the weights of edges.
+
+    The energy of a coarse field is then that of its interpolation, nearly: an edge takes half the
+    sum of the two fine ones that it replaces (`tisfm.kernels.solve.coarsening`). That r is as much
+    larger as the step, and Δv, whose unit is that of the finest level, as well, makes it hold for
+    every kind.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    arrays : tuple
+        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
+        has checked them.
+    coarse_tensor, coarse_weights : halved arrays, 3 and 6 components
+    """
+    check_halved(grid, coarse_tensor, COMPONENTS, "coarse_tensor")
+    check_halved(grid, coarse_weights, WEIGHTS, "coarse_weights")
+    return _coarsen_system[grid.lanes].bind(
+        *arrays, grid.height, grid.serial, coarse_tensor, coarse_weights
+    )
+
+
+@lane_kernel
+def _coarsen_system(
+    tensor: LaneArray(3),  # (3, H+2, S+2)
+    weights: LaneArray(3),  # (6, H+2, S+2)
+    height: ti.i32,
+    serial: ti.template(),
+    coarse_tensor: LaneArray(3),  # (3, h+2, S/2+2)
+    coarse_weights: LaneArray(3),  # (6, h+2, S/2+2)
+):
+    rows, strip = coarse_tensor.shape[1] - 2, coarse_tensor.shape[2] - 2
+    ti.loop_config(serialize=serial)
+    for row, position in ti.ndrange(rows, strip):
+        y, s = 2 * row + 1, 2 * position + 1
+        below = ti.min(y + 1, height + 1)  # halo, which is zero, under an odd last row
+        for k in ti.static(range(COMPONENTS)):
+            coarse_tensor[k, row + 1, position + 1] = (
+                tensor[k, y, s] + tensor[k, y, s + 1]
+                + tensor[k, below, s] + tensor[k, below, s + 1]
+            )  # fmt: skip
+        for kind in ti.static(range(3)):
+            east = weights[2 * kind, y, s + 1] + weights[2 * kind, below, s + 1]
+            south = weights[2 * kind + 1, below, s] + weights[2 * kind + 1, below, s + 1]
+            coarse_weights[2 * kind, row + 1, position + 1] = 0.5 * east
+            coarse_weights[2 * kind + 1, row + 1, position + 1] = 0.5 * south
+    ti.loop_config(serialize=serial)
+    for kind, row in ti.ndrange(3, rows):
+        refresh_halo(coarse_weights, 2 * kind, row + 1)
+
+
+def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Return where children lie beside their parents, in columns of the fine grid.
+
+    Returns
+    -------
+    offsets : column table
+        −½ and ½; 0 for a parent's only child, and for padding.
+    outer : column table
+        The same where the parent's neighbour on that side lies outside, else 0.
+    """
+    column = grid.column_index()
+    offset = np.where(column % 2 == 0, -0.5, 0.5)
+    offset[(column >= grid.width) | ((column == grid.width - 1) & (column % 2 == 0))] = 0
+    beyond = np.zeros_like(offset)
+    beyond[[0, grid.width - 1]] = 1
+    return grid.columns(offset), grid.columns(offset * beyond)
+
+
+@operation
+def restrict_residual(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    numbers: tuple[float, ...],
+    offsets: LaneData,
+    rho: LaneData,
+    source: LaneData | None,
+    out: LaneData,
+) -> Launch:
+    """Sum the children's residuals; those of D, times their offset, count for the slopes as well.
+
+    So a slope of the parent is one of the plane on which its children lie: within them, edges that
+    such a plane leaves as they are contribute nothing.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    arrays, numbers : tuples
+        Of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has checked all
+        arrays.
+    offsets : column table
+        Of `offset_columns`.
+    rho : lane array, 3 components
+    source : lane array, 3 components, or None
+        Right-hand side in place of (−B, 0, 0).
+    out : halved array, 3 components
+    """
+    grid.check_columns(offsets, "offsets")
+    check_halved(grid, out, COMPONENTS, "out")
+    half, spread, *_ = numbers
+    return _restrict_residual[grid.lanes].bind(
+        *arrays,
+        half,
+        spread,
+        offsets,
+        rho if source is None else source,
+        rho,
+        grid.height,
+        source is not None,
+        grid.serial,
+        out,
+    )
+
+
+@lane_kernel
+def _restrict_residual(
+    tensor: LaneArray(3),  # (3, H+2, S+2)
+    weights: LaneArray(3),  # (6, H+2, S+2)
+    half: ti.f32,
+    spread: ti.f32,
+    offsets: LaneArray(1),  # (S+2,)
+    source: LaneArray(3),  # (3, H+2, S+2), read if `sourced`
+    rho: LaneArray(3),  # (3, H+2, S+2)
+    height: ti.i32,
+    sourced: ti.template(),
+    serial: ti.template(),
+    out: LaneArray(3),  # (3, h+2, S/2+2)
+):
+    rows, strip = out.shape[1] - 2, out.shape[2] - 2
+    ti.loop_config(serialize=serial)
+    for row, position in ti.ndrange(rows, strip):
+        stride = rho.shape[2] & SMALL
+        planes = ti.static(planes_of(rho, WEIGHTS))
+        depth, east, south = 0.0 * offsets[1], 0.0 * offsets[1], 0.0 * offsets[1]
+        pair = ti.cast(2 * row + 1 < height, ti.f32)  # a single child lies on its parent
+        for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
+            down = pair * (ti.cast(y - 2 * row, ti.f32) - 1.5)
+            for side in ti.static(range(2)):
+                s = 2 * position + 1 + side
+                i = (y * stride + s) & SMALL
+                center = ti.static(center_at(rho, planes, i))
+                edges = ti.static(edges_at(weights, planes, stride, i))
+                held = ti.static(stiffness_at(tensor, edges, planes, i, half, spread))
+                residual = ti.static(
+                    residual_at(
+                        tensor, edges, held, source if sourced else None, planes, stride, rho,
+                        center, i, half,
+                    )
+                )  # fmt: skip
+                depth += residual[0]
+                east += residual[1] + 2.0 * half * offsets[s] * residual[0]
+                south += residual[2] + 2.0 * half * down * residual[0]
+        out[0, row + 1, position + 1] = depth
+        out[1, row + 1, position + 1] = east
+        out[2, row + 1, position + 1] = south
+
+
+@operation
+def correct(
+    grid: LaneGrid,
+    coarse: LaneData,
+    across: tuple[LaneData, LaneData, LaneData],
+    rho: LaneData,
+    *,
+    spacing: float,
+) -> Launch:
+    """Add a coarse correction to D and the slopes, in place, halo included.
+
+    Beyond the outermost coarse pixels D goes on along its slope.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    coarse : halved array, 3 components
+        With its halo columns; beyond the border of the image it is not read.
+    across : column tables of 3
+        Of `tisfm.kernels.solve.coarsening.interpolation_columns`, and `outer` of `offset_columns`.
+    rho : lane array, 3 components
+    spacing : float
+        h, of the fine grid.
+    """
+    grid.check(rho, COMPONENTS, "rho")
+    check_halved(grid, coarse, COMPONENTS, "coarse")
+    for table in across:
+        grid.check_columns(table, "across")
+    return _correct[grid.lanes].bind(coarse, *across, grid.height, spacing, grid.serial, rho)
+
+
+@lane_kernel
+def _correct(
+    coarse: LaneArray(3),  # (3, h+2, S/2+2)
+    near: LaneArray(1),  # (S+2,)
+    far: LaneArray(1),  # (S+2,)
+    outer: LaneArray(1),  # (S+2,)
+    height: ti.i32,
+    spacing: ti.f32,
+    serial: ti.template(),
+    rho: LaneArray(3),  # (3, H+2, S+2), in place
+):
+    rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
+    ti.loop_config(serialize=serial)
+    for row, position in ti.ndrange(height, strip):
+        stride = coarse.shape[2] & SMALL
+        planes = ti.static(planes_of(coarse, COMPONENTS))
+        y = row // 2 + 1
+        sense = 2.0 * ti.cast(row % 2, ti.f32) - 1.0
+        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # itself at the border
+        # An outermost row with a sibling lies half a row beyond its parent.
+        outside = 0.0
+        if beyond == y and (row % 2 == 1 or row + 1 < height):
+            outside = 0.5 * sense
+        for side in ti.static(range(2)):  # both children of a row
+            s, parent = 2 * position + 1 + side, position + 1
+            neighbour = parent - 1 + 2 * side
+            tables = ti.static([bind(near[s]), bind(far[s]), bind(outer[s])])
+            first, second = (y * stride + parent) & SMALL, (y * stride + neighbour) & SMALL
+            here = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
+            first, second = (beyond * stride + parent) & SMALL, (beyond * stride + neighbour) & SMALL
+            there = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
+            for k in ti.static(range(COMPONENTS)):
+                change = 0.75 * here[k] + 0.25 * there[k]
+                if ti.static(k == 0):
+                    change += spacing * (outside * here[2])
+                    change += (0.1875 * spacing * sense) * (here[2] - there[2])
+                rho[k, row + 1, s] = rho[k, row + 1, s] + change
+    ti.loop_config(serialize=serial)
+    for k, row in ti.ndrange(COMPONENTS, height):
+        refresh_halo(rho, k, row + 1)
+
+
+def _row_at(
+    coarse: Any, planes: list, first: Any, second: Any, tables: list, side: int, spacing: Any
+) -> list:
+    """Return the correction on one coarse row, where a fine column lies, while compiling.
+
+    `first` and `second` are the `element` of the parent and of its neighbour on that side.
+    """
+    near, far, outer = tables
+    own = [bind(element(coarse, first + planes[k])) for k in range(COMPONENTS)]
+    other = [bind(element(coarse, second + planes[k])) for k in range(COMPONENTS)]
+    depth, *slopes = (near * a + far * b for a, b in zip(own, other, strict=True))
+    sense = 2.0 * side - 1.0
+    # 3/16 of h Δv where there is a neighbour, whose share `far` is ¼.
+    depth = depth + spacing * (outer * own[1] + (0.75 * sense) * far * (own[1] - other[1]))
+    return [bind(depth), *(bind(slope) for slope in slopes)]

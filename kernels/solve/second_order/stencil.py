@@ -1,0 +1,126 @@
+"""The local system of a pixel, written out while a kernel is compiled."""
+
+from typing import Any
+
+import taichi as ti
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import element
+
+COMPONENTS = 3  # D, v₁, v₂
+WEIGHTS = 6  # a, b and c, each of the eastern and of the southern edge
+
+
+def center_at(rho: Any, planes: list, i: Any) -> list:
+    """Return D, v₁ and v₂ of the pixel whose `element` is i."""
+    return [bind(element(rho, i + planes[k])) for k in range(COMPONENTS)]
+
+
+def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
+    """Return a, b and c of the edges of a pixel: lists of E, W, S, N."""
+    places = ((0, i), (0, i - 1), (1, i), (1, i - stride))
+    return [
+        [bind(element(weights, place + planes[2 * kind + side])) for side, place in places]
+        for kind in range(3)
+    ]
+
+
+def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half: Any, spread: Any) -> list:
+    """Return what holds v₁ and v₂ of a pixel besides r: its edges b, and its data.
+
+    The data of a coarse pixel lie beside its centre: where its edges are weaker than what the data
+    say about the slope, A times their variance `spread`, that is their lower bound.
+    """
+    first, second, _ = edges
+    total = bind(second[0] + second[1] + second[2] + second[3])
+    data = bind(spread * element(tensor, i + planes[0]))
+    return [
+        bind(ti.max(total, data - half * half * (first[side] + first[side + 1])))
+        for side in (0, 2)
+    ]
+
+
+def residual_at(
+    tensor: Any,
+    edges: list,
+    held: list,
+    source: Any,
+    planes: list,
+    stride: Any,
+    rho: Any,
+    center: list,
+    i: Any,
+    half: Any,
+) -> list:
+    """Return the right-hand side less the left one, of D, v₁ and v₂.
+
+    `half` is h/2, `held` are those of `stiffness_at`. Without `source`, the right-hand side is −B
+    of the tensor.
+    """
+    depth, *slopes = center
+    first, second, third = edges
+    places = (i + 1, i - 1, i + stride, i - stride)
+    steps = [bind(element(rho, place + planes[0]) - depth) for place in places]
+    pull = 0.0 - element(tensor, i + planes[0]) * depth
+    if source is None:
+        pull = pull - element(tensor, i + planes[1])
+    else:
+        pull = pull + element(source, i + planes[0])
+    for weight, step in zip(third, steps, strict=True):
+        pull = pull + weight * step
+    others = [
+        [bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)
+    ]
+    residual = []
+    for k, slope in enumerate(slopes):
+        ahead, behind = 2 * k, 2 * k + 1
+        onward = bind(first[ahead] * (steps[ahead] - half * (slope + others[k][ahead])))
+        back = bind(first[behind] * (steps[behind] + half * (slope + others[k][behind])))
+        pull = pull + onward + back
+        turn = half * (onward - back)
+        for weight, other in zip(second, others[k], strict=True):
+            turn = turn + weight * (other - slope)
+        b = bind(second[0] + second[1] + second[2] + second[3])
+        turn = turn - (held[k] - b) * slope
+        if source is not None:
+            turn = turn + element(source, i + planes[1 + k])
+        residual.append(bind(turn))
+    return [bind(pull), *residual]
+
+
+def solve_at(
+    tensor: Any, edges: list, held: list, planes: list, residual: list, i: Any, half: Any,
+    floors: tuple,
+) -> list:  # fmt: skip
+    """Return the step that makes the residual of a pixel zero, given its neighbours.
+
+    v₁ and v₂ are coupled with D alone. Without them, D has the pivot A + Σc + Σ_k p_k, with
+
+        p = (h² a a' + (a + a') s) / (h²/4 (a + a') + s),
+
+    a and a' the weights of the two edges along an axis, and s what holds its slope: a sum of
+    positive numbers, without a difference. `floors` of D and of v are added where they could all
+    be zero.
+    """
+    first, _, third = edges
+    pivot = element(tensor, i + planes[0]) + third[0] + third[1] + third[2] + third[3] + floors[0]
+    right = residual[0]
+    inverses, couplings = [], []
+    for k in range(2):
+        ahead, behind = first[2 * k], first[2 * k + 1]
+        both = bind(ahead + behind)
+        stiffness = bind(held[k] + floors[1])
+        inverse = bind(1.0 / (half * half * both + stiffness))
+        coupling = bind(half * (ahead - behind) * inverse)
+        pivot = pivot + (4.0 * half * half * ahead * behind + both * stiffness) * inverse
+        right = right - coupling * residual[1 + k]
+        inverses.append(inverse)
+        couplings.append(coupling)
+    step = bind(right / bind(pivot))
+    return [
+        step,
+        *(
+            bind(inverse * entry - coupling * step)
+            for inverse, coupling, entry in zip(inverses, couplings, residual[1:], strict=True)
+        ),
+    ]

@@ -1,0 +1,209 @@
+"""The linear system of fixed weights in D and its slopes, and all that is done with it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid
+from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model.edges import component_table
+from tisfm.kernels.model.robust import check_constraints
+from tisfm.kernels.solve.line_search import descend, lowest, subtract
+from tisfm.kernels.solve.second_order.coarsening import coarsen_system, restrict_residual
+from tisfm.kernels.solve.second_order.line_search import plane
+from tisfm.kernels.solve.second_order.relaxation import bind_sweeps
+from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
+from tisfm.kernels.solve.second_order.weight_update import bind_update
+from tisfm.kernels.solve.weight_update import Sums
+
+FLOOR = 1e-6  # of α and β: added to pivots, for pixels without data and without an open edge
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SecondOrderSystem:
+    """The equations of D, v₁ and v₂ at every pixel (`tisfm.kernels.solve.second_order`).
+
+    Its arrays are checked once, here. They are read where they lie: whoever writes to them changes
+    the system.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 3 components
+        A, B and C of the data, A D² + 2 B D + C.
+    weights : lane array, 6 components
+        a, b and c of the eastern and of the southern edge: (a_E, a_S, b_E, b_S, c_E, c_S).
+    alpha, beta, gamma : float
+        What r, Δv and ΔD weigh, per px² of D; `gamma` may be 0.
+    spacing : float
+        h, px of the finest level.
+    spread : float
+        Variance of the place of the data about the centre of their pixel, along an axis, in px² of
+        the finest level: 0 unless the system was coarsened.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array is not one of the grid, or a number is not positive and finite.
+    """
+
+    grid: LaneGrid
+    tensor: LaneData
+    weights: LaneData
+    alpha: float
+    beta: float
+    gamma: float = 0.0
+    spacing: float = 1.0
+    spread: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.grid.check(self.tensor, COMPONENTS, "tensor")
+        self.grid.check(self.weights, WEIGHTS, "weights")
+        for name in ("alpha", "beta", "spacing"):
+            component_table([getattr(self, name)], 1, name)
+        for name in ("gamma", "spread"):
+            value = getattr(self, name)
+            if not 0 <= value < float("inf"):
+                raise ValueError(f"{name} is {value}: expected a number of at least 0")
+
+    @property
+    def arrays(self) -> tuple[LaneData, LaneData]:
+        """Tensor and weights: the first two arguments of every kernel of a system."""
+        return self.tensor, self.weights
+
+    @cached_property
+    def numbers(self) -> tuple[float, float, float, float]:
+        """h/2, the spread of the data, and the floors of the pivots of D and of the slopes."""
+        slope_floor = FLOOR * (self.beta + self.spacing**2 * self.alpha)
+        return (
+            self.spacing / 2,
+            self.spread,
+            FLOOR * self.alpha + LEAST_DIVISOR,
+            slope_floor + LEAST_DIVISOR,
+        )
+
+    def bind_sweep(
+        self,
+        rho: LaneData,
+        *,
+        relaxation: float,
+        sweeps: int = 1,
+        source: LaneData | None = None,
+    ) -> Callable[[], None]:
+        """Return what runs full red–black sweeps; `rho` is modified in place, halo included.
+
+        Parameters
+        ----------
+        rho : lane array, 3 components
+            D, v₁, v₂.
+        relaxation : float
+            In (0, 2); 1 is Gauss–Seidel.
+        sweeps : int
+        source : lane array, 3 components, optional
+            Right-hand side in place of (−B, 0, 0).
+        """
+        self._check(rho=rho, source=rho if source is None else source)
+        return bind_sweeps(
+            self.grid,
+            self.arrays,
+            self.numbers,
+            rho,
+            source,
+            relaxation=relaxation,
+            sweeps=sweeps,
+        )
+
+    def bind_weight_update(
+        self,
+        rho: LaneData,
+        previous: LaneData,
+        anchors: LaneData,
+        edges: LaneData,
+        constraints: LaneData | None = None,
+        *,
+        contrasts: Sequence[float],
+        anchor_scale: float,
+        scales: Sequence[float] = (),
+    ) -> Callable[[], Sums]:
+        """Return what measures D and its slopes, and renews weights and tensor, at every call.
+
+        The arguments are those of `tisfm.kernels.solve.second_order.weight_update.bind_update`.
+        """
+        self._check(rho=rho)
+        self.grid.check(previous, 1, "previous")
+        self.grid.check(anchors, 2, "anchors")
+        self.grid.check(edges, 2, "edges")
+        if constraints is not None:
+            check_constraints(self.grid, constraints, scales)
+        elif len(scales):
+            raise ValueError(f"scales is {tuple(scales)}: expected none without constraints")
+        if len(contrasts) != 3 or not all(contrast > 0 for contrast in contrasts):
+            raise ValueError(f"contrasts is {tuple(contrasts)}: expected 3 positive values")
+        if not anchor_scale > 0:
+            raise ValueError(f"anchor_scale is {anchor_scale}: expected a positive value, in px")
+        first, second, third = contrasts
+        return bind_update(
+            self.grid,
+            self.arrays,
+            rho,
+            previous,
+            anchors,
+            edges,
+            constraints,
+            half=self.spacing / 2,
+            stiffness=(self.alpha, self.beta, self.gamma),
+            contrasts=(first, second, third),
+            anchor_scale=anchor_scale,
+            scales=scales,
+        )
+
+    def bind_restrict(
+        self,
+        offsets: LaneData,
+        rho: LaneData,
+        out: LaneData,
+        *,
+        source: LaneData | None = None,
+    ) -> Callable[[], None]:
+        """Return what writes the residuals at `rho`, summed over the children of coarse pixels.
+
+        Parameters
+        ----------
+        offsets : column table
+            Of `tisfm.kernels.solve.second_order.coarsening.offset_columns`.
+        rho : lane array, 3 components
+        out : halved array, 3 components (`tisfm.kernels.solve.coarsening`)
+        source : lane array, 3 components, optional
+            Right-hand side in place of (−B, 0, 0).
+        """
+        self._check(rho=rho, source=rho if source is None else source)
+        return restrict_residual.bind(
+            self.grid, self.arrays, self.numbers, offsets, rho, source, out
+        )
+
+    def bind_coarsen(self, tensor: LaneData, weights: LaneData) -> Callable[[], None]:
+        """Return what writes the system of the grid of half the density.
+
+        Parameters
+        ----------
+        tensor, weights : halved arrays, 3 and 6 components
+        """
+        return coarsen_system.bind(self.grid, self.arrays, tensor, weights)
+
+    def line_search(self, rho: LaneData, before: LaneData, step: LaneData) -> None:
+        """Go to the least energy in the plane of the last correction and the step before it.
+
+        Parameters
+        ----------
+        rho, before, step : lane arrays, 3 components
+            A corrected field, the one before the correction, and the step that led there. In
+            place: `rho` and `before` become where the search leads, `step` what it moved.
+        """
+        self._check(rho=rho, before=before, step=step)
+        subtract(self.grid, before, rho)
+        place = plane(self.grid, self.arrays, self.spacing / 2, rho, before, step)
+        descend(self.grid, *lowest(*place), rho, before, step)
+
+    def _check(self, **unknowns: LaneData) -> None:
+        for name, array in unknowns.items():
+            self.grid.check(array, COMPONENTS, name)

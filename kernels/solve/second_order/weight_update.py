@@ -1,0 +1,286 @@
+"""What a half-quadratic iteration does besides relaxation, in one pass over memory."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import (
+    CHUNK,
+    SMALL,
+    LaneArray,
+    LaneData,
+    LaneGrid,
+    SumArray,
+    element,
+    first_row,
+    lane_count,
+    lane_kernel,
+    load,
+    planes_of,
+    refresh_halo,
+    store,
+)
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import LEAST_PIVOT
+from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
+from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
+from tisfm.kernels.solve.weight_update import ROWS, Sums
+
+
+def bind_update(
+    grid: LaneGrid,
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,
+    previous: LaneData,
+    anchors: LaneData,
+    edges: LaneData,
+    constraints: LaneData | None,
+    *,
+    half: float,
+    stiffness: tuple[float, float, float],
+    contrasts: tuple[float, float, float],
+    anchor_scale: float,
+    scales: Sequence[float],
+) -> Callable[[], Sums]:
+    """Return what measures D and its slopes, and renews the weights for them.
+
+    An edge contributes α g Φ(r) + β g Φ(|Δv|) + γ g Φ(ΔD), each with its own contrast δ, with
+    Φ(s) = 2s²/(1 + √(1 + s²/δ²)) and its half-quadratic form b s² + δ²(b + 1/b − 2)
+    (`tisfm.kernels.solve.weight_update`). An anchor contributes w ψ(D − D*), where
+    ψ(s) = 2s²/(1 + √(1 + s²/σ²)).
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    arrays : tuple
+        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
+        has checked all arrays. As they were, they enter the half-quadratic energy; they are
+        overwritten.
+    rho : lane array, 3 components
+        D, v₁, v₂.
+    previous : lane array, 1 component
+        An earlier D; overwritten.
+    anchors : lane array, 2 components
+        w and D*, px/frame; D* is finite where w is 0, too.
+    edges : lane array, 2 components
+        g.
+    constraints : lane array, 3 components for each of 1 to 3 constraints, or None
+        (p, 0, c) of p D + c = 0.
+    half : float
+        h/2.
+    stiffness : (α, β, γ)
+    contrasts : 3 floats
+        δ of r, of |Δv| and of ΔD; infinite for a quadratic penalty.
+    anchor_scale : float
+        σ, px/frame; infinite likewise.
+    scales : sequence of float
+        m_i ε² of each term of the constraints (`tisfm.kernels.model.robust`).
+    """
+    tensor, weights = arrays
+    partial = block_sums(grid, 4)
+    count = 0 if constraints is None else constraints.shape[0] // 3
+    squared = [contrast * contrast for contrast in (*contrasts, anchor_scale)]
+    launch = _update[grid.lanes].bind(
+        rho if constraints is None else constraints,
+        anchors,
+        edges,
+        rho,
+        half,
+        *stiffness,
+        # With δ infinite, b is 1 and its penalty vanishes.
+        *(value for square in squared for value in (1.0 / square, _finite(square))),
+        *finite_scales(scales or (np.inf,)),
+        count,
+        grid.serial,
+        -(-grid.height // ROWS),
+        weights,
+        tensor,
+        previous,
+        partial,
+    )
+
+    def run() -> Sums:
+        launch()
+        energy, half_quadratic, moved, size = add_blocks(partial)
+        return Sums(
+            energy=float(energy),
+            half_quadratic=float(half_quadratic),
+            moved=float(np.sqrt(moved)),
+            size=float(np.sqrt(size)),
+        )
+
+    return run
+
+
+def _finite(square: float) -> float:
+    return square if np.isfinite(square) else 0.0
+
+
+@lane_kernel
+def _update(
+    terms: LaneArray(3),  # (3 count, H+2, S+2)
+    anchors: LaneArray(3),  # (2, H+2, S+2)
+    edges: LaneArray(3),  # (2, H+2, S+2)
+    rho: LaneArray(3),  # (3, H+2, S+2)
+    half: ti.f32,
+    alpha: ti.f32,
+    beta: ti.f32,
+    gamma: ti.f32,
+    inverse_bend: ti.f32,
+    bend: ti.f32,
+    inverse_turn: ti.f32,
+    turn: ti.f32,
+    inverse_step: ti.f32,
+    step: ti.f32,
+    inverse_anchor: ti.f32,
+    anchor: ti.f32,
+    inverse0: ti.f32,
+    scale0: ti.f32,
+    inverse1: ti.f32,
+    scale1: ti.f32,
+    count: ti.template(),
+    serial: ti.template(),
+    bands: ti.i32,
+    weights: LaneArray(3),  # (6, H+2, S+2), in place
+    tensor: LaneArray(3),  # (3, H+2, S+2), in place
+    previous: LaneArray(3),  # (1, H+2, S+2), in place
+    partial: SumArray(3),  # (H, blocks, 4)
+):
+    height = rho.shape[1] - 2
+    blocks = partial.shape[1]
+    if ti.static(lane_count(rho) == 1):
+        for index in range(height * blocks):
+            stride = rho.shape[2] & SMALL
+            planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
+            kinds = ti.static(
+                ((alpha, inverse_bend, bend), (beta, inverse_turn, turn),
+                 (gamma, inverse_step, step))
+            )  # fmt: skip
+            scales = ti.static(
+                ((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1)))
+            )
+            _update_block(
+                terms, anchors, edges, rho, half, kinds, scales, count, weights, tensor, previous,
+                partial, stride, planes, index // blocks, index % blocks,
+            )  # fmt: skip
+    else:
+        chunk = ti.static(1 if serial else CHUNK)
+        ti.loop_config(serialize=serial)
+        for task in range(chunk * bands):
+            if task % chunk == 0:
+                band = task // chunk
+                stride = rho.shape[2] & SMALL
+                planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
+                kinds = ti.static(
+                    ((alpha, inverse_bend, bend), (beta, inverse_turn, turn),
+                     (gamma, inverse_step, step))
+                )  # fmt: skip
+                scales = ti.static(
+                    ((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1)))
+                )
+                for row in range(
+                    first_row(band, height, bands), first_row(band + 1, height, bands)
+                ):
+                    for block in range(blocks):
+                        _update_block(
+                            terms, anchors, edges, rho, half, kinds, scales, count, weights,
+                            tensor, previous, partial, stride, planes, row, block,
+                        )  # fmt: skip
+                    # The western weight of a strip's first column is the eastern one of its
+                    # neighbour's last.
+                    for kind in range(3):
+                        refresh_halo(weights, 2 * kind, row + 1)
+
+
+@ti.func
+def _update_block(
+    terms: ti.template(),
+    anchors: ti.template(),
+    edges: ti.template(),
+    rho: ti.template(),
+    half,
+    kinds: ti.template(),
+    scales: ti.template(),
+    count: ti.template(),
+    weights: ti.template(),
+    tensor: ti.template(),
+    previous: ti.template(),
+    partial: ti.template(),
+    stride,
+    planes: ti.template(),
+    row,
+    block,
+):
+    """Update one block of one row."""
+    y, strip = row + 1, rho.shape[2] - 2
+    zero = 0.0 * rho[0, y, 1]
+    energy, half_energy, moved, size = zero, zero, zero, zero
+    for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+        i = (y * stride + position + 1) & SMALL
+        here = ti.static([bind(element(rho, i + planes[k])) for k in range(COMPONENTS)])
+        depth = here[0]
+        a, b, c = load(tensor, i), load(tensor, i + planes[1]), load(tensor, i + planes[2])
+        half_energy += (a * depth + 2.0 * b) * depth + c
+        value, sums = ti.static(_data_at(terms, anchors, scales, count, planes, depth, i))
+        energy += value
+        for k in ti.static(range(COMPONENTS)):
+            store(tensor, i + planes[k], sums[k])
+        for side in ti.static(range(2)):  # east, south
+            g = load(edges, i + planes[side])
+            beyond = i + 1 + side * (stride - 1)
+            there = ti.static(
+                [bind(element(rho, beyond + planes[k])) for k in range(COMPONENTS)]
+            )
+            squares = ti.static(_squares(here, there, side, half))
+            for kind in ti.static(range(3)):
+                stiffness, inverse, squared = ti.static(kinds[kind])
+                place = i + planes[2 * kind + side]
+                square, before = squares[kind], load(weights, place)
+                whole = stiffness * g
+                root = ti.sqrt(1.0 + inverse * square)
+                both = whole / (root * (1.0 + root))
+                energy += 2.0 * square * (root * both)
+                gap = whole - before
+                half_energy += before * square
+                half_energy += squared * gap * gap / ti.max(before, LEAST_PIVOT)
+                store(weights, place, both * (1.0 + root))
+        change = depth - load(previous, i)
+        moved += change * change
+        size += depth * depth
+        store(previous, i, depth)
+    for term, value in ti.static(enumerate((energy, half_energy, moved, size))):
+        store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
+
+
+def _data_at(
+    terms: Any, anchors: Any, scales: tuple, count: int, planes: list, depth: Any, i: Any
+) -> tuple[Any, list]:
+    """Return the energy of a pixel's data, and (A, B, C) of their half-quadratic form."""
+    (inverse, squared), robust = scales
+    weight, target = (bind(element(anchors, i + planes[k])) for k in range(2))
+    distance = bind(depth - target)
+    square = bind(distance * distance)
+    root = bind(ti.sqrt(1.0 + inverse * square))
+    both = bind(weight / (root * (1.0 + root)))
+    trust = bind(both * (1.0 + root))  # w ω
+    energy = 2.0 * square * (root * both)
+    # σ²(ω + 1/ω − 2) = σ²(1 − ω)(1/ω − 1)
+    penalty = squared * (weight - trust) * (root - 1.0)
+    form = [trust, 0.0 - trust * target, trust * target * target + penalty]
+    if count:
+        entries = [bind(element(terms, i + planes[k])) for k in range(3 * count)]
+        lines = [(entries[3 * k], 0.0, entries[3 * k + 2]) for k in range(count)]
+        value, sums = robust_data(terms_of(lines), list(robust), depth, 0.0)
+        energy = energy + value
+        form = [total + sums[k] for total, k in zip(form, (0, 3, 5), strict=True)]
+    return bind(energy), [bind(entry) for entry in form]
+
+
+def _squares(here: list, there: list, side: int, half: Any) -> list:
+    """Return r², |Δv|² and ΔD² of an edge, 0 for east and 1 for south."""
+    step, *turns = (bind(far - near) for far, near in zip(there, here, strict=True))
+    bend = bind(step - half * (here[1 + side] + there[1 + side]))
+    return [bind(bend * bend), bind(turns[0] * turns[0] + turns[1] * turns[1]), bind(step * step)]

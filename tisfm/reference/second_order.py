@@ -1,0 +1,221 @@
+"""Second-order smoothness of inverse depth: its energy, its weights and its linear system.
+
+The unknowns are (D, v₁, v₂), (3, H, W): inverse depth, and its slopes to the east and south.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.reference.smoothness import aubert
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondOrder:
+    """The smoothness Σ_edges α g Φ(r) + β g Φ(|Δv|) + γ g Φ(ΔD), r = ΔD − h (v_p + v_N)/2.
+
+    Attributes
+    ----------
+    alpha, beta, gamma : float
+    contrasts : 3 floats
+        δ of r, |Δv| and ΔD.
+    spacing : float
+        h.
+    edges : (2, H, W) array or None
+        g of the eastern and southern edges; None for 1.
+    """
+
+    alpha: float
+    beta: float
+    gamma: float = 0.0
+    contrasts: tuple[float, float, float] = (np.inf, np.inf, np.inf)
+    spacing: float = 1.0
+    edges: np.ndarray | None = None
+
+    def open(self, height: int, width: int) -> np.ndarray:
+        """Return g, 0 across the border: (2, H, W)."""
+        edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
+        edges[0, :, -1] = edges[1, -1] = 0
+        return edges
+
+    def stiffness(self) -> np.ndarray:
+        """Return α, β and γ, (3, 1, 1, 1)."""
+        return np.array([self.alpha, self.beta, self.gamma])[:, None, None, None]
+
+
+def second_order_measures(rho: np.ndarray, spacing: float) -> np.ndarray:
+    """Return r, |Δv| and ΔD of the eastern and southern edges, (3, 2, H, W), 0 at the border."""
+    _, height, width = rho.shape
+    measures = np.zeros((3, 2, height, width))
+    for side, (here, there) in enumerate(
+        ((np.s_[:, :, :-1], np.s_[:, :, 1:]), (np.s_[:, :-1], np.s_[:, 1:]))
+    ):
+        near, far = rho[here], rho[there]
+        inside = (slice(None), *here[1:])
+        change = far - near
+        bend = change[0] - spacing * (near[1 + side] + far[1 + side]) / 2
+        measures[(slice(None), side, *inside[1:])] = bend, np.hypot(*change[1:]), change[0]
+    return measures
+
+
+def second_order_energy(rho: np.ndarray, smoothness: SecondOrder) -> float:
+    """Return the energy of the smoothness."""
+    measures = second_order_measures(rho, smoothness.spacing)
+    penalties = [aubert(s, d) for s, d in zip(measures, smoothness.contrasts, strict=True)]
+    return float((smoothness.stiffness() * smoothness.open(*rho.shape[1:]) * penalties).sum())
+
+
+def second_order_weights(rho: np.ndarray, smoothness: SecondOrder) -> np.ndarray:
+    """Return a = α g b of r, b = β g b of |Δv| and c = γ g b of ΔD, (3, 2, H, W)."""
+    measures = second_order_measures(rho, smoothness.spacing)
+    contrasts = np.array(smoothness.contrasts)[:, None, None, None]
+    b = 1 / np.sqrt(1 + (measures / contrasts) ** 2)
+    return smoothness.stiffness() * smoothness.open(*rho.shape[1:]) * b
+
+
+def second_order_half_quadratic(
+    rho: np.ndarray, weights: np.ndarray, smoothness: SecondOrder
+) -> float:
+    """Return the half-quadratic form of the smoothness, with weights of `second_order_weights`."""
+    measures = second_order_measures(rho, smoothness.spacing)
+    whole = smoothness.stiffness() * smoothness.open(*rho.shape[1:])
+    total = (weights * measures**2).sum()
+    for weight, full, contrast in zip(weights, whole, smoothness.contrasts, strict=True):
+        if np.isfinite(contrast):
+            seen = full > 0
+            b = weight[seen] / full[seen]
+            total += (full[seen] * contrast**2 * (1 - b) ** 2 / b).sum()
+    return float(total)
+
+
+def anchor_energy(depth: np.ndarray, weight: np.ndarray, target: np.ndarray, scale: float) -> float:
+    """Return Σ w ψ(D − D*), ψ(s) = 2σ²(√(1 + s²/σ²) − 1)."""
+    return float((weight * aubert(depth - target, scale)).sum())
+
+
+def anchor_tensor(
+    depth: np.ndarray, weight: np.ndarray, target: np.ndarray, scale: float
+) -> np.ndarray:
+    """Return (A, B, C) of the half-quadratic form of the anchors, (3, H, W)."""
+    trust = 1 / np.sqrt(1 + ((depth - target) / scale) ** 2)
+    penalty = scale**2 * (1 - trust) ** 2 / trust if np.isfinite(scale) else 0 * trust
+    return weight * np.array([trust, -trust * target, trust * target**2 + penalty])
+
+
+def line_tensor(
+    terms: Sequence[np.ndarray], depth: np.ndarray, scales: Sequence[float]
+) -> tuple[float, np.ndarray]:
+    """Return the energy, and (A, B, C), (3, H, W), of constraints p D + c = 0.
+
+    `terms` are (k, 2, H, W): p and c of the k constraints of each term, with the scales of
+    `tisfm.reference.robust_tensor`.
+    """
+    energy, total = 0.0, np.zeros((3, *depth.shape))
+    for term, scale in zip(terms, scales, strict=True):
+        p, c = term[:, 0], term[:, 1]
+        q = ((p * depth + c) ** 2).sum(axis=0)
+        weight = 1 / np.sqrt(1 + q / scale)
+        energy += float((2 * q / (1 + np.sqrt(1 + q / scale))).sum())
+        total += weight * np.array([(p * p).sum(axis=0), (p * c).sum(axis=0), (c * c).sum(axis=0)])
+        if np.isfinite(scale):
+            total[2] += scale * (1 - weight) ** 2 / weight
+    return energy, total
+
+
+def second_order_system(
+    tensor: np.ndarray, weights: np.ndarray, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix and the right-hand side of all pixels, for ρ in the order of its array.
+
+    `tensor` is (A, B, C), `weights` those of `second_order_weights`.
+    """
+    _, height, width = tensor.shape
+    count = height * width
+    pixel = np.arange(count).reshape(height, width)
+    matrix = np.zeros((3 * count, 3 * count))
+    matrix[pixel, pixel] = tensor[0]
+    for side, (here, there) in enumerate(
+        ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+    ):
+        for near, far, a, b, c in zip(
+            pixel[here].ravel(),
+            pixel[there].ravel(),
+            *(weights[kind, side][here].ravel() for kind in range(3)),
+            strict=True,
+        ):
+            slopes = [(1 + side) * count + near, (1 + side) * count + far]
+            forms = [(a, [near, far, *slopes], [-1, 1, -spacing / 2, -spacing / 2])]
+            forms += [(b, [k * count + near, k * count + far], [-1, 1]) for k in (1, 2)]
+            forms += [(c, [near, far], [-1, 1])]
+            for weight, where, row in forms:
+                matrix[np.ix_(where, where)] += weight * np.outer(row, row)
+    right = np.zeros(3 * count)
+    right[:count] = -tensor[1].ravel()
+    return matrix, right
+
+
+def second_order_sweep(
+    tensor: np.ndarray,
+    weights: np.ndarray,
+    rho: np.ndarray,
+    *,
+    spacing: float,
+    relaxation: float = 1.0,
+    source: np.ndarray | None = None,
+) -> None:
+    """Gauss–Seidel over red pixels, then black; `rho` is modified in place.
+
+    `source`, (3, H, W), is the right-hand side in place of (−B, 0, 0).
+    """
+    matrix, right = second_order_system(tensor, weights, spacing)
+    if source is not None:
+        right = source.ravel()
+    _, height, width = rho.shape
+    rows, columns = np.indices((height, width))
+    values = rho.reshape(3, -1)
+    for color in (0, 1):
+        residual = (right - matrix @ values.ravel()).reshape(3, -1)
+        for pixel in np.flatnonzero((rows + columns) % 2 == color):
+            own = pixel + np.arange(3) * height * width
+            values[:, pixel] += relaxation * np.linalg.solve(
+                matrix[np.ix_(own, own)], residual[:, pixel]
+            )
+
+
+def minimise_second_order(
+    anchors: np.ndarray,
+    rho: np.ndarray,
+    smoothness: SecondOrder,
+    *,
+    anchor_scale: float,
+    iterations: int,
+    terms: Sequence[np.ndarray] = (),
+    scales: Sequence[float] = (),
+) -> list[float]:
+    """Run half-quadratic iterations with exact solutions; `rho` is modified in place.
+
+    Parameters
+    ----------
+    anchors : (2, H, W)
+        w and D*.
+    rho : (3, H, W)
+    terms, scales
+        Of `line_tensor`.
+
+    Returns
+    -------
+    list of float
+        The energy before, and after every iteration.
+    """
+    energies = []
+    for step in range(iterations + 1):
+        data, form = line_tensor(terms, rho[0], scales)
+        data += anchor_energy(rho[0], *anchors, anchor_scale)
+        energies.append(data + second_order_energy(rho, smoothness))
+        if step < iterations:
+            tensor = form + anchor_tensor(rho[0], *anchors, anchor_scale)
+            weights = second_order_weights(rho, smoothness)
+            solution = np.linalg.solve(*second_order_system(tensor, weights, smoothness.spacing))
+            rho[...] = solution.reshape(rho.shape)
+    return energies

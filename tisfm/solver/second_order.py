@@ -1,0 +1,310 @@
+"""Inverse depth with second-order smoothness: planes cost nothing, however slanted.
+
+The energy is that of `tisfm.kernels.solve.second_order`. A level of spacing h takes the contrasts
+times h, the sum of what its pixels hold of data, and all else as it is: then every level has the
+energy of the finest, as far as its grid can tell.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_empty
+from tisfm.kernels.solve.coarsening import coarse_grid
+from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
+from tisfm.kernels.solve.second_order.system import SecondOrderSystem
+from tisfm.kernels.solve.weight_update import Sums
+from tisfm.runtime import lane_grid
+from tisfm.solver.half_quadratic import Iteration
+from tisfm.solver.sampling import reduced
+from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
+from tisfm.solver.smoothness import image_edges_in_lanes
+
+COARSEST_SIDE = 16  # px, of the longer side: coarser levels have hardly any anchors of their own
+COARSE_ITERATIONS = 6  # half-quadratic, on each level but the finest
+FINEST_ITERATIONS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondOrderSettings:
+    """How smooth inverse depth is, and how far anchors are believed.
+
+    Attributes
+    ----------
+    alpha, beta, gamma : float
+        What r (D against its slopes), Δv and ΔD weigh, against anchors of weight 1 at a pixel.
+        √(β/α) px is how far apart anchors may lie before slopes are carried over as they are;
+        γ > 0 keeps D from going on along a slope for ever, and may be 0.
+    bend, turn, step : float
+        Contrasts of r and ΔD, px, and of Δv, px per px: what is larger is taken for a jump or a
+        crease. Infinite for none.
+    anchor_scale : float
+        σ, px: anchors farther off count less. Infinite for none.
+    image_edges : float
+        κ of the image-driven factor (`tisfm.solver.smoothness`).
+
+    Raises
+    ------
+    ValueError
+        If one is out of its range.
+    """
+
+    alpha: float = 24.0
+    beta: float = 24576.0
+    gamma: float = 0.02
+    bend: float = 0.1
+    turn: float = 0.003
+    step: float = 0.1
+    anchor_scale: float = 0.5
+    image_edges: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta"):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} is {value}: expected a positive number")
+        for name in ("gamma", "image_edges"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{name} is {value}: expected a number of at least 0")
+        for name in ("bend", "turn", "step", "anchor_scale"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise ValueError(f"{name} is {value}: expected a positive value, in px")
+
+
+class SecondOrderMinimiser:
+    """Alternates weights, and D with its slopes, on one level.
+
+    `update` has to come before `minimise` whenever ρ, anchors or constraints were changed by
+    others. `minimise` leaves the weights those of ρ.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    anchors : lane array, 2 components
+        w and D*, read where they lie; 0 in padding.
+    edges : lane array, 2 components
+        g; 0 across the border.
+    settings : SecondOrderSettings
+    spacing : float
+        h, px of the finest level.
+    constraints : lane array, 3 components for each of 1 to 3 constraints, optional
+        (p, 0, c) of p D + c = 0, read where they lie; 0 in padding.
+    scales : sequence of float
+        Of their terms (`tisfm.kernels.model.robust`).
+    cycles : int
+        Of multigrid in each iteration.
+
+    Attributes
+    ----------
+    rho : lane array, 3 components
+        D, px/frame of the finest level, and v₁ and v₂, per px of it; zero at first, modified in
+        place by `minimise`.
+    system : SecondOrderSystem
+    """
+
+    def __init__(
+        self,
+        grid: LaneGrid,
+        anchors: LaneData,
+        edges: LaneData,
+        settings: SecondOrderSettings,
+        *,
+        spacing: float = 1.0,
+        constraints: LaneData | None = None,
+        scales: Sequence[float] = (),
+        cycles: int = 1,
+    ) -> None:
+        if cycles < 1:
+            raise ValueError(f"cycles is {cycles}: expected at least 1")
+        self.grid, self._spacing, self._cycles = grid, spacing, cycles
+        self.rho = grid.allocate(COMPONENTS)
+        self.system = SecondOrderSystem(
+            grid=grid,
+            tensor=grid.allocate(COMPONENTS),
+            weights=grid.allocate(WEIGHTS),
+            alpha=settings.alpha,
+            beta=settings.beta,
+            gamma=settings.gamma,
+            spacing=spacing,
+        )
+        self._multigrid = SecondOrderMultigrid(self.system, self.rho)
+        contrasts = (settings.bend, settings.turn, settings.step)
+        self._update: Callable[[], Sums] = self.system.bind_weight_update(
+            self.rho,
+            grid.allocate(1),
+            anchors,
+            edges,
+            constraints,
+            contrasts=[spacing * contrast for contrast in contrasts],
+            anchor_scale=settings.anchor_scale,
+            scales=scales,
+        )
+
+    def start_from(self, coarse: "SecondOrderMinimiser") -> None:
+        """Set ρ, which must be zero, from that of the level of half the density."""
+        Interpolation(self.grid, coarse.rho, self.rho, self._spacing)()
+
+    def update(self) -> Sums:
+        """Compute the weights of the current ρ, anchors and constraints."""
+        return self._update()
+
+    def minimise(self, iterations: int, *, tolerance: float = 0.0) -> tuple[list[Iteration], bool]:
+        """Iterate until D ceases to evolve, or to the limit of iterations.
+
+        Parameters
+        ----------
+        iterations : int
+        tolerance : float
+            Of ‖change of D‖ / ‖D‖.
+
+        Returns
+        -------
+        iterations : list of Iteration
+        converged : bool
+            Whether the last relative change was within the tolerance.
+        """
+        done: list[Iteration] = []
+        self._multigrid.restart()
+        for _ in range(iterations):
+            self._multigrid.coarsen()
+            for _ in range(self._cycles):
+                self._multigrid.descend()
+            sums = self._update()
+            done.append(
+                Iteration(
+                    energy=sums.energy,
+                    half_quadratic=sums.half_quadratic,
+                    change=sums.moved / sums.size if sums.size > 0 else 0.0,
+                )
+            )
+            if sums.moved <= tolerance * sums.size:
+                return done, True
+        return done, False
+
+    def images(self) -> np.ndarray:
+        """Return D, v₁ and v₂, (3, H, W) float32."""
+        out = aligned_empty((COMPONENTS, self.grid.height, self.grid.width))
+        lanes_to_images(self.grid, self.rho, out)
+        return out
+
+
+def fill(
+    target: np.ndarray,
+    weight: np.ndarray,
+    frame: np.ndarray,
+    settings: SecondOrderSettings | None = None,
+    *,
+    coarse_iterations: int = COARSE_ITERATIONS,
+    iterations: int = FINEST_ITERATIONS,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Carry inverse depth from where it is known to the whole frame.
+
+    Parameters
+    ----------
+    target : (H, W) float32
+        D*, px/frame; anything where `weight` is 0.
+    weight : (H, W) float32
+        How far it is believed: 0 where nothing is known, 1 for one good measurement.
+    frame : (H, W) float32
+        Grey levels, by whose edges depth may jump or bend.
+    settings : SecondOrderSettings, optional
+    coarse_iterations, iterations : int
+        Half-quadratic ones, on each coarser level and on the finest.
+
+    Returns
+    -------
+    depth : (H, W) float32
+        D, px/frame; 0 everywhere where nothing is known at all.
+    slopes : (2, H, W) float32
+        v₁ and v₂, px/frame per px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the arrays are not float32 of one size, or a weight is negative or not finite, or a
+        target of weight above 0 is not finite.
+    """
+    settings = settings or SecondOrderSettings()
+    anchors = _checked(target, weight, frame)
+    known = anchors[0].sum(dtype=np.float64)
+    if not known:
+        return np.zeros(frame.shape, np.float32), np.zeros((2, *frame.shape), np.float32)
+    levels = [(anchors, np.ascontiguousarray(frame))]
+    while max(levels[-1][1].shape) > COARSEST_SIDE:
+        levels.append(_coarser(*levels[-1]))
+    coarse: SecondOrderMinimiser | None = None
+    for level in reversed(range(len(levels))):
+        anchors, image = levels[level]
+        grid = lane_grid(*image.shape)
+        minimiser = SecondOrderMinimiser(
+            grid,
+            anchors_in_lanes(grid, anchors),
+            image_edges_in_lanes(grid, image, settings.image_edges),
+            settings,
+            spacing=2.0**level,
+        )
+        if coarse is None:
+            mean = (anchors[0] * anchors[1]).sum(dtype=np.float64) / known
+            image_to_lanes(grid, np.full(image.shape, mean, np.float32), minimiser.rho)
+        else:
+            minimiser.start_from(coarse)
+        minimiser.update()
+        minimiser.minimise(iterations if level == 0 else coarse_iterations)
+        coarse = minimiser
+    depth, *slopes = minimiser.images()
+    return depth, np.stack(slopes)
+
+
+def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:
+    """Return w and D*, (2, H, W) float32, as a lane array, 0 in padding."""
+    out = grid.allocate(2)
+    for component, values in enumerate(anchors):
+        image_to_lanes(grid, np.ascontiguousarray(values), out, component=component)
+    multiply(grid, grid.place(grid.inside()), out)
+    return out
+
+
+def _coarser(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return anchors and frame of the level of half the density.
+
+    Weights are added up, so that the data of a field are what they were; targets are the mean of
+    those below, with their weights.
+    """
+    height, width = (-(-side // 2) for side in frame.shape)
+    weight, target = anchors
+    padded = cv2.copyMakeBorder(
+        np.dstack([weight, weight * target]),
+        0,
+        2 * height - frame.shape[0],
+        0,
+        2 * width - frame.shape[1],
+        cv2.BORDER_CONSTANT,
+    )
+    sums = 4 * cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
+    weights = sums[..., 0]
+    targets = np.divide(sums[..., 1], weights, out=np.zeros_like(weights), where=weights > 0)
+    return np.stack([weights, targets]), reduced(frame[None], 2, height, width)[0]
+
+
+def _checked(target: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return weight and target, (2, H, W), the target 0 where nothing is known."""
+    for name, array in (("target", target), ("weight", weight), ("frame", frame)):
+        if not isinstance(array, np.ndarray) or array.dtype != np.float32:
+            kind = getattr(array, "dtype", type(array).__name__)
+            raise TypeError(f"{name} is {kind}: expected a NumPy array of float32")
+        if array.shape != frame.shape or array.ndim != 2:
+            raise ValueError(
+                f"{name} is {array.shape} but frame is {frame.shape}: expected one size, (H, W)"
+            )
+    if not (np.isfinite(weight).all() and (weight >= 0).all()):
+        raise ValueError("weight has values below 0 or not finite: expected numbers of at least 0")
+    target = np.where(weight > 0, target, np.float32(0))
+    if not np.isfinite(target).all():
+        raise ValueError("target is not finite where weight is above 0")
+    return np.stack([weight, target])

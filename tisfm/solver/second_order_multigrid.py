@@ -1,0 +1,202 @@
+"""Multigrid for inverse depth and its slopes (`tisfm.kernels.solve.second_order`).
+
+Second-order smoothness takes a correction over a wide bare region only through coarse grids, and
+there a sweep does less than on fine ones: D and its slopes must change together, and a pixel has
+the three of its own alone. So every grid sweeps twice as often as the next finer one, which all
+together costs as much as four sweeps of the finest.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros
+from tisfm.kernels.solve.coarsening import (
+    coarse_grid,
+    halved_shape,
+    interpolation_columns,
+    relayout,
+)
+from tisfm.kernels.solve.second_order.coarsening import correct, offset_columns
+from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
+from tisfm.kernels.solve.second_order.system import SecondOrderSystem
+
+COARSEST_GRID_SIDE = 4  # px, of the longer side
+COARSEST_SWEEPS = 32
+MOST_SWEEPS = 32  # before and after a correction
+RELAXATION = 1.2  # of the smoother
+
+
+class SecondOrderMultigrid:
+    """V-cycles over D and its slopes.
+
+    Parameters
+    ----------
+    system : SecondOrderSystem
+        Whose solution is sought; its tensor and weights are read where they lie.
+    rho : lane array, 3 components
+        D, v₁, v₂; modified in place by `cycle` and `descend`.
+    relaxation : float
+        Of the sweeps, in (0, 2).
+    """
+
+    def __init__(
+        self, system: SecondOrderSystem, rho: LaneData, *, relaxation: float = RELAXATION
+    ) -> None:
+        grid = system.grid
+        self._system, self._rho = system, rho
+        levels = [_Level(system, rho, None, relaxation=relaxation, sweeps=1)]
+        transfers = []
+        while max(levels[-1].size) > COARSEST_GRID_SIDE:
+            levels.append(levels[-1].coarser())
+            transfers.append(_Transfer(levels[-2], levels[-1]))
+        self._levels, self._transfers = levels, transfers
+        self._solve_coarsest = levels[-1].bind_smooth(COARSEST_SWEEPS)
+        self._before, self._step = grid.allocate(COMPONENTS), grid.allocate(COMPONENTS)
+        self.restart()
+
+    def coarsen(self) -> None:
+        """Derive the coarse systems: due whenever tensor or weights have changed."""
+        for transfer in self._transfers:
+            transfer.coarsen()
+
+    def restart(self) -> None:
+        """Forget the last step, and take ρ as it is now: due whenever others have changed it."""
+        self._system.grid.copy(self._rho, self._before)
+        self._step.fill(0)
+
+    def descend(self) -> None:
+        """Run one V-cycle, then go to the least energy in the plane of its correction and the last.
+
+        The energy of the system does not rise, whatever it is.
+        """
+        self.cycle()
+        self._system.line_search(self._rho, self._before, self._step)
+
+    def cycle(self) -> None:
+        """Run one V-cycle."""
+        for fine, transfer in zip(self._levels, self._transfers, strict=False):
+            fine.smooth()
+            transfer.restrict()
+        self._solve_coarsest()
+        for fine, transfer in zip(self._levels[-2::-1], self._transfers[::-1], strict=True):
+            transfer.correct()
+            fine.smooth()
+
+
+class Interpolation:
+    """What brings D and its slopes from a grid of half the density, where they are kept.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+        The fine grid.
+    coarse, rho : lane arrays, 3 components
+        Of `coarse_grid` of it, and of itself; a call adds the former to the latter.
+    spacing : float
+        h, of the fine grid.
+    """
+
+    def __init__(self, grid: LaneGrid, coarse: LaneData, rho: LaneData, spacing: float) -> None:
+        self._grid, self._coarse = coarse_grid(grid), coarse
+        # Strips of the coarse grid are even: half of the fine ones may not be.
+        self._halved = coarse if fits(grid) else halved(grid, COMPONENTS)
+        _, outer = offset_columns(grid)
+        tables = (*interpolation_columns(grid), outer)
+        near, far, beyond = (grid.place(table) for table in tables)
+        self._correct = correct.bind(
+            grid, self._halved, (near, far, beyond), rho, spacing=spacing
+        )
+
+    def __call__(self) -> None:
+        """Add what lies on the coarse grid."""
+        if self._halved is not self._coarse:
+            relayout(self._grid, self._coarse, self._halved)
+        self._correct()
+
+
+class _Level:
+    """A grid, its system and its unknown: ρ on the finest, a correction of it on the others."""
+
+    def __init__(
+        self,
+        system: SecondOrderSystem,
+        rho: LaneData,
+        source: LaneData | None,
+        *,
+        relaxation: float,
+        sweeps: int,
+    ) -> None:
+        self.system, self.rho, self.source = system, rho, source
+        self._relaxation, self._sweeps = relaxation, sweeps
+        self.size = system.grid.height, system.grid.width
+        self.smooth = self.bind_smooth(sweeps)
+
+    def bind_smooth(self, sweeps: int) -> Callable[[], None]:
+        """Return what runs so many sweeps."""
+        return self.system.bind_sweep(
+            self.rho, relaxation=self._relaxation, sweeps=sweeps, source=self.source
+        )
+
+    def coarser(self) -> "_Level":
+        """Return the level of half the density, whose system a transfer derives."""
+        fine = self.system
+        grid = coarse_grid(fine.grid)
+        system = replace(
+            fine,
+            grid=grid,
+            tensor=grid.allocate(COMPONENTS),
+            weights=grid.allocate(WEIGHTS),
+            spacing=2 * fine.spacing,
+            spread=fine.spread + fine.spacing**2 / 4,
+        )
+        return _Level(
+            system,
+            grid.allocate(COMPONENTS),
+            grid.allocate(COMPONENTS),
+            relaxation=self._relaxation,
+            sweeps=min(2 * self._sweeps, MOST_SWEEPS),
+        )
+
+
+class _Transfer:
+    """The ways between a level and the next coarser one."""
+
+    def __init__(self, fine: _Level, coarse: _Level) -> None:
+        self._coarse, grid = coarse, fine.system.grid
+        system = coarse.system
+        wanted = (system.tensor, system.weights, coarse.source)
+        self._relayouts: list[tuple[LaneData, LaneData]] = []
+        given = wanted
+        if not fits(grid):
+            given = tuple(halved(grid, array.shape[0]) for array in wanted)
+            self._relayouts = list(zip(given, wanted, strict=True))
+        tensor, weights, source = given
+        self._coarsen = fine.system.bind_coarsen(tensor, weights)
+        offsets, _ = offset_columns(grid)
+        self._restrict = fine.system.bind_restrict(
+            grid.place(offsets), fine.rho, source, source=fine.source
+        )
+        self.correct = Interpolation(grid, coarse.rho, fine.rho, fine.system.spacing)
+
+    def coarsen(self) -> None:
+        """Derive the system of the coarser level."""
+        self._coarsen()
+        for halved_array, array in self._relayouts[:2]:
+            relayout(self._coarse.system.grid, halved_array, array)
+
+    def restrict(self) -> None:
+        """Hand the residual to the coarser level, whose correction starts from zero."""
+        self._restrict()
+        for halved_array, array in self._relayouts[2:]:
+            relayout(self._coarse.system.grid, halved_array, array)
+        self._coarse.rho.fill(0)
+
+
+def fits(grid: LaneGrid) -> bool:
+    """Return whether halved arrays of a grid are lane arrays of the coarser one."""
+    return grid.strip // 2 == coarse_grid(grid).strip
+
+
+def halved(grid: LaneGrid, components: int) -> LaneData:
+    """Return a halved array of zeros."""
+    return grid.place(aligned_zeros(halved_shape(grid, components)))
