@@ -26,6 +26,7 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store_lane,
 )
+from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.model.rigid_motion import motion_columns
 from tisfm.kernels.solve.relaxation import edges_at, residual_at
 
@@ -170,7 +171,8 @@ def _restrict_residual(
             out[k, row + 1, position + 1] = total[k]
 
 
-def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> None:
+@operation
+def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> Launch:
     """Copy a lane array of a grid into strips of another length, halo columns included.
 
     Parameters
@@ -186,27 +188,26 @@ def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> None:
         check_array(given, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
         if coarse.lanes * (given.shape[2] - 2) < coarse.width:
             raise ValueError(f"{name} has too few columns for a grid {coarse.width} px wide")
-    _relayout[coarse.lanes](array, coarse.width, out)
+    return _relayout[coarse.lanes].bind(array, coarse.width, coarse.serial, out)
 
 
 @lane_kernel
 def _relayout(
     array: LaneArray(3),  # (k, h+2, s+2)
     width: ti.i32,
+    serial: ti.template(),
     out: LaneArray(3),  # (k, h+2, S+2)
 ):
     old, new = array.shape[2] - 2, out.shape[2] - 2
     lanes = ti.static(lane_count(out))
+    ti.loop_config(serialize=serial)
     for k, row, position in ti.ndrange(out.shape[0], out.shape[1] - 2, new + 2):
         for lane in ti.static(range(lanes)):
             column = lane * new + position - 1
             value = 0.0
             if column >= 0 and column < width:
                 origin = column // old
-                element = array[k, row + 1, column - origin * old + 1]
-                for other in ti.static(range(lanes)):
-                    if other == origin:
-                        value = lane_of(element, other, lanes)
+                value = lane_of(array[k, row + 1, column - origin * old + 1], origin, lanes)
             store_lane(out, k, row + 1, position, lane, value)
 
 

@@ -13,6 +13,7 @@ from tisfm.kernels.layout.lanes import (
     lane_kernel,
     refresh_halo,
 )
+from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
@@ -157,13 +158,14 @@ def descend(
     _descend[grid.lanes](p, q, rho.shape[0], rho, before, step)
 
 
-def subtract(grid: LaneGrid, before: LaneData, rho: LaneData) -> None:
+@operation
+def subtract(grid: LaneGrid, before: LaneData, rho: LaneData) -> Launch:
     """Make a corrected `rho` the correction itself, in place, halo included.
 
     In memory: written as a difference within `_plane`, it would be reordered there, and rounded as
     the unknowns are, not as what is left of them.
     """
-    _subtract[grid.lanes](before, rho)
+    return _subtract[grid.lanes].bind(before, rho)
 
 
 @lane_kernel

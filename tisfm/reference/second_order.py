@@ -46,17 +46,17 @@ class SecondOrder:
 
 def second_order_measures(rho: np.ndarray, spacing: float) -> np.ndarray:
     """Return r, |Δv| and ΔD of the eastern and southern edges, (3, 2, H, W), 0 at the border."""
-    _, height, width = rho.shape
-    measures = np.zeros((3, 2, height, width))
-    for side, (here, there) in enumerate(
-        ((np.s_[:, :, :-1], np.s_[:, :, 1:]), (np.s_[:, :-1], np.s_[:, 1:]))
-    ):
-        near, far = rho[here], rho[there]
-        inside = (slice(None), *here[1:])
-        change = far - near
-        bend = change[0] - spacing * (near[1 + side] + far[1 + side]) / 2
-        measures[(slice(None), side, *inside[1:])] = bend, np.hypot(*change[1:]), change[0]
+    measures = np.zeros((3, 2, *rho.shape[1:]))
+    measures[:, 0, :, :-1] = _of_edges(rho[:, :, :-1], rho[:, :, 1:], 1, spacing)
+    measures[:, 1, :-1] = _of_edges(rho[:, :-1], rho[:, 1:], 2, spacing)
     return measures
+
+
+def _of_edges(near: np.ndarray, far: np.ndarray, slope: int, spacing: float) -> np.ndarray:
+    """Return r, |Δv| and ΔD between neighbours, along the axis of a slope."""
+    step, first, second = far - near
+    bend = step - spacing * (near[slope] + far[slope]) / 2
+    return np.stack([bend, np.hypot(first, second), step])
 
 
 def second_order_energy(rho: np.ndarray, smoothness: SecondOrder) -> float:
@@ -135,15 +135,10 @@ def second_order_system(
     pixel = np.arange(count).reshape(height, width)
     matrix = np.zeros((3 * count, 3 * count))
     matrix[pixel, pixel] = tensor[0]
-    for side, (here, there) in enumerate(
-        ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
-    ):
-        for near, far, a, b, c in zip(
-            pixel[here].ravel(),
-            pixel[there].ravel(),
-            *(weights[kind, side][here].ravel() for kind in range(3)),
-            strict=True,
-        ):
+    for side, (down, across) in enumerate([(0, 1), (1, 0)]):
+        for y, x in np.ndindex(height - down, width - across):
+            a, b, c = weights[:, side, y, x]
+            near, far = pixel[y, x], pixel[y + down, x + across]
             slopes = [(1 + side) * count + near, (1 + side) * count + far]
             forms = [(a, [near, far, *slopes], [-1, 1, -spacing / 2, -spacing / 2])]
             forms += [(b, [k * count + near, k * count + far], [-1, 1]) for k in (1, 2)]
@@ -211,10 +206,10 @@ def minimise_second_order(
     energies = []
     for step in range(iterations + 1):
         data, form = line_tensor(terms, rho[0], scales)
-        data += anchor_energy(rho[0], *anchors, anchor_scale)
+        data += anchor_energy(rho[0], anchors[0], anchors[1], anchor_scale)
         energies.append(data + second_order_energy(rho, smoothness))
         if step < iterations:
-            tensor = form + anchor_tensor(rho[0], *anchors, anchor_scale)
+            tensor = form + anchor_tensor(rho[0], anchors[0], anchors[1], anchor_scale)
             weights = second_order_weights(rho, smoothness)
             solution = np.linalg.solve(*second_order_system(tensor, weights, smoothness.spacing))
             rho[...] = solution.reshape(rho.shape)

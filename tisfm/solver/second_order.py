@@ -7,14 +7,13 @@ energy of the finest, as far as its grid can tell.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_empty
-from tisfm.kernels.solve.coarsening import coarse_grid
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 from tisfm.kernels.solve.weight_update import Sums
@@ -24,9 +23,10 @@ from tisfm.solver.sampling import reduced
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
 from tisfm.solver.smoothness import image_edges_in_lanes
 
-COARSEST_SIDE = 16  # px, of the longer side: coarser levels have hardly any anchors of their own
-COARSE_ITERATIONS = 6  # half-quadratic, on each level but the finest
-FINEST_ITERATIONS = 6
+COARSEST_SIDE = 40  # px, of the longer side
+QUADRATIC_CYCLES = 12  # there, before anything counts as a jump or as an outlier
+ITERATIONS = 3  # half-quadratic, on the finest level
+MORE_ITERATIONS = 2  # on every coarser one than on the next finer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,14 +53,18 @@ class SecondOrderSettings:
         If one is out of its range.
     """
 
-    alpha: float = 24.0
-    beta: float = 24576.0
+    alpha: float = 6.0
+    beta: float = 3072.0
     gamma: float = 0.02
-    bend: float = 0.1
-    turn: float = 0.003
+    bend: float = 0.15
+    turn: float = 0.0005
     step: float = 0.1
     anchor_scale: float = 0.5
-    image_edges: float = 2.0
+    image_edges: float = 5.0
+
+    def quadratic(self) -> "SecondOrderSettings":
+        """Return these settings with penalties that grow as squares, without a local minimum."""
+        return replace(self, bend=math.inf, turn=math.inf, step=math.inf, anchor_scale=math.inf)
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta"):
@@ -200,8 +204,7 @@ def fill(
     frame: np.ndarray,
     settings: SecondOrderSettings | None = None,
     *,
-    coarse_iterations: int = COARSE_ITERATIONS,
-    iterations: int = FINEST_ITERATIONS,
+    iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Carry inverse depth from where it is known to the whole frame.
 
@@ -214,8 +217,8 @@ def fill(
     frame : (H, W) float32
         Grey levels, by whose edges depth may jump or bend.
     settings : SecondOrderSettings, optional
-    coarse_iterations, iterations : int
-        Half-quadratic ones, on each coarser level and on the finest.
+    iterations : int
+        Half-quadratic ones on the finest level; coarser levels, which are cheap, have more.
 
     Returns
     -------
@@ -242,20 +245,23 @@ def fill(
     for level in reversed(range(len(levels))):
         anchors, image = levels[level]
         grid = lane_grid(*image.shape)
-        minimiser = SecondOrderMinimiser(
+        places = (
             grid,
             anchors_in_lanes(grid, anchors),
             image_edges_in_lanes(grid, image, settings.image_edges),
-            settings,
-            spacing=2.0**level,
         )
+        minimiser = SecondOrderMinimiser(*places, settings, spacing=2.0**level)
         if coarse is None:
+            first = SecondOrderMinimiser(*places, settings.quadratic(), spacing=2.0**level)
             mean = (anchors[0] * anchors[1]).sum(dtype=np.float64) / known
-            image_to_lanes(grid, np.full(image.shape, mean, np.float32), minimiser.rho)
+            image_to_lanes(grid, np.full(image.shape, mean, np.float32), first.rho)
+            first.update()
+            first.minimise(QUADRATIC_CYCLES)
+            grid.copy(first.rho, minimiser.rho)
         else:
             minimiser.start_from(coarse)
         minimiser.update()
-        minimiser.minimise(iterations if level == 0 else coarse_iterations)
+        minimiser.minimise(iterations + MORE_ITERATIONS * level)
         coarse = minimiser
     depth, *slopes = minimiser.images()
     return depth, np.stack(slopes)

@@ -2,14 +2,15 @@
 
 Second-order smoothness takes a correction over a wide bare region only through coarse grids, and
 there a sweep does less than on fine ones: D and its slopes must change together, and a pixel has
-the three of its own alone. So every grid sweeps twice as often as the next finer one, which all
-together costs as much as four sweeps of the finest.
+the three of its own alone. So from the second coarse grid on each sweeps twice as often as the one
+before, which all together costs as much as three sweeps of the finest.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros
+from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.solve.coarsening import (
     coarse_grid,
     halved_shape,
@@ -47,11 +48,13 @@ class SecondOrderMultigrid:
         levels = [_Level(system, rho, None, relaxation=relaxation, sweeps=1)]
         transfers = []
         while max(levels[-1].size) > COARSEST_GRID_SIDE:
-            levels.append(levels[-1].coarser())
+            sweeps = max(1, min(2 ** (len(levels) - 1), MOST_SWEEPS))
+            levels.append(levels[-1].coarser(sweeps))
             transfers.append(_Transfer(levels[-2], levels[-1]))
         self._levels, self._transfers = levels, transfers
         self._solve_coarsest = levels[-1].bind_smooth(COARSEST_SWEEPS)
         self._before, self._step = grid.allocate(COMPONENTS), grid.allocate(COMPONENTS)
+        self._search = system.bind_line_search(rho, self._before, self._step)
         self.restart()
 
     def coarsen(self) -> None:
@@ -70,7 +73,7 @@ class SecondOrderMultigrid:
         The energy of the system does not rise, whatever it is.
         """
         self.cycle()
-        self._system.line_search(self._rho, self._before, self._step)
+        self._search()
 
     def cycle(self) -> None:
         """Run one V-cycle."""
@@ -97,21 +100,18 @@ class Interpolation:
     """
 
     def __init__(self, grid: LaneGrid, coarse: LaneData, rho: LaneData, spacing: float) -> None:
-        self._grid, self._coarse = coarse_grid(grid), coarse
         # Strips of the coarse grid are even: half of the fine ones may not be.
-        self._halved = coarse if fits(grid) else halved(grid, COMPONENTS)
+        given = coarse if fits(grid) else halved(grid, COMPONENTS)
         _, outer = offset_columns(grid)
         tables = (*interpolation_columns(grid), outer)
         near, far, beyond = (grid.place(table) for table in tables)
-        self._correct = correct.bind(
-            grid, self._halved, (near, far, beyond), rho, spacing=spacing
-        )
+        add = correct.bind(grid, given, (near, far, beyond), rho, spacing=spacing)
+        moved = given is not coarse
+        self._run = in_turn(relayout.bind(coarse_grid(grid), coarse, given), add) if moved else add
 
     def __call__(self) -> None:
         """Add what lies on the coarse grid."""
-        if self._halved is not self._coarse:
-            relayout(self._grid, self._coarse, self._halved)
-        self._correct()
+        self._run()
 
 
 class _Level:
@@ -126,8 +126,9 @@ class _Level:
         relaxation: float,
         sweeps: int,
     ) -> None:
-        self.system, self.rho, self.source = system, rho, source
-        self._relaxation, self._sweeps = relaxation, sweeps
+        self.system, self.rho = system, rho
+        self.source: LaneData = source
+        self._relaxation = relaxation
         self.size = system.grid.height, system.grid.width
         self.smooth = self.bind_smooth(sweeps)
 
@@ -137,7 +138,7 @@ class _Level:
             self.rho, relaxation=self._relaxation, sweeps=sweeps, source=self.source
         )
 
-    def coarser(self) -> "_Level":
+    def coarser(self, sweeps: int) -> "_Level":
         """Return the level of half the density, whose system a transfer derives."""
         fine = self.system
         grid = coarse_grid(fine.grid)
@@ -154,7 +155,7 @@ class _Level:
             grid.allocate(COMPONENTS),
             grid.allocate(COMPONENTS),
             relaxation=self._relaxation,
-            sweeps=min(2 * self._sweeps, MOST_SWEEPS),
+            sweeps=sweeps,
         )
 
 
@@ -163,32 +164,26 @@ class _Transfer:
 
     def __init__(self, fine: _Level, coarse: _Level) -> None:
         self._coarse, grid = coarse, fine.system.grid
-        system = coarse.system
-        wanted = (system.tensor, system.weights, coarse.source)
-        self._relayouts: list[tuple[LaneData, LaneData]] = []
+        wanted = (coarse.system.tensor, coarse.system.weights, coarse.source)
+        relayouts: list[Callable[[], None]] = []
         given = wanted
         if not fits(grid):
             given = tuple(halved(grid, array.shape[0]) for array in wanted)
-            self._relayouts = list(zip(given, wanted, strict=True))
+            relayouts = [
+                relayout.bind(coarse.system.grid, *pair) for pair in zip(given, wanted, strict=True)
+            ]
         tensor, weights, source = given
-        self._coarsen = fine.system.bind_coarsen(tensor, weights)
+        self.coarsen = in_turn(fine.system.bind_coarsen(tensor, weights), *relayouts[:2])
         offsets, _ = offset_columns(grid)
-        self._restrict = fine.system.bind_restrict(
-            grid.place(offsets), fine.rho, source, source=fine.source
+        self._restrict = in_turn(
+            fine.system.bind_restrict(grid.place(offsets), fine.rho, source, source=fine.source),
+            *relayouts[2:],
         )
         self.correct = Interpolation(grid, coarse.rho, fine.rho, fine.system.spacing)
-
-    def coarsen(self) -> None:
-        """Derive the system of the coarser level."""
-        self._coarsen()
-        for halved_array, array in self._relayouts[:2]:
-            relayout(self._coarse.system.grid, halved_array, array)
 
     def restrict(self) -> None:
         """Hand the residual to the coarser level, whose correction starts from zero."""
         self._restrict()
-        for halved_array, array in self._relayouts[2:]:
-            relayout(self._coarse.system.grid, halved_array, array)
         self._coarse.rho.fill(0)
 
 

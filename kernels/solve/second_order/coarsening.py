@@ -264,8 +264,9 @@ def _correct(
             tables = ti.static([bind(near[s]), bind(far[s]), bind(outer[s])])
             first, second = (y * stride + parent) & SMALL, (y * stride + neighbour) & SMALL
             here = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
-            first, second = (beyond * stride + parent) & SMALL, (beyond * stride + neighbour) & SMALL
-            there = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
+            third = (beyond * stride + parent) & SMALL
+            fourth = (beyond * stride + neighbour) & SMALL
+            there = ti.static(_row_at(coarse, planes, third, fourth, tables, side, spacing))
             for k in ti.static(range(COMPONENTS)):
                 change = 0.75 * here[k] + 0.25 * there[k]
                 if ti.static(k == 0):

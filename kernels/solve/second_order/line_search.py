@@ -1,5 +1,6 @@
 """The least energy in the plane of two directions, as `tisfm.kernels.solve.line_search` has it."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,28 +26,44 @@ from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 TERMS = 7  # of the sums
 
 
-def plane(
+def bind_plane(
     grid: LaneGrid,
     arrays: tuple[LaneData, ...],
     half: float,
     correction: LaneData,
     before: LaneData,
     step: LaneData,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quadratic energy of before + p correction + q step, as a function of p and q.
+) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
+    """Return what measures the quadratic energy of before + p correction + q step.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    arrays : tuple
+        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
+        has checked all arrays.
+    half : float
+        h/2.
+    correction, before, step : lane arrays, 3 components
 
     Returns
     -------
-    matrix, vector : (2, 2) and (2,) float64
-        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q). An entry of the vector that
-        is no more than rounding is 0.
+    callable
+        Which returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by
+        zᵀ matrix z + 2 zᵀ vector, z = (p, q). An entry of the vector that is no more than rounding
+        is 0.
     """
     partial = block_sums(grid, TERMS)
-    _plane[grid.lanes](*arrays, half, correction, before, step, grid.serial, partial)
-    a, b, c, *slopes = add_blocks(partial)
-    vector, unsigned = np.array(slopes[:2]), np.array(slopes[2:])
-    vector[np.abs(vector) <= ROUNDING * unsigned] = 0
-    return np.array([[a, b], [b, c]]), vector
+    launch = _plane[grid.lanes].bind(*arrays, half, correction, before, step, grid.serial, partial)
+
+    def run() -> tuple[np.ndarray, np.ndarray]:
+        launch()
+        a, b, c, *slopes = add_blocks(partial)
+        vector, unsigned = np.array(slopes[:2]), np.array(slopes[2:])
+        vector[np.abs(vector) <= ROUNDING * unsigned] = 0
+        return np.array([[a, b], [b, c]]), vector
+
+    return run
 
 
 @lane_kernel

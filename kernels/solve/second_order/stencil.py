@@ -35,8 +35,7 @@ def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half: Any, spre
     total = bind(second[0] + second[1] + second[2] + second[3])
     data = bind(spread * element(tensor, i + planes[0]))
     return [
-        bind(ti.max(total, data - half * half * (first[side] + first[side + 1])))
-        for side in (0, 2)
+        bind(ti.max(total, data - half * half * (first[side] + first[side + 1]))) for side in (0, 2)
     ]
 
 
@@ -68,9 +67,7 @@ def residual_at(
         pull = pull + element(source, i + planes[0])
     for weight, step in zip(third, steps, strict=True):
         pull = pull + weight * step
-    others = [
-        [bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)
-    ]
+    others = [[bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)]
     residual = []
     for k, slope in enumerate(slopes):
         ahead, behind = 2 * k, 2 * k + 1

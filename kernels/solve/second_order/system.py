@@ -10,7 +10,7 @@ from tisfm.kernels.model.edges import component_table
 from tisfm.kernels.model.robust import check_constraints
 from tisfm.kernels.solve.line_search import descend, lowest, subtract
 from tisfm.kernels.solve.second_order.coarsening import coarsen_system, restrict_residual
-from tisfm.kernels.solve.second_order.line_search import plane
+from tisfm.kernels.solve.second_order.line_search import bind_plane
 from tisfm.kernels.solve.second_order.relaxation import bind_sweeps
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.weight_update import bind_update
@@ -190,8 +190,10 @@ class SecondOrderSystem:
         """
         return coarsen_system.bind(self.grid, self.arrays, tensor, weights)
 
-    def line_search(self, rho: LaneData, before: LaneData, step: LaneData) -> None:
-        """Go to the least energy in the plane of the last correction and the step before it.
+    def bind_line_search(
+        self, rho: LaneData, before: LaneData, step: LaneData
+    ) -> Callable[[], None]:
+        """Return what goes to the least energy in the plane of a correction and the last step.
 
         Parameters
         ----------
@@ -200,9 +202,14 @@ class SecondOrderSystem:
             place: `rho` and `before` become where the search leads, `step` what it moved.
         """
         self._check(rho=rho, before=before, step=step)
-        subtract(self.grid, before, rho)
-        place = plane(self.grid, self.arrays, self.spacing / 2, rho, before, step)
-        descend(self.grid, *lowest(*place), rho, before, step)
+        difference = subtract.bind(self.grid, before, rho)
+        measure = bind_plane(self.grid, self.arrays, self.spacing / 2, rho, before, step)
+
+        def run() -> None:
+            difference()
+            descend(self.grid, *lowest(*measure()), rho, before, step)
+
+        return run
 
     def _check(self, **unknowns: LaneData) -> None:
         for name, array in unknowns.items():

@@ -159,9 +159,7 @@ def _update(
                 ((alpha, inverse_bend, bend), (beta, inverse_turn, turn),
                  (gamma, inverse_step, step))
             )  # fmt: skip
-            scales = ti.static(
-                ((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1)))
-            )
+            scales = ti.static(((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1))))
             _update_block(
                 terms, anchors, edges, rho, half, kinds, scales, count, weights, tensor, previous,
                 partial, stride, planes, index // blocks, index % blocks,
@@ -231,9 +229,7 @@ def _update_block(
         for side in ti.static(range(2)):  # east, south
             g = load(edges, i + planes[side])
             beyond = i + 1 + side * (stride - 1)
-            there = ti.static(
-                [bind(element(rho, beyond + planes[k])) for k in range(COMPONENTS)]
-            )
+            there = ti.static([bind(element(rho, beyond + planes[k])) for k in range(COMPONENTS)])
             squares = ti.static(_squares(here, there, side, half))
             for kind in ti.static(range(3)):
                 stiffness, inverse, squared = ti.static(kinds[kind])
