@@ -231,8 +231,10 @@ def fill(
     ------
     TypeError, ValueError
         If the arrays are not float32 of one size, or a weight is negative or not finite, or a
-        target of weight above 0 is not finite.
+        target of weight above 0 is not finite, or there is to be no iteration.
     """
+    if iterations < 1:
+        raise ValueError(f"iterations is {iterations}: expected at least 1")
     settings = settings or SecondOrderSettings()
     anchors = _checked(target, weight, frame)
     known = anchors[0].sum(dtype=np.float64)
