@@ -85,7 +85,7 @@ class PlaneSearch:
         Standard deviation of the noise of a frame, levels; above 0.
     seen : float
         Times the variance of the noise: what a window has to vary by to be compared.
-    nearest, largest : float
+    least, largest : float
         D is sought between them, px/frame.
     """
 
@@ -99,7 +99,7 @@ class PlaneSearch:
         focal: float,
         noise: float,
         seen: float,
-        nearest: float,
+        least: float,
         largest: float,
     ) -> None:
         self._shape = levels0.shape
@@ -109,13 +109,13 @@ class PlaneSearch:
             raise ValueError(f"motion is {np.shape(motion)}: expected (3, 4)")
         if not noise > 0:
             raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
-        if not 0 < nearest < largest:
-            raise ValueError(f"D is sought from {nearest} to {largest}: expected 0 < from < to")
+        if not least < largest:
+            raise ValueError(f"D is sought from {least} to {largest}: expected from < to")
         self._images = with_margin(levels0), packed(levels1)
         self._motion = np.ascontiguousarray(motion, np.float32)
         self._view = *map(float, center), float(focal)
         self._noise = float(noise) ** 2
-        self._seen, self._bounds = float(seen), (float(nearest), float(largest))
+        self._seen, self._bounds = float(seen), (float(least), float(largest))
 
     def score(self, planes: np.ndarray) -> None:
         """Compute the cost of the planes (H, W, 4) float32, in place."""
@@ -236,7 +236,7 @@ def _improve(
     cy: ti.f32,
     focal: ti.f32,
     noise: ti.f32,
-    nearest: ti.f32,
+    least: ti.f32,
     largest: ti.f32,
     color: ti.i32,
     reach: ti.i32,
@@ -268,8 +268,8 @@ def _improve(
                         )
                         random += ti.u32(4)
                         if n == 8:
-                            plane[0] = nearest + (largest - nearest) * a
-                            steepest = STEEPEST / focal * plane[0]
+                            plane[0] = least + (largest - least) * a
+                            steepest = STEEPEST / focal * ti.max(plane[0], 0.0)
                             plane[1] = steepest * (2.0 * b - 1.0)
                             plane[2] = steepest * (2.0 * c - 1.0)
                         else:
@@ -277,7 +277,7 @@ def _improve(
                             plane[1] += span * tilt * (2.0 * b - 1.0)
                             plane[2] += span * tilt * (2.0 * c - 1.0)
                             span *= 0.5
-                    if plane[0] > nearest and plane[0] < largest and _apart(plane, best):
+                    if plane[0] > least and plane[0] < largest and _apart(plane, best):
                         plane[3] = _cost(
                             packed1, height, width, motion, cx, cy, focal, noise,
                             weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,

@@ -23,7 +23,7 @@ def search_in(levels0, levels1, camera, motion, largest=30.0):
 
     return PlaneSearch(
         levels0, levels1, motion, center=camera.center_for(*levels0.shape), focal=camera.focal,
-        noise=NOISE, seen=1.8, nearest=1e-3, largest=largest,
+        noise=NOISE, seen=1.8, least=1e-3, largest=largest,
     )  # fmt: skip
 
 
@@ -211,7 +211,7 @@ def test_bad_arguments(change, problem):
     frame = np.zeros((8, 9), np.float32)
     arguments = {
         "levels0": frame, "levels1": frame, "motion": np.eye(3, 4), "center": (4.0, 3.5),
-        "focal": 9.0, "noise": 1.0, "seen": 1.8, "nearest": 1e-3, "largest": 9.0,
+        "focal": 9.0, "noise": 1.0, "seen": 1.8, "least": 1e-3, "largest": 9.0,
     }  # fmt: skip
     with pytest.raises(ValueError, match=problem):
         PlaneSearch(**{**arguments, **change})

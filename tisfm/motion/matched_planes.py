@@ -16,8 +16,10 @@ REACH = 5  # px: how far away the further neighbours are
 DRAWS = 2  # of planes that are nearly a pixel's own
 SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest level and others; of slopes
 SHRINKING = 0.6  # of both, with every round
-NEAREST = 1e-3  # px/frame: the least D
-LARGEST = 0.35  # of the longer side: the largest
+LARGEST = 0.35  # of the longer side: the largest D that is looked for
+# px: the least. What matches best behind the camera is not believed; were it not looked for there,
+# it would be found at infinity.
+LEAST = -5.0
 LEAST_NOISE = 0.7  # grey levels: what rounding, compression and interpolation leave
 QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
 # Of the variance of the noise: windows that vary by less correlate with nothing, or cost too much
@@ -82,7 +84,7 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
     center = camera.center_for(*apart.shape)
     disagreement(there, here, motion, apart, center=center, focal=camera.focal)
     depth, cost = np.ascontiguousarray(there[..., 0]), np.ascontiguousarray(there[..., 3])
-    believed = without_islands(depth, (cost < COST) & (apart < AGREEMENT))
+    believed = without_islands(depth, (cost < COST) & (apart < AGREEMENT) & (depth > 0))
     return MatchedPlanes(level=finest, inverse_depth=depth, cost=cost, believed=believed)
 
 
@@ -127,7 +129,7 @@ class _Search:
                 focal=camera.focal,
                 noise=max(self.noise * scale, QUIETEST),
                 seen=SEEN,
-                nearest=NEAREST,
+                least=scale * LEAST,
                 largest=scale * largest,
             )
             search.score(planes)
