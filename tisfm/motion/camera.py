@@ -45,7 +45,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
             ),
             history=[],
         )
-    start = first_motion(pyramid, settings, pose=pose, pixels=START)
+    start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
     if start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=level)
     motions = scaled_translations(start.matrix[None], labels, camera)
