@@ -58,6 +58,8 @@ class FirstMotion:
         Its confidence.
     level : int
         Of the flow field.
+    matched : bool
+        Whether it is that of matched points, which frames far apart may share as well.
     """
 
     rotation: np.ndarray
@@ -69,6 +71,7 @@ class FirstMotion:
     flow: np.ndarray
     trust: np.ndarray
     level: int
+    matched: bool = False
 
     @property
     def matrix(self) -> np.ndarray:
@@ -156,6 +159,7 @@ def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:
         doubt=far.doubt,
         flow=far.flow,
         trust=far.trust,
+        matched=True,
     )
 
 

@@ -183,15 +183,17 @@ def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
 
 def _homographies(rays: Rays) -> list[np.ndarray]:
     """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
-    before, after = rays.before[:2].T.copy(), rays.after.T.copy()
+    # OpenCV finds none of small coordinates: it is given px.
+    before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
+    to_px = np.diag([rays.focal, rays.focal, 1.0])
     found = []
     for threshold in THRESHOLDS:
         try:
-            matrix, _ = cv2.findHomography(before, after, sampling(threshold / rays.focal, DRAWS))
+            matrix, _ = cv2.findHomography(before, after, sampling(threshold, DRAWS))
         except cv2.error:  # of samples that do not determine one
             continue
         if matrix is not None and matrix.shape == (3, 3) and np.isfinite(matrix).all():
-            found.append(np.asarray(matrix, np.float64))
+            found.append(np.linalg.solve(to_px, matrix @ to_px))
     return found
 
 

@@ -78,7 +78,7 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
     doubt = None
     if len(likely) > 1 and dense is not None:
         chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
-    elif len(likely) > 1:
+    if len(likely) > 1 and (dense is None or chosen.motion.model == "plane"):
         doubt = Status(
             "two_motions",
             "two motions of the camera explain the frames alike, as where they show one plane, and "
