@@ -37,6 +37,7 @@ def _shared(render):
 
 
 bare_patches = _shared(scenes.bare_patches)
+room = _shared(scenes.room)
 static_scene = _shared(scenes.static_scene)
 three_blocks = _shared(scenes.three_blocks)
 two_blocks = _shared(scenes.two_blocks)

@@ -6,7 +6,7 @@ import numpy as np
 
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
-    "little_parallax", "unrelated", "pose_mismatch",
+    "little_parallax", "unrelated", "pose_mismatch", "two_motions",
 )  # fmt: skip
 """Codes of `Status`."""
 
@@ -21,8 +21,10 @@ class Status(str):
     image's longer side, or more than half of the pixels leave the image; ``"unrelated"``, the
     frames have nothing in common. With ``motion="camera"``, or ``"objects"`` that find one motion
     only, also ``"pure_rotation"``, the camera only turned, and ``"little_parallax"``, it hardly
-    changed its place: there is no depth. With a pose given, ``"pose_mismatch"``: it contradicts
-    the images, and the depth is what follows from it all the same.
+    changed its place: there is no depth; and ``"two_motions"``: frames that lie far apart leave
+    two motions that explain them alike, and depth follows from one of them. With a pose given,
+    ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all the
+    same.
     """
 
     message: str

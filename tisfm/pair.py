@@ -24,6 +24,9 @@ UNCOUNTED = Status(
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
+# The same of frames far apart, whose motion matched points vouch for: near things pass the whole
+# image, and where the camera turned by 20° two thirds left it.
+RUNAWAY_MATCHED, MOST_LEAVING_MATCHED = 1.0, 0.8
 
 
 def interpret(
@@ -147,7 +150,11 @@ def interpret_pair(
     history, counted = _countable(history_of(estimate.history))
     status = estimate.status
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = overflow or diverged(flow, leaves) or (status if counted else UNCOUNTED)
+        status = (
+            overflow
+            or diverged(flow, leaves, matched=estimate.matched)
+            or (status if counted else UNCOUNTED)
+        )
     if settings.motion == "field" and status == "converged":
         status = unrelated_field(pyramid, flow, trust) or status
     return Interpretation(
@@ -193,7 +200,7 @@ def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     )
 
 
-def diverged(flow: np.ndarray, leaves: np.ndarray) -> Status | None:
+def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> Status | None:
     """Return the status of a flow that no pair of frames can have, None for others.
 
     Parameters
@@ -202,19 +209,25 @@ def diverged(flow: np.ndarray, leaves: np.ndarray) -> Status | None:
         (u, v), px/frame.
     leaves : (H, W) bool
         Where it leaves the image.
+    matched : bool
+        Whether matched points vouch for a large motion: what leaves the image then may go far.
     """
+    furthest, most = RUNAWAY, MOST_LEAVING
+    if matched:
+        furthest, most = RUNAWAY_MATCHED, MOST_LEAVING_MATCHED
+        flow = np.where(leaves, 0, flow)
     # What moves by half the image is hardly seen twice; NaN fails the comparisons as well.
-    limit = RUNAWAY * max(flow.shape[1:])
+    limit = furthest * max(flow.shape[1:])
     within = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
     if not within and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:
         return Status(
             "diverged",
-            f"image motion grew beyond {100 * RUNAWAY:g}% of the image's longer side: bring the "
+            f"image motion grew beyond {100 * furthest:g}% of the image's longer side: bring the "
             "frames to the 8-bit scale, give data_contrast a value, raise smoothness or contrast, "
             "take frames closer in time, and check the camera's focal length and centre",
         )
     leaving = float(leaves.mean())
-    if leaving > MOST_LEAVING:
+    if leaving > most:
         return Status(
             "diverged",
             f"{100 * leaving:.0f}% of the pixels leave the image, so little is left to compare: "

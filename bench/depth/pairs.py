@@ -1,7 +1,7 @@
 """Pairs whose depth or motion of the camera is known: rendered scenes and real sequences."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from tisfm.datasets.calibration import STATED
 from tisfm.datasets.depth_maps import read_depth
 from tisfm.lens import undistort, undistort_depth
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import SyntheticPair, static_scene, two_blocks
+from tisfm.scenes import SyntheticPair, room, static_scene, two_blocks
 from tisfm.scenes.ready import STATIC_KINDS
 
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
@@ -26,8 +26,11 @@ MOVING = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"
 ROOM, OFFICE, STEPS = "TartanAir", "HoloLens", "7-Scenes, four apart"
+RENDERED_ROOM, ROOM_SEEDS = "rendered room", (0, 1)
 GIVEN = ", pose given"
-ROOMS = tuple(group + given for group in (ROOM, OFFICE, STEPS) for given in (GIVEN, ""))
+ROOMS = tuple(
+    group + given for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for given in (GIVEN, "")
+)
 FARTHEST = 40.0  # m: true depth beyond does not count in rooms
 STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
@@ -128,7 +131,7 @@ STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
 
 
 def scene_entries(height: int, width: int) -> list[Entry]:
-    """Return rendered scenes: static ones by kind of motion and focal length, and two blocks."""
+    """Return rendered scenes: static ones by kind of motion and focal length, blocks and rooms."""
     entries = []
     for kind in STATIC_KINDS:
         for seed, focal in enumerate(SCENE_FOCALS):
@@ -139,6 +142,10 @@ def scene_entries(height: int, width: int) -> list[Entry]:
     for seed in BLOCK_SEEDS:
         name = f"two-blocks-{seed}"
         entries.append(Entry(name, MOVING, partial(_blocks, name, seed, height, width)))
+    for seed in ROOM_SEEDS:
+        for given in (GIVEN, ""):
+            name, group = f"room-{seed}{given}", RENDERED_ROOM + given
+            entries.append(Entry(name, group, partial(_room, name, group, seed, height, width)))
     return entries
 
 
@@ -211,6 +218,11 @@ def _blocks(name: str, seed: int, height: int, width: int) -> DepthPair:
     pair = two_blocks(height, width, seed=seed)
     movers = np.where(pair.labels < AT_REST, 0, pair.labels)
     return rendered(name, MOVING, pair, movers)
+
+
+def _room(name: str, group: str, seed: int, height: int, width: int) -> DepthPair:
+    pair = rendered(name, group, room(height, width, seed=seed))
+    return replace(pair, pose_given=GIVEN in group)
 
 
 def rendered(

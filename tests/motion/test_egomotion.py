@@ -5,7 +5,8 @@ import pytest
 
 import tisfm
 from tests.rendered import static_scene, two_blocks
-from tisfm.motion.egomotion import camera_motion, hold_scale, triangulate
+from tisfm.motion.egomotion import camera_motion, triangulate
+from tisfm.motion.epipolar_fit import hold_scale
 from tisfm.rigid import rigid_motion
 from tisfm.scenes.ready import STATIC_KINDS
 

@@ -34,13 +34,7 @@ def unrelated(
     trust : (H, W) float32
         Its confidence; not all 0.
     """
-    # Brightness may be on any scale, and squares lose digits far from 0.
-    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
-    frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
-    moved = _moved(frame1, flow)
-    mean0, mean1 = _mean(frame0), _mean(moved)
-    product = _variance(frame0, mean0) * _variance(moved, mean1)
-    alike = (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
+    alike = correlation(frame0, frame1, flow)
     order = np.argsort(alike, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
     median = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
@@ -52,6 +46,30 @@ def unrelated(
         f"{median:.2f}): check that they are of one scene, take them closer in time, or with less "
         "noise",
     )
+
+
+def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return the correlation of frame 0 with where a flow leads, in a window around each pixel.
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) float32
+        Grey levels, not all the same in frame 0.
+    flow : (H, W, 2) float32
+        px/frame.
+
+    Returns
+    -------
+    (H, W) float32
+        In [-1, 1]; 0 where both are flat.
+    """
+    # Brightness may be on any scale, and squares lose digits far from 0.
+    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
+    frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
+    moved = _moved(frame1, flow)
+    mean0, mean1 = _mean(frame0), _mean(moved)
+    product = _variance(frame0, mean0) * _variance(moved, mean1)
+    return (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
 
 
 def unrelated_field(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:

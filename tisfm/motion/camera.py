@@ -45,7 +45,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
             ),
             history=[],
         )
-    start = first_motion(pyramid, settings, pose=pose, pixels=START)
+    start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
     if start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=level)
     motions = scaled_translations(start.matrix[None], labels, camera)
@@ -63,7 +63,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         refine=refine,
         start=swept_start(pyramid, motions[0], start.level, start.flow, start.trust),
     )
-    estimate = replace(with_depth(solution, labels, camera, settings, unit=unit), level=level)
+    estimate = with_depth(solution, labels, camera, settings, unit=unit)
+    estimate = replace(estimate, level=level, matched=start.matched)
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 

@@ -35,6 +35,8 @@ class Estimate:
     motions : (K, 6) float64 or None
     labels : (H, W) int32 or None
     inverse_depth_std : (H, W) float32 or None
+    matched : bool
+        Whether the motion was first found from matched points, by which frames may be far apart.
     """
 
     rho: np.ndarray
@@ -49,6 +51,7 @@ class Estimate:
     motions: np.ndarray | None = None
     labels: np.ndarray | None = None
     inverse_depth_std: np.ndarray | None = None
+    matched: bool = False
 
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:

@@ -15,6 +15,8 @@ from tisfm.motion.egomotion import (
 )
 from tisfm.motion.estimate import unmoved
 from tisfm.motion.problems import flow_problem
+from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
+from tisfm.motion.sparse_start import SparseStart, sparse_start
 from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
@@ -29,6 +31,9 @@ WARPS = 2  # at least, linearisations on the level of the flow field
 # pixel of parallax drowns in what lens and shutter do, which the residual does not show.
 SEEN, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 6.0, 9.0
 FINEST = 0.005  # px of the level: no flow is better than that
+# px of the level, of the fit: at most 0.045 on rendered scenes and in a textured studio; in bare
+# rooms and between frames far apart, where directions were off by degrees, from 0.065 on.
+WANTING = 0.06
 STILL = 0.1  # px: median flow of a camera that stands still
 
 
@@ -53,6 +58,8 @@ class FirstMotion:
         Its confidence.
     level : int
         Of the flow field.
+    matched : bool
+        Whether it is that of matched points, which frames far apart may share as well.
     """
 
     rotation: np.ndarray
@@ -64,6 +71,7 @@ class FirstMotion:
     flow: np.ndarray
     trust: np.ndarray
     level: int
+    matched: bool = False
 
     @property
     def matrix(self) -> np.ndarray:
@@ -77,6 +85,7 @@ def first_motion(
     *,
     pose: KnownPose | None = None,
     pixels: float = math.inf,
+    matches: bool = False,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
@@ -90,6 +99,8 @@ def first_motion(
         What is known of the motion; its translation, if any, is not 0.
     pixels : float
         Of the level, at least: the coarsest that has as many, by default the finest.
+    matches : bool
+        Whether points are matched where the flow field is found wanting and no pose is known.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
@@ -104,6 +115,12 @@ def first_motion(
         return replace(start, status=Status("no_texture", message))
     frames = pyramid.frames0[start.level], pyramid.frames1[start.level]
     apart = unrelated(*frames, start.flow, start.trust)
+    if matches and pose is None and (apart is not None or found.residual > WANTING):
+        dense = (found.rotation, found.translation) if apart is None else None
+        far = sparse_start(pyramid, start.level, dense)
+        # What matches hardly see is better seen by a flow field, if there is one.
+        if far is not None and (apart is not None or _matched_status(far.motion) is None):
+            return _far_apart(start, far)
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale
@@ -126,6 +143,33 @@ def first_motion(
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
     return replace(known, rotation=found.rotation, translation=found.translation)
+
+
+def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:
+    """Return the first motion that matches show, in place of the flow field's."""
+    motion = far.motion
+    status = far.apart or _matched_status(motion)
+    turned = status == "pure_rotation"
+    return replace(
+        start,
+        rotation=motion.rotation_alone if turned else motion.rotation,
+        translation=np.zeros(3) if turned else motion.translation,
+        residual=motion.residual,
+        status=status,
+        doubt=far.doubt,
+        flow=far.flow,
+        trust=far.trust,
+        matched=True,
+    )
+
+
+def _matched_status(motion: SparseMotion) -> Status | None:
+    """Tell whether matches show more than a rotation."""
+    parallax, residual = motion.parallax, max(motion.residual, SMALLEST_RESIDUAL)
+    seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
+    if motion.model == "rotation":
+        return _turned_only(seen)
+    return None if parallax >= ENOUGH * residual else _hardly_moved(seen)
 
 
 def _flow_alone(
@@ -178,17 +222,25 @@ def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status 
         return None
     seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
     if share >= SEEN:
-        return Status(
-            "little_parallax",
-            f"too little parallax to see depth by: {seen}; take frames further apart, or move the "
-            "camera sideways",
-        )
+        return _hardly_moved(seen)
     if moved < max(STILL, 3 * residual):
         return Status(
             "no_motion",
             f"too little parallax to see depth by: the image moves by {moved:.2g} px, no more than "
             "noise; take frames further apart in time",
         )
+    return _turned_only(seen)
+
+
+def _hardly_moved(seen: str) -> Status:
+    return Status(
+        "little_parallax",
+        f"too little parallax to see depth by: {seen}; take frames further apart, or move the "
+        "camera sideways",
+    )
+
+
+def _turned_only(seen: str) -> Status:
     return Status(
         "pure_rotation",
         f"too little parallax to see depth by: the camera only turned, {seen}; it has to change "

@@ -14,7 +14,7 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
-from tisfm.motion.egomotion import hold_scale, spin_prior
+from tisfm.motion.epipolar_fit import hold_scale, spin_prior
 from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on

@@ -18,6 +18,7 @@ from tisfm.rigid import rigid_motion
 from .geometry import Box, Plane
 from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
+from .room import room
 from .texture import Patch, Texture
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "Texture",
     "bare_patches",
     "rigid_motion",
+    "room",
     "static_scene",
     "three_blocks",
     "two_blocks",

@@ -123,8 +123,7 @@ class Scene:
             If an option is not as above, or some ray meets no object.
         """
         whole(1, samples=samples)
-        if dtype not in ("uint8", "float32"):
-            raise ValueError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
+        check_dtype(dtype)
         before = [View(item) for item in self.objects]
         after = [View(item, item.motion) for item in self.objects]
         frames = [self._frame(views, samples) for views in (before, after)]
@@ -200,6 +199,12 @@ class Scene:
         # The point itself is met at its own depth, up to rounding.
         visible = inside & (nearest > moved[2] * (1 - 1e-6))
         return depth, labels, u, v, visible, textured
+
+
+def check_dtype(dtype: str) -> None:
+    """Raise ValueError unless it names a type of the frames."""
+    if dtype not in ("uint8", "float32"):
+        raise ValueError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
 
 
 def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:

@@ -20,8 +20,10 @@ from bench.depth.pairs import (
     HARDLY_MOVED,
     MOVING,
     OFFICE,
+    RENDERED_ROOM,
     RENDERED_STUDIO,
     ROOM,
+    ROOMS,
     STEPS,
     Entry,
     data_entries,
@@ -394,9 +396,12 @@ def test_missing_groups_are_named(tmp_path):
 
 def test_scenes_are_rendered_when_their_turn_comes_at_the_focal_length_of_their_name():
     entries = scene_entries(*SIZE)
-    assert len(entries) == 18 and all(isinstance(entry, Entry) for entry in entries)
+    assert len(entries) == 22 and all(isinstance(entry, Entry) for entry in entries)
     pair = next(entry for entry in entries if entry.name == "sideways-f600").load()
     assert pair.camera.focal == 600 * SIZE[1] / 320  # the same view
+    rooms = [entry.load() for entry in entries if entry.group.startswith(RENDERED_ROOM)]
+    assert [pair.pose_given for pair in rooms] == [True, False] * 2
+    assert {pair.group for pair in rooms} <= set(ROOMS)
 
 
 def test_wrong_focal_lengths(tmp_path, monkeypatch, capsys):

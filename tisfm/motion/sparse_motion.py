@@ -1,0 +1,301 @@
+"""The camera's motion from matched points: for frames so far apart that a flow field fails."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.epipolar_fit import (
+    Free,
+    Pose,
+    Rays,
+    beyond,
+    cost,
+    essential_poses,
+    length,
+    nearest_points,
+    refine,
+    rotation_alone,
+    sampling,
+)
+from tisfm.motion.sparse_matches import Matches
+
+THRESHOLDS = (0.5, 1.0, 2.0, 4.0)  # px from the epipolar line, or from where a homography leads
+DRAWS = 10_000  # at most: half of the matches may be wrong
+# px: matches within take part in the refinement, one time after the other. Near ones alone miss
+# the least cost from a poor start; far ones lead away from a good one.
+REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
+EXPLAINED = 3.0  # px
+ITERATIONS = 30
+FEWEST = 12  # matches within reach: five fit any motion, and wrong ones add a few by chance
+SMALLEST_RESIDUAL = 0.3  # px: points are found no better than that
+# Of the robust cost: motions that cost less than so many times the least may be right as well.
+TIED = 1.3
+SAME = 0.2  # rad, between directions of translation: motions that differ by less are one
+SPREAD_CELLS = 8  # a side of the image
+# Of the criterion: a match has four coordinates, and no more than this is held against it, as a
+# variance, for each of those that a model predicts.
+COORDINATES, WORST = 4, 2.0
+
+Model = Literal["rotation", "plane", "depth"]
+_Motion = tuple[np.ndarray, np.ndarray, float]  # R, t and the residual, px
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseMotion:
+    """A rigid motion that matches show, P₁ = R P₀ + t.
+
+    Attributes
+    ----------
+    rotation, translation : (3, 3) and (3,) float64
+        ‖t‖ = 1.
+    rotation_alone : (3, 3) float64
+        The rotation that fits best without translation.
+    model : {"rotation", "plane", "depth"}
+        What explains the matches with the least freedom: a rotation, the homography of a plane, or
+        points at depths of their own. The same for all motions of a pair.
+    residual : float
+        Robust standard deviation of the distances from epipolar lines, px.
+    parallax : float
+        Median length of what rotation alone leaves of the displacements, px.
+    inliers : int
+        Matches that it explains.
+    spread : float
+        Share of the image, in cells, that holds one of them.
+    cost : float
+        Robust cost of all matches, at a scale that is common to all motions of the pair.
+    rays : Rays
+        The matches that it explains.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    rotation_alone: np.ndarray
+    model: Model
+    residual: float
+    parallax: float
+    inliers: int
+    spread: float
+    cost: float
+    rays: Rays
+
+    def scaled(self, factor: float) -> "SparseMotion":
+        """Return the same with lengths, px, of another level."""
+        return replace(self, residual=factor * self.residual, parallax=factor * self.parallax)
+
+
+def sparse_motions(
+    matches: Matches, camera: Camera, shape: tuple[int, int]
+) -> tuple[list[SparseMotion], "Judge | None"]:
+    """Return the motions that may have moved points so, the likeliest first.
+
+    Robust distances from epipolar lines are minimised from several starts: essential matrices by
+    random sampling, and the solutions of homographies, which tell the motion of a camera before
+    one plane, where essential matrices are not determined. Two motions may remain there.
+
+    Parameters
+    ----------
+    matches : Matches
+    camera : Camera
+        Without distortion.
+    shape : (int, int)
+        Height and width of the frames, px.
+
+    Returns
+    -------
+    motions : list of SparseMotion
+        Empty where too few matches agree on any.
+    judge : Judge or None
+        What others are to be compared by; None where there is no motion.
+
+    References
+    ----------
+    As in `tisfm.motion.egomotion.camera_motion`; Torr, "Geometric motion segmentation and model
+    selection", Phil. Trans. R. Soc. A 356 (1998), doi 10.1098/rsta.1998.0224; Malis and Vargas,
+    "Deeper understanding of the homography decomposition for vision-based control", INRIA report
+    6303, 2007.
+    """
+    if len(matches.before) < FEWEST:
+        return [], None
+    rays = _rays(matches, camera, shape)
+    homographies = _homographies(rays)
+    starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
+    for homography in homographies:
+        starts += _of_plane(homography, rays)
+    found = [
+        motion
+        for start in starts
+        for reaches in REACHES
+        if (motion := _polished(rays, start, reaches)) is not None
+    ]
+    if not found:
+        return [], None
+    scale = max(min(residual for _, _, residual in found), SMALLEST_RESIDUAL)
+    judge = Judge(rays=rays, scale=scale)
+    found.sort(key=lambda motion: judge.cost(motion[:2]))
+    model = _model(rays, found[0][:2], homographies, scale)
+    limit = TIED * judge.cost(found[0][:2])
+    kept: list[_Motion] = []
+    for motion in found:
+        if judge.cost(motion[:2]) <= limit and all(
+            angle(motion[1], other[1]) >= SAME for other in kept
+        ):
+            kept.append(motion)
+    return [_described(judge, motion, model, camera, shape) for motion in kept], judge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judge:
+    """Matches as evidence for any motion.
+
+    Attributes
+    ----------
+    rays : Rays
+        All of them.
+    scale : float
+        Of their distances from epipolar lines, px.
+    """
+
+    rays: Rays
+    scale: float
+
+    def cost(self, pose: Pose) -> float:
+        """Return the robust cost of a motion; that of matches which it leaves unexplained is 1."""
+        return cost(self.rays, pose, self.scale)
+
+
+def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
+    center = camera.center_for(*shape)
+    before, after = (
+        (points - center).T / camera.focal for points in (matches.before, matches.after)
+    )
+    count = before.shape[1]
+    return Rays(
+        before=np.vstack([before, np.ones(count)]),
+        after=after,
+        trust=np.ones(count),
+        focal=camera.focal,
+    )
+
+
+def _homographies(rays: Rays) -> list[np.ndarray]:
+    """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
+    # OpenCV finds none of small coordinates: it is given px.
+    before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
+    to_px = np.diag([rays.focal, rays.focal, 1.0])
+    found = []
+    for threshold in THRESHOLDS:
+        try:
+            matrix, _ = cv2.findHomography(before, after, sampling(threshold, DRAWS))
+        except cv2.error:  # of samples that do not determine one
+            continue
+        if matrix is not None and matrix.shape == (3, 3) and np.isfinite(matrix).all():
+            found.append(np.linalg.solve(to_px, matrix @ to_px))
+    return found
+
+
+def _of_plane(homography: np.ndarray, rays: Rays) -> list[Pose]:
+    """Return the motions that may be behind a homography: of a plane that the camera sees."""
+    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
+    poses: list[Pose] = []
+    for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
+        away = float(np.linalg.norm(translation))
+        if away > 0 and np.median(normal[:, 0] @ rays.before) > 0:
+            poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / away))
+    return poses
+
+
+def _polished(rays: Rays, start: Pose, reaches: tuple[float, ...]) -> _Motion | None:
+    """Return a motion refined by the matches near it, and their residual; None if they are few."""
+    pose, free = start, Free(unknowns=6, near=None)
+    for reach in reaches:
+        near = rays.where(_explained(rays, pose, reach))
+        if near.trust.size < FEWEST:
+            return None
+        rotation, translation, residual = refine(near, pose, free, iterations=ITERATIONS)
+        pose = rotation, translation
+    return *pose, residual
+
+
+def _explained(rays: Rays, pose: Pose, reach: float) -> np.ndarray:
+    """Return which matches lie near their epipolar line and before the camera, (N,) bool."""
+    nearest = nearest_points(rays, *pose)
+    return (np.abs(nearest.distance) <= reach) & (nearest.inverse_depth > 0)
+
+
+def angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the angle between two vectors of length 1, rad."""
+    return float(np.arccos(np.clip(one @ other, -1, 1)))
+
+
+def _described(
+    judge: Judge,
+    motion: _Motion,
+    model: Model,
+    camera: Camera,
+    shape: tuple[int, int],
+) -> SparseMotion:
+    rotation, translation, residual = motion
+    rays = judge.rays
+    mine = rays.where(_explained(rays, (rotation, translation), EXPLAINED))
+    alone = rotation_alone(mine)
+    return SparseMotion(
+        rotation=rotation,
+        translation=translation,
+        rotation_alone=alone,
+        model=model,
+        residual=residual,
+        parallax=camera.focal * float(np.median(length(beyond(mine, alone)))),
+        inliers=mine.trust.size,
+        spread=_spread(mine, camera, shape),
+        cost=judge.cost((rotation, translation)),
+        rays=mine,
+    )
+
+
+def _spread(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
+    """Return the share of the image's cells that hold a match."""
+    height, width = shape
+    center = np.array(camera.center_for(height, width))[:, None]
+    points = rays.before[:2] * camera.focal + center + 0.5
+    column, row = (points * SPREAD_CELLS / np.array([[width], [height]])).astype(np.int64)
+    return len(np.unique(row * SPREAD_CELLS + column)) / SPREAD_CELLS**2
+
+
+def _model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float) -> Model:
+    """Return the model of least geometric robust information criterion (GRIC; Torr 1998).
+
+    Errors are distances in frame 1 from what a model predicts: along two coordinates, or one.
+    """
+    distance = nearest_points(rays, *pose).distance
+    found: dict[Model, float] = {
+        "depth": _criterion(distance**2, scale, dimension=3, parameters=5),
+        "rotation": _criterion(
+            _beyond_homography(rays, rotation_alone(rays)), scale, dimension=2, parameters=3
+        ),
+    }
+    planes = [
+        _criterion(_beyond_homography(rays, matrix), scale, dimension=2, parameters=8)
+        for matrix in homographies
+    ]
+    if planes:
+        found["plane"] = min(planes)
+    return min(found, key=lambda model: found[model])
+
+
+def _beyond_homography(rays: Rays, matrix: np.ndarray) -> np.ndarray:
+    """Return how far matches are from where a homography leads, squared, (N,) px²."""
+    return rays.focal**2 * np.square(beyond(rays, matrix)).sum(axis=0)
+
+
+def _criterion(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
+    """Return GRIC: errors, and what a model's freedom costs."""
+    worst = WORST * (COORDINATES - dimension)
+    fit = float(np.minimum(square / scale**2, worst).sum())
+    count = square.size
+    return (
+        fit + dimension * count * math.log(COORDINATES) + parameters * math.log(COORDINATES * count)
+    )

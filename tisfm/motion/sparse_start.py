@@ -1,0 +1,145 @@
+"""Where to start from if frames lie far apart: a motion from matches, and a depth swept for it."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.model.constants import NEAREST
+from tisfm.motion.agreement import correlation, unrelated
+from tisfm.motion.epipolar_fit import Pose, nearest_points
+from tisfm.motion.plane_sweep import swept
+from tisfm.motion.rigid_depth import scaled_translations
+from tisfm.motion.sparse_matches import LARGEST, sparse_matches
+from tisfm.motion.sparse_motion import TIED, SparseMotion, angle, sparse_motions
+from tisfm.outcome import Status
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.visibility.confidence import CONFIDENCE_WINDOW
+from tisfm.visibility.occlusion import leaves_image
+
+MOST = 3  # motions that are compared by the images
+RARE, FURTHER = 99, 1.5  # percentile of the matches' D, and how far beyond it depth is sought
+FEWEST_HYPOTHESES = 4
+UNDECIDED = 0.01  # of mean correlations: motions whose differ by less are as good as each other
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseStart:
+    """A motion from matches, and what it makes of a level of the pyramid.
+
+    Attributes
+    ----------
+    motion : SparseMotion
+        Lengths are in px of the finest level.
+    flow : (h, w, 2) float32
+        Of the motion and a plane sweep, px of the level.
+    trust : (h, w) float32
+        How far to trust it, in [0, 1].
+    apart : Status or None
+        Whether it leaves the frames unlike each other all the same.
+    doubt : Status or None
+        Whether another motion is as likely.
+    """
+
+    motion: SparseMotion
+    flow: np.ndarray
+    trust: np.ndarray
+    apart: Status | None
+    doubt: Status | None
+
+
+def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> SparseStart | None:
+    """Return a motion that matches show and the images agree with, None where there is none better.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    level : int
+        On which motions are compared by the images, and of the flow that is returned.
+    dense : (rotation, translation) or None
+        That of a flow field. It stays if the matches have little against it, and decides between
+        motions that the images do not tell apart.
+    """
+    finest = next(
+        (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
+    )
+    frame0, frame1 = pyramid.frames0[finest], pyramid.frames1[finest]
+    matches = sparse_matches(frame0, frame1)
+    motions, judge = sparse_motions(matches, pyramid.cameras[finest], frame0.shape)
+    if judge is None:
+        return None
+    if dense is not None and judge.cost(dense) <= TIED * motions[0].cost:
+        return None
+    views = [_View(pyramid, level, motion) for motion in motions[:MOST]]
+    best = max(view.score for view in views)
+    likely = [view for view in views if view.score >= best - UNDECIDED]
+    chosen = likely[0]  # that which costs the matches least; directions of all differ
+    doubt = None
+    if len(likely) > 1 and dense is not None:
+        chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
+    if len(likely) > 1 and (dense is None or chosen.motion.model == "plane"):
+        doubt = Status(
+            "two_motions",
+            "two motions of the camera explain the frames alike, as where they show one plane, and "
+            "depth follows from one of them: take frames that show more, or give the pose",
+        )
+    return SparseStart(
+        motion=chosen.motion.scaled(1 / pyramid.scales[finest]),
+        flow=chosen.flow,
+        trust=chosen.trust,
+        apart=chosen.apart,
+        doubt=doubt,
+    )
+
+
+class _View:
+    """A level of the pyramid under one motion: depth by a plane sweep, and how alike frames are."""
+
+    def __init__(self, pyramid: ImagePyramid, level: int, motion: SparseMotion) -> None:
+        self.motion = motion
+        frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+        camera = pyramid.cameras[level]
+        pose = np.column_stack([motion.rotation, motion.translation])
+        labels = np.zeros(frame0.shape, np.int32)
+        scaled = scaled_translations(pose[None], labels, camera)[0]
+        inverse_depth = nearest_points(
+            motion.rays, motion.rotation, motion.translation
+        ).inverse_depth
+        seen = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))  # D of the matches
+        high = min(FURTHER * float(np.percentile(seen, RARE)), max(frame0.shape))
+        hypotheses = np.arange(max(np.ceil(high), FEWEST_HYPOTHESES))
+        guess = np.full_like(frame0, np.median(seen))
+        depth = swept(frame0, frame1, scaled, camera, hypotheses, guess, np.zeros_like(guess))
+        self.flow = _flow(depth, scaled, camera)
+        alike = correlation(frame0, frame1, self.flow)
+        leaves = leaves_image(np.moveaxis(self.flow, -1, 0))
+        weight = np.where(leaves, 0, _texture(frame0))
+        total = float(weight.sum())
+        self.score = float((weight * alike).sum() / total) if total > 0 else -1.0
+        self.trust = np.clip(weight * alike, 0, 1).astype(np.float32)
+        self.apart = unrelated(frame0, frame1, self.flow, weight) if total > 0 else None
+
+
+def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return where a motion takes points of inverse depth D, less where they are, (h, w, 2)."""
+    height, width = depth.shape
+    cx, cy = camera.center_for(height, width)
+    x = (np.arange(width) - cx) / camera.focal
+    y = (np.arange(height)[:, None] - cy) / camera.focal
+    rays = np.stack(np.broadcast_arrays(x, y, np.ones_like(depth)))
+    moved = np.einsum("ij,jhw->ihw", motion[:, :3], rays)
+    moved += depth * (motion[:, 3] / camera.focal)[:, None, None]
+    nearness = 1 / np.maximum(moved[2], NEAREST)
+    flow = np.stack([moved[0] * nearness - x, moved[1] * nearness - y], axis=-1)
+    return (camera.focal * flow).astype(np.float32)
+
+
+def _texture(frame: np.ndarray) -> np.ndarray:
+    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
+    window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
+    frame = frame - frame.mean()
+    mean = cv2.blur(frame, window)
+    variance = np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)
+    usual = np.float32(np.median(variance))
+    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
