@@ -4,16 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from tisfm.motion.carried_depth import BARE, bare_share, carried_depth
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
-from tisfm.motion.plane_sweep import swept_start
-from tisfm.motion.rigid_depth import Refinement, rigid_depth, scaled_translations
+from tisfm.motion.plane_sweep import PlaneSweep
+from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
+# px of parallax between near and far from which depth is carried where frames are partly bare:
+# below, coarse to fine follows weak texture better.
+CARRIED_RANGE = 12.0
 START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
 
 
@@ -48,24 +52,40 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
     if start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=level)
-    motions = scaled_translations(start.matrix[None], labels, camera)
     refine: Refinement = "motion"
     unit = None
     if pose is not None:
         refine = "translation" if pose.translation is None else "none"
         unit = None if pose.translation is None else float(np.linalg.norm(pose.translation))
-    solution = rigid_depth(
-        pyramid,
-        settings,
-        motions,
-        labels,
-        last=level,
-        refine=refine,
-        start=swept_start(pyramid, motions[0], start.level, start.flow, start.trust),
-    )
+    motions = scaled_translations(start.matrix[None], labels, camera)
+    sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
+    solution: RigidSolution | None = None
+    low, high = sweep.range
+    if high - low >= CARRIED_RANGE and bare_share(pyramid.frames0[level]) >= BARE:
+        if refine != "none" and not start.matched:
+            motions = _finer(pyramid, settings, motions, pose)
+        solution = carried_depth(pyramid, settings, motions[0])
+    if solution is None:
+        solution = rigid_depth(
+            pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
+        )
     estimate = with_depth(solution, labels, camera, settings, unit=unit)
     estimate = replace(estimate, level=level, matched=start.matched)
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
+
+
+def _finer(
+    pyramid: ImagePyramid, settings: Settings, motions: np.ndarray, pose: KnownPose | None
+) -> np.ndarray:
+    """Return the motion of the flow field of the finest level, if it shows one.
+
+    Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
+    """
+    start = first_motion(pyramid, settings, pose=pose)
+    if start.status is not None:
+        return motions
+    labels = np.zeros(pyramid.shape, np.int32)
+    return scaled_translations(start.matrix[None], labels, pyramid.cameras[0])
 
 
 def only_turned(

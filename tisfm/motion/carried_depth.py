@@ -1,16 +1,24 @@
-"""Inverse depth of what is partly bare: matched where it can be told, and carried across planes."""
+"""Inverse depth of a view that is partly bare: matched where it shows, and carried across planes.
 
+Bare surfaces say nothing of their depth, whatever is made of their noise. What is known is found
+by matching planes both ways round (`tisfm.motion.matched_planes`); second-order smoothness carries
+it to the rest (`tisfm.solver.second_order`), and the constraints of the images move it once more,
+as far as windows vary by more than noise.
+"""
+
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 
-from tisfm.camera import Camera
-from tisfm.kernels.layout.images import image_to_lanes, multiply
+from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import along, displacement
-from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
+from tisfm.motion.matched_planes import LEAST_NOISE, MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
+from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import unknowns_on
-from tisfm.solver.data_term import DataTerm
+from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.second_order import (
     SecondOrderMinimiser,
@@ -19,73 +27,172 @@ from tisfm.solver.second_order import (
     fill,
 )
 
+SECOND_ORDER = SecondOrderSettings(beta=98304.0)
+FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
+# Windows of the finest level that are compared with noise. Frames are bare if this share of them
+# shows no more.
+WINDOW, BARE = 11, 0.03
+SHOWN = 1.8  # times the variance of the noise: what a window varies by that shows more
+DATA = 0.5  # weight of the constraints against that of a matched pixel
+TEXTURE = 100.0  # times the variance of the noise: of a window whose constraints weigh half
 WARPS, ITERATIONS = 3, 2
-DATA = 1.0
-NOISY = 1.0
-WHERE = "all"
-KAPPA = 10.0
+FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
+FURTHEST_SHARE = 0.01  # of the matched pixels: those that are further are not counted
+SPREAD = 0.2  # px²: the variance of what is carried, for the share that data have in it
 
 
-def carried(pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, planes: MatchedPlanes, second=SecondOrderSettings(beta=98304.0)):
+@dataclass(frozen=True, kw_only=True)
+class CarriedSolution(RigidSolution):
+    """The same, with a deviation of its own.
+
+    Attributes
+    ----------
+    carried_deviation : (H, W) float32
+        Of D.
+    """
+
+    carried_deviation: np.ndarray
+
+    def deviation(self) -> np.ndarray:
+        """Return the standard deviation of D, (H, W) float32."""
+        return self.carried_deviation.copy()
+
+
+def bare_share(frame: np.ndarray) -> float:
+    """Return which share of the windows of a frame, (H, W) float32, shows no more than noise."""
+    noise = max(noise_deviation(frame), LEAST_NOISE)
+    return float((_variance(frame) < SHOWN * noise**2).mean())
+
+
+def carried_depth(
+    pyramid: ImagePyramid, settings: Settings, motion: np.ndarray
+) -> CarriedSolution | None:
+    """Estimate the inverse depth of every pixel under a known motion.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    motion : (3, 4) array
+        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+
+    Returns
+    -------
+    CarriedSolution or None
+        None if too little could be matched to carry from.
+    """
+    planes = matched_planes(pyramid, motion)
+    if planes.believed.mean() < FEWEST:
+        return None
     level = planes.level
-    frame = pyramid.frames0[level]
-    anchors = planes.believed.astype(np.float32)
-    depth, slopes = fill(planes.inverse_depth, anchors, frame, second)
-    if DATA == 0:
-        return depth
-    camera = pyramid.cameras[level]
-    problem = depth_problem(settings, camera.focal)
-    unknowns = unknowns_on(pyramid, level, problem)
-    grid = unknowns.grid
-    noise = noise_deviation(frame)
-    data_term = DataTerm(
-        grid,
-        frame,
-        pyramid.frames1[level],
-        pyramid.taps1(level),
-        problem.constancy,
-        max(pyramid.contrast, NOISY * noise),
+    state = _Level(pyramid, settings, motion, planes)
+    history: Records = []
+    converged = False
+    for warp in range(WARPS):
+        iterations, converged = state.step(settings.tolerance)
+        history += [(level, warp, iteration) for iteration in iterations]
+    state.bound(planes)
+    unknowns = state.unknowns
+    return CarriedSolution(
+        motions=motion[None],
+        inverse_depth=at_finest(pyramid, unknowns, level)[0],
+        precision=state.precision(),
+        level=level,
+        density=pyramid.scales[level],
+        history=history,
+        converged=converged,
+        carried_deviation=_deviation(planes, pyramid),
     )
-    restricted = grid.allocate(data_term.constraints.shape[0])
-    minimiser = SecondOrderMinimiser(
-        grid,
-        anchors_in_lanes(grid, np.stack([anchors, planes.inverse_depth * anchors])),
-        unknowns.edges,
-        second,
-        constraints=restricted,
-        scales=[DATA * scale for scale in data_term.scales],
-    )
-    for component, image in enumerate((depth, *slopes)):
-        image_to_lanes(grid, np.ascontiguousarray(image), minimiser.rho, component=component)
-    labels, flow, direction = grid.allocate(1), grid.allocate(2), grid.allocate(2)
-    inverse_depth = minimiser.rho[:1]
-    weight = grid.allocate(1)
-    w = np.full(frame.shape, DATA**0.5, np.float32)
-    if WHERE == "believed":
-        w *= anchors
-    if WHERE == "notbelieved":
-        w *= 1 - anchors
-    if WHERE == "var":
-        import cv2
-        m = cv2.blur(frame, (11, 11))
-        v = np.maximum(cv2.blur(frame * frame, (11, 11)) - m * m, 0)
-        n2 = max(noise, 0.7) ** 2 * KAPPA
-        w *= np.sqrt(v / (v + n2))
-    if WHERE == "var2":
-        import cv2
-        m = cv2.blur(frame, (11, 11))
-        v = np.maximum(cv2.blur(frame * frame, (11, 11)) - m * m, 0)
-        n2 = max(noise, 0.7) ** 2 * KAPPA
-        w *= v / (v + n2)
-    image_to_lanes(grid, w, weight)
-    linearise = in_turn(
-        displacement.bind(grid, inverse_depth, labels, unknowns.x_hat, unknowns.y_hat, flow, direction, motions=np.ascontiguousarray(motion[None], np.float32), focal=camera.focal),
-        data_term.bind_linearise(flow),
-        along.bind(grid, data_term.constraints, flow, direction, inverse_depth, restricted),
-        multiply.bind(grid, weight, restricted),
-    )
-    for _ in range(WARPS):
-        linearise()
-        minimiser.update()
-        minimiser.minimise(ITERATIONS)
-    return minimiser.images()[0]
+
+
+class _Level:
+    """The level that planes were matched on: depth, its slopes, and data."""
+
+    def __init__(
+        self, pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, planes: MatchedPlanes
+    ) -> None:
+        level, target = planes.level, planes.inverse_depth
+        frame, focal = pyramid.frames0[level], pyramid.cameras[level].focal
+        problem = depth_problem(settings, focal)
+        self.unknowns = unknowns = unknowns_on(pyramid, level, problem)
+        self._grid = grid = unknowns.grid
+        believed = planes.believed.astype(np.float32)
+        depth, slopes = fill(target, believed, frame, SECOND_ORDER)
+        data_term = data_term_on(pyramid, level, problem, unknowns)
+        restricted = grid.allocate(data_term.constraints.shape[0])
+        self._minimiser = minimiser = SecondOrderMinimiser(
+            grid,
+            anchors_in_lanes(grid, np.stack([believed, believed * target])),
+            unknowns.edges,
+            SECOND_ORDER,
+            constraints=restricted,
+            scales=[DATA * scale for scale in data_term.scales],
+        )
+        for component, values in enumerate((depth, *slopes)):
+            image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
+        labels, weight = grid.allocate(1), grid.allocate(1)
+        flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
+        image_to_lanes(grid, np.float32(DATA**0.5) * _texture(frame), weight)  # of what is squared
+        motions = np.ascontiguousarray(motion[None], np.float32)
+        inverse_depth = minimiser.rho[:1]
+        self._linearise = in_turn(
+            displacement.bind(
+                grid,
+                inverse_depth,
+                labels,
+                unknowns.x_hat,
+                unknowns.y_hat,
+                flow,
+                direction,
+                motions=motions,
+                focal=focal,
+            ),
+            data_term.bind_linearise(flow),
+            along.bind(grid, data_term.constraints, flow, direction, inverse_depth, restricted),
+            multiply.bind(grid, weight, restricted),
+        )
+
+    def step(self, tolerance: float):
+        """Linearise once, and minimise."""
+        self._linearise()
+        self._minimiser.update()
+        return self._minimiser.minimise(ITERATIONS, tolerance=tolerance)
+
+    def bound(self, planes: MatchedPlanes) -> None:
+        """Take D over, bounded from below."""
+        least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
+        self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(least)))
+
+    def precision(self) -> np.ndarray:
+        """Return what data say and what is carried, as `tisfm.kernels.solve.data_precision`."""
+        tensor = np.empty((3, self._grid.height, self._grid.width), np.float32)
+        lanes_to_images(self._grid, self._minimiser.system.tensor, tensor)
+        depth = self._minimiser.images()[0]
+        precision = np.zeros((7, *depth.shape), np.float32)
+        precision[0] = tensor[0]
+        residual = (tensor[0] * depth + 2 * tensor[1]) * depth + tensor[2]
+        precision[3] = np.maximum(residual, 0)
+        precision[4] = SPREAD
+        return precision
+
+
+def _deviation(planes: MatchedPlanes, pyramid: ImagePyramid) -> np.ndarray:
+    far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
+    deviation = np.sqrt(0.3**2 + (0.05 * far) ** 2)
+    height, width = pyramid.shape
+    return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
+
+
+def _texture(frame: np.ndarray) -> np.ndarray:
+    """Return how much more than noise a window shows, (H, W) float32, from 0 to 1."""
+    noise = max(noise_deviation(frame), LEAST_NOISE)
+    variance = _variance(frame)
+    return variance / (variance + np.float32(TEXTURE * noise**2))
+
+
+def _variance(frame: np.ndarray) -> np.ndarray:
+    """Return the variance of a window around every pixel."""
+    window = (WINDOW, WINDOW)
+    frame = frame - frame.mean()
+    mean = cv2.blur(frame, window)
+    return np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)

@@ -1,5 +1,7 @@
 """Inverse depth to start from, of one rigid motion: triangulated, or found by a plane sweep."""
 
+from functools import cached_property
+
 import cv2
 import numpy as np
 
@@ -37,17 +39,8 @@ HIDDEN = 0.02  # what the cost of a pixel that is not seen in frame 1 counts for
 BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
 
 
-def swept_start(
-    pyramid: ImagePyramid,
-    motion: np.ndarray,
-    level: int,
-    flow: np.ndarray,
-    trust: np.ndarray,
-) -> tuple[int, np.ndarray]:
-    """Return a level of the pyramid, and the inverse depth to start from there.
-
-    That is the flow field's, triangulated, where little parallax leaves it near the truth, and
-    elsewhere that of a plane sweep, which the field only supports.
+class PlaneSweep:
+    """A plane sweep, on any level of a pyramid, led by the depth of a flow field.
 
     Parameters
     ----------
@@ -59,54 +52,58 @@ def swept_start(
         A flow field of this level, px/frame of it.
     trust : (h, w) float32
         Its confidence.
-
-    Returns
-    -------
-    level : int
-        That of the flow, or a finer one.
-    inverse_depth : (H, W) float32
-        D, px/frame of that level.
     """
-    depth = triangulated(flow, motion, pyramid.cameras[level])
-    sweep = _Sweep(pyramid, motion, level, depth, trust)
-    low, high = sweep.range()
-    if high - low < RANGE:
-        return level, depth
-    low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
-    for finer in range(level + 1):
-        entries = (high - low) * pyramid.scales[finer] * pyramid.frames0[finer].size
-        if entries <= ENTRIES:
-            break
-    return finer, sweep.run(finer, low, high)
-
-
-class _Sweep:
-    """A plane sweep, on any level of a pyramid, led by a depth that is known roughly."""
 
     def __init__(
         self,
         pyramid: ImagePyramid,
         motion: np.ndarray,
         level: int,
-        guess: np.ndarray,
+        flow: np.ndarray,
         trust: np.ndarray,
     ) -> None:
         self._pyramid, self._motion = pyramid, motion
-        self._level, self._guess, self._trust = level, guess, trust
+        self._level, self._trust = level, trust
+        self._guess = triangulated(flow, motion, pyramid.cameras[level])
 
+    @cached_property
     def range(self) -> tuple[float, float]:
-        """Return the least and the largest D that are not rare, px/frame of the finest level."""
+        """The least and the largest D that are not rare, px/frame of the finest level."""
         frames = self._pyramid.frames0
         coarse = next(
             (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
         )
         seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
         side = max(frames[0].shape)
-        depth = self.run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
+        depth = self._run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
         low, high = np.percentile(depth, COMMON) / self._pyramid.scales[coarse]
         return low, high
 
-    def run(self, level: int, low: float, high: float) -> np.ndarray:
+    def start(self) -> tuple[int, np.ndarray]:
+        """Return a level of the pyramid, and the inverse depth to start from there.
+
+        That is the flow field's, triangulated, where little parallax leaves it near the truth, and
+        elsewhere that of a sweep, which the field only supports.
+
+        Returns
+        -------
+        level : int
+            That of the flow, or a finer one.
+        inverse_depth : (H, W) float32
+            D, px/frame of that level.
+        """
+        low, high = self.range
+        if high - low < RANGE:
+            return self._level, self._guess
+        pyramid = self._pyramid
+        low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
+        for finer in range(self._level + 1):
+            entries = (high - low) * pyramid.scales[finer] * pyramid.frames0[finer].size
+            if entries <= ENTRIES:
+                break
+        return finer, self._run(finer, low, high)
+
+    def _run(self, level: int, low: float, high: float) -> np.ndarray:
         """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
         pyramid = self._pyramid
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
