@@ -201,14 +201,15 @@ def _relayout(
     old, new = array.shape[2] - 2, out.shape[2] - 2
     lanes = ti.static(lane_count(out))
     ti.loop_config(serialize=serial)
-    for k, row, position in ti.ndrange(out.shape[0], out.shape[1] - 2, new + 2):
+    for row, position in ti.ndrange(out.shape[1] - 2, new + 2):
         for lane in ti.static(range(lanes)):
             column = lane * new + position - 1
-            value = 0.0
-            if column >= 0 and column < width:
-                origin = column // old
-                value = lane_of(array[k, row + 1, column - origin * old + 1], origin, lanes)
-            store_lane(out, k, row + 1, position, lane, value)
+            inside = column >= 0 and column < width
+            origin = ti.select(inside, column // old, 0)
+            place = ti.select(inside, column - origin * old + 1, 0)
+            for k in range(out.shape[0]):
+                value = lane_of(array[k, row + 1, place], origin, lanes)
+                store_lane(out, k, row + 1, position, lane, ti.select(inside, value, 0.0))
 
 
 def correct(
