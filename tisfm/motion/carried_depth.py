@@ -27,7 +27,7 @@ from tisfm.solver.second_order import (
     fill,
 )
 
-SECOND_ORDER = SecondOrderSettings(beta=98304.0)
+SECOND_ORDER = SecondOrderSettings()
 FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
 # Windows of the finest level that are compared with noise. Frames are bare if this share of them
 # shows no more.
