@@ -138,13 +138,13 @@ def test_runaway_flow_has_diverged():
     assert "data_contrast" in result.status.message
 
 
-def status_of(flow):
+def status_of(flow, **options):
     """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
     from tisfm.pair import diverged
     from tisfm.visibility.occlusion import leaves_image
 
     flow = flow.astype(np.float32)
-    return diverged(flow, leaves_image(flow)) or "converged"
+    return diverged(flow, leaves_image(flow), **options) or "converged"
 
 
 @pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
@@ -154,6 +154,20 @@ def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged(move, code):
     assert status == code
     if code == "diverged":
         assert "leave the image" in status.message and "closer in time" in status.message
+
+
+@pytest.mark.parametrize(("move", "code"), [(19, "converged"), (32, "converged"), (35, "diverged")])
+def test_matched_points_vouch_for_a_large_motion(move, code):
+    """Towards the corner: 32 px leave 22 % of the pixels, 35 px leave 17 %."""
+    assert status_of(np.full((2, 60, 60), move), matched=True) == code
+
+
+def test_what_leaves_the_image_may_go_far_where_points_are_matched():
+    flow = np.zeros((2, 60, 60))
+    flow[0, :, 50:] = 200
+    assert status_of(flow) == "diverged" and status_of(flow, matched=True) == "converged"
+    flow[0, 30, 20] = np.nan
+    assert status_of(flow, matched=True) == "diverged"
 
 
 @pytest.mark.parametrize(("length", "code"), [(29, "converged"), (31, "diverged"), (np.nan, None)])

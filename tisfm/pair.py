@@ -215,7 +215,7 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> 
     furthest, most = RUNAWAY, MOST_LEAVING
     if matched:
         furthest, most = RUNAWAY_MATCHED, MOST_LEAVING_MATCHED
-        flow = np.where(leaves, 0, flow)
+        flow = np.where(leaves & np.isfinite(flow), 0, flow)
     # What moves by half the image is hardly seen twice; NaN fails the comparisons as well.
     limit = furthest * max(flow.shape[1:])
     within = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
