@@ -94,7 +94,7 @@ def test_no_island_is_left():
 
 @pytest.mark.parametrize("deviation", [1.0, 4.0])
 def test_noise_deviation(deviation):
-    from tisfm.motion.matched_planes import noise_deviation
+    from tisfm.motion.matched_planes import LEAST_NOISE, MOST_NOISE, noise_deviation
 
     rng = np.random.default_rng(1)
     rows, columns = np.mgrid[:240, :320]
@@ -102,5 +102,7 @@ def test_noise_deviation(deviation):
     frame[100:150, 100:200] += 60 * rng.random((50, 100))  # nor is texture
     noisy = (frame + rng.normal(0, deviation, frame.shape)).astype(np.float32)
     assert noise_deviation(noisy) == pytest.approx(deviation, rel=0.15)
-    assert noise_deviation(frame.astype(np.float32)) < 0.01
     assert noise_deviation(noisy[:5, :9]) == pytest.approx(deviation, rel=0.6)
+    assert noise_deviation(frame.astype(np.float32)) == LEAST_NOISE
+    texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
+    assert noise_deviation(texture) == MOST_NOISE

@@ -20,7 +20,9 @@ LARGEST = 0.35  # of the longer side: the largest D that is looked for
 # px: the least. What matches best behind the camera is not believed; were it not looked for there,
 # it would be found at infinity.
 LEAST = -5.0
-LEAST_NOISE = 0.7  # grey levels: what rounding, compression and interpolation leave
+# Grey levels: what rounding, compression and interpolation leave of noise at least, and what is
+# texture rather than noise.
+LEAST_NOISE, MOST_NOISE = 0.7, 15.0
 QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
 # Of the variance of the noise: windows that vary by less correlate with nothing, or cost too much
 # to be believed.
@@ -71,7 +73,7 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
     low = min(float(first[-1].min()), float(second[-1].min()))
     high = max(float(first[-1].max()), float(second[-1].max()))
     gain = LEVELS / max(high - low, LEAST_NOISE)
-    noise = gain * max(LEAST_NOISE, *(noise_deviation(frames[-1]) for frames in (first, second)))
+    noise = gain * max(noise_deviation(frames[-1]) for frames in (first, second))
     first, second = ([gain * (frame - low) for frame in frames] for frames in (first, second))
     scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
     search = _Search(
@@ -81,7 +83,7 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
     here = search.run(second, first, back, seed=1)
     apart = np.empty(there.shape[:2], np.float32)
     camera = pyramid.cameras[finest]
-    center = camera.center_for(*apart.shape)
+    center = camera.center_for(*pyramid.frames0[finest].shape)
     disagreement(there, here, motion, apart, center=center, focal=camera.focal)
     depth, cost = np.ascontiguousarray(there[..., 0]), np.ascontiguousarray(there[..., 3])
     believed = without_islands(depth, (cost < COST) & (apart < AGREEMENT) & (depth > 0))
@@ -120,7 +122,7 @@ class _Search:
             else:
                 ratio = scale / self.scales[k - 1]
                 planes = cv2.resize(planes, (width, height), interpolation=cv2.INTER_NEAREST)
-                planes[..., 0] *= ratio
+                planes[..., 0] *= np.float32(ratio)
             search = PlaneSearch(
                 levels0,
                 levels1,
@@ -184,7 +186,8 @@ def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
 def noise_deviation(frame: np.ndarray) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
-    That of what a mask leaves which smooth images do not pass, in the quietest blocks.
+    That of what a mask leaves which smooth images do not pass, in the quietest blocks; from
+    `LEAST_NOISE` to `MOST_NOISE`.
 
     References
     ----------
@@ -194,6 +197,10 @@ def noise_deviation(frame: np.ndarray) -> float:
     left = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
     height, width = (side // BLOCK for side in frame.shape)
     if not height * width:
-        return DEVIATION * float(np.median(left))
+        return _bounded(np.median(left))
     blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
-    return DEVIATION * float(np.quantile(np.median(blocks, axis=(1, 3)), QUIET))
+    return _bounded(np.quantile(np.median(blocks, axis=(1, 3)), QUIET))
+
+
+def _bounded(left: float) -> float:
+    return min(max(LEAST_NOISE, DEVIATION * float(left)), MOST_NOISE)

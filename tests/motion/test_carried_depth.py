@@ -1,0 +1,115 @@
+"""Depth carried across bare surfaces."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.motion.one_motion import errors
+from tests.rendered import static_scene
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room
+
+BALANCED = tisfm.Settings.preset("balanced", motion="camera")
+
+
+@pytest.fixture(scope="module")
+def bare_room():
+    return room(360, 480, seed=5)
+
+
+def interpreted(scene, settings=BALANCED, **options):
+    return tisfm.interpret(
+        scene.frame0, scene.frame1, camera=scene.camera, settings=settings, **options
+    )
+
+
+def relative_errors(result, scene):
+    """Return |s·Z − true|/true of every pixel, s the median of their ratio."""
+    depth = 1 / np.maximum(result.inverse_depth, 1e-9)
+    scaled = depth * np.median(scene.depth / depth)
+    return np.abs(scaled - scene.depth) / scene.depth
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_a_bare_room_with_its_pose(bare_room, preset):
+    settings = tisfm.Settings.preset(preset, motion="camera")
+    pose = pose_matrix(bare_room.motions[0])
+    result = interpreted(bare_room, settings, pose=pose)
+    assert result.status == "converged"
+    depth = np.where(result.inverse_depth > 0, result.depth, np.nan)
+    off = np.abs(depth / bare_room.depth - 1)  # in the unit of the pose
+    assert np.nanmean(off) < (0.06 if preset == "fast" else 0.04)
+    assert np.isfinite(off).all()
+
+
+def test_a_bare_room_without_a_pose(bare_room):
+    result = interpreted(bare_room)
+    assert result.status == "converged"
+    assert relative_errors(result, bare_room).mean() < 0.07
+    assert errors(result, bare_room).rotation < 0.5
+    assert errors(result, bare_room).direction < 6
+    flow = np.linalg.norm(result.flow - bare_room.flow, axis=-1)[bare_room.visible]
+    assert np.median(flow) < 1
+
+
+def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):
+    import tisfm.motion.camera
+
+    monkeypatch.setattr(tisfm.motion.camera, "BARE", 2.0)  # never
+    pose = pose_matrix(bare_room.motions[0])
+    result = interpreted(bare_room, pose=pose)
+    assert relative_errors(result, bare_room).mean() > 0.045
+
+
+def test_deviation_and_confidence_tell_what_was_carried(bare_room):
+    pose = pose_matrix(bare_room.motions[0])
+    result = interpreted(bare_room, pose=pose)
+    off = np.abs(result.inverse_depth - 1 / bare_room.depth)
+    within = (off <= result.inverse_depth_std).mean()
+    assert 0.5 < within < 0.97
+    relative = result.inverse_depth_std / result.inverse_depth
+    surest = relative <= np.quantile(relative, 0.4)
+    wrong = np.abs(result.depth / bare_room.depth - 1)
+    assert wrong[surest].mean() < 0.6 * wrong.mean()
+    assert (result.confidence >= 0).all() and (result.confidence <= 1).all()
+    confident = result.confidence > 0.5
+    assert 0.1 < confident.mean() < 0.9
+    assert wrong[confident].mean() < wrong.mean()
+
+
+def test_nothing_is_carried_beyond_what_was_matched(bare_room):
+    result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
+    assert (result.inverse_depth > 0).all()
+    assert result.depth.max() < 4 * bare_room.depth.max()
+
+
+def test_textured_scenes_go_another_way(monkeypatch):
+    import tisfm.motion.camera
+
+    def never(*_):
+        raise AssertionError("nothing is to be carried")
+
+    monkeypatch.setattr(tisfm.motion.camera, "carried_depth", never)
+    scene = static_scene("sideways", 120, 160)
+    assert interpreted(scene).status == "converged"
+
+
+def test_with_too_little_matched_nothing_is_carried(bare_room, monkeypatch):
+    import tisfm.motion.carried_depth
+
+    monkeypatch.setattr(tisfm.motion.carried_depth, "FEWEST", 1.1)
+    result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
+    assert result.inverse_depth.any()
+
+
+def test_bare_share():
+    from tisfm.motion.carried_depth import bare_share
+
+    rng = np.random.default_rng(0)
+    frame = rng.uniform(0, 255, (120, 160)).astype(np.float32)
+    assert bare_share(frame) == 0
+    frame[:, 80:] = 50
+    assert bare_share(frame) == pytest.approx(0.5, abs=0.06)
+    noisy = 90 + rng.normal(0, 3, (120, 160)).astype(np.float32)
+    assert bare_share(noisy) > 0.95
+    assert bare_share(np.full((1, 1), 7, np.float32)) == 1
