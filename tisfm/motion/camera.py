@@ -25,7 +25,9 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     """Find one rigid motion and the inverse depth of every pixel, both from the images directly.
 
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
-    motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`).
+    motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). Where much of
+    a frame is bare and parallax is large, depth is matched and carried across instead
+    (`tisfm.motion.carried_depth`).
 
     Parameters
     ----------
@@ -62,9 +64,10 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     solution: RigidSolution | None = None
     low, high = sweep.range
     if high - low >= CARRIED_RANGE and bare_share(pyramid.frames0[level]) >= BARE:
+        surer = motions
         if refine != "none" and not start.matched:
-            motions = _finer(pyramid, settings, motions, pose)
-        solution = carried_depth(pyramid, settings, motions[0])
+            surer = _finer(pyramid, settings, motions, pose)
+        solution = carried_depth(pyramid, settings, surer[0])
     if solution is None:
         solution = rigid_depth(
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
