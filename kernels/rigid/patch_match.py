@@ -32,10 +32,12 @@ SIDE = range(-RADIUS, RADIUS + 1, 2)
 WINDOW = [(j, i) for j in SIDE for i in SIDE if abs(i) < RADIUS or abs(j) < RADIUS]
 VECTOR = 16
 UNSEEN = 4.0  # a cost that no hypothesis has: nothing to be compared
+NONE = -1e30  # a D that no hypothesis has
 NOWHERE = 1.0  # of a hypothesis that takes the pixel out of frame 1: that of noise
 SIMILAR = 20.0  # levels: pixels that differ by so much from the centre weigh 1/e, about
 ALIKE = 0.03  # px: hypotheses that differ by less within the window are taken for the same
 STEEPEST = 3.0  # of random slopes, D over the focal length: a surface at 72° to the image
+MOST_PIXELS = 2**24  # float32 counts no further
 LEVELS = 255  # of frame 1, in bytes
 
 _PADDED = [[float(offset[axis]) for offset in WINDOW] for axis in (1, 0)]
@@ -105,6 +107,8 @@ class PlaneSearch:
         self._shape = levels0.shape
         for name, levels in (("levels0", levels0), ("levels1", levels1)):
             check_array(levels, self._shape, name, aligned=False)
+        if levels0.size > MOST_PIXELS:
+            raise ValueError(f"levels0 has {levels0.size} pixels: expected {MOST_PIXELS} at most")
         if np.shape(motion) != (3, 4):
             raise ValueError(f"motion is {np.shape(motion)}: expected (3, 4)")
         if not noise > 0:
@@ -289,12 +293,12 @@ def _improve(
 
 @ti.func
 def _neighbour(planes: ti.template(), y, x, n, reach):
-    """Return the plane of one of eight neighbours, as it is here; D is −1 where there is none."""
+    """Return the plane of one of eight neighbours, as it is here; D is `NONE` where there is none."""
     away = ti.select(n < 4, 1, reach)
     way = n % 4
     row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
     column = x + ti.select(way == 2, away, ti.select(way == 3, -away, 0))
-    plane = ti.Vector([-1.0, 0.0, 0.0, UNSEEN])
+    plane = ti.Vector([NONE, 0.0, 0.0, UNSEEN])
     if row >= 0 and row < planes.shape[0] and column >= 0 and column < planes.shape[1]:
         other = planes[row, column]
         if other[3] < UNSEEN:
@@ -405,7 +409,8 @@ def _there(packed1: ti.template(), height, width, u, v):
     v = ti.max(0.0, ti.min(v, height - 1.0))
     column, row = ti.floor(u), ti.floor(v)
     a, b = u - column, v - row
-    place = row * ti.cast(width, ti.f32) + column  # whole, below 2²⁴
+    # Whole, and below 2²⁴: `PlaneSearch` takes no more pixels.
+    place = row * ti.cast(width, ti.f32) + column
     here, east, south, both = 0.0 * u, 0.0 * u, 0.0 * u, 0.0 * u
     for n in ti.static(range(VECTOR)):  # compiled to gathering loads, where a CPU has them
         found = packed1[ti.cast(place[n], ti.i32)]

@@ -53,7 +53,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         )
     start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
     if start.status is not None:
-        return only_turned(pyramid, settings, start, start.status, level=level)
+        turned = only_turned(pyramid, settings, start, start.status, level=level)
+        return replace(turned, matched=start.matched)
     refine: Refinement = "motion"
     unit = None
     if pose is not None:
@@ -80,11 +81,12 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
 def _finer(
     pyramid: ImagePyramid, settings: Settings, motions: np.ndarray, pose: KnownPose | None
 ) -> np.ndarray:
-    """Return the motion of the flow field of the finest level, if it shows one.
+    """Return the motion of the flow field of the last level, if it shows one.
 
     Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
     """
-    start = first_motion(pyramid, settings, pose=pose)
+    pixels = pyramid.frames0[pyramid.last].size
+    start = first_motion(pyramid, settings, pose=pose, pixels=pixels)
     if start.status is not None:
         return motions
     labels = np.zeros(pyramid.shape, np.int32)

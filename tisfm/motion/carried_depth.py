@@ -27,12 +27,13 @@ from tisfm.solver.second_order import (
     anchors_in_lanes,
     fill,
 )
+from tisfm.solver.smoothness import image_edges_in_lanes
 
 SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.003, image_edges=5.0)
 FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
 # Windows of the finest level that are compared with noise. Frames are bare if this share of them
 # shows no more.
-WINDOW, BARE = 11, 0.03
+WINDOW, BARE = 11, 0.04
 SHOWN = 1.8  # times the variance of the noise: what a window varies by that shows more
 DATA = 0.5  # weight of the constraints against that of a matched pixel
 TEXTURE = 100.0  # times the variance of the noise: of a window whose constraints weigh half
@@ -128,7 +129,7 @@ class _Level:
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([believed, believed * target])),
-            unknowns.edges,
+            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges),
             SECOND_ORDER,
             constraints=restricted,
             scales=[DATA * scale for scale in data_term.scales],
