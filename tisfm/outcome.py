@@ -18,11 +18,13 @@ class Status(str):
     ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
     gradient that motion could be seen by, or too few pixels are trusted to fit a motion to them;
     ``"diverged"``, the numbers are of no use: somewhere the image motion grew beyond half of the
-    image's longer side, or more than half of the pixels leave the image; ``"unrelated"``, the
-    frames have nothing in common. With ``motion="camera"``, or ``"objects"`` that find one motion
+    image's longer side, or more than half of the pixels leave the image (the whole side, and 80 %,
+    where matched points vouch for a large motion); ``"unrelated"``, the frames have nothing in
+    common. With ``motion="camera"``, or ``"objects"`` that find one motion
     only, also ``"pure_rotation"``, the camera only turned, and ``"little_parallax"``, it hardly
-    changed its place: there is no depth; and ``"two_motions"``: frames that lie far apart leave
-    two motions that explain them alike, and depth follows from one of them. With a pose given,
+    changed its place: there is no depth. With ``motion="camera"`` also ``"two_motions"``: frames
+    that lie far apart leave two motions that explain them alike, and depth follows from one of
+    them. With a pose given,
     ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all the
     same.
     """

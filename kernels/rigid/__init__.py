@@ -1,5 +1,4 @@
-"""Kernels of rigid motions: epipolar lines, normal equations of a motion, the plane sweep,
-and PatchMatch over planes.
+"""Kernels of rigid motions: epipolar lines, normal equations, plane sweep, PatchMatch.
 
 May import: `tisfm.kernels.layout`, `tisfm.kernels.model` and `tisfm.kernels.solve`.
 """

@@ -293,7 +293,7 @@ def _improve(
 
 @ti.func
 def _neighbour(planes: ti.template(), y, x, n, reach):
-    """Return the plane of one of eight neighbours, as it is here; D is `NONE` where there is none."""
+    """Return the plane of one of eight neighbours, as it is here; D is `NONE` if missing."""
     away = ti.select(n < 4, 1, reach)
     way = n % 4
     row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))

@@ -102,6 +102,22 @@ def test_with_too_little_matched_nothing_is_carried(bare_room, monkeypatch):
     assert result.inverse_depth.any()
 
 
+def test_the_limit_of_iterations_is_told(bare_room):
+    settings = tisfm.Settings.preset("fast", motion="camera", tolerance=0)
+    result = interpreted(bare_room, settings, pose=pose_matrix(bare_room.motions[0]))
+    assert result.status == "iteration_limit"
+    assert "accept a higher tolerance" in result.status.message
+    assert "outer_iterations" not in result.status.message
+
+
+def test_large_single_levels_are_left_to_the_sweep(bare_room, monkeypatch):
+    import tisfm.motion.carried_depth
+
+    monkeypatch.setattr(tisfm.motion.carried_depth, "MOST", 10)
+    result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
+    assert result.inverse_depth.any()
+
+
 def test_bare_share():
     from tisfm.motion.carried_depth import bare_share
 
@@ -113,3 +129,4 @@ def test_bare_share():
     noisy = 90 + rng.normal(0, 3, (120, 160)).astype(np.float32)
     assert bare_share(noisy) > 0.95
     assert bare_share(np.full((1, 1), 7, np.float32)) == 1
+    assert 0 <= bare_share(1e30 * frame) <= 1  # and no warning

@@ -1,5 +1,6 @@
 """Frames far apart: where a flow field fails, matched points give the motion to start from."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -97,3 +98,26 @@ def test_a_room_far_apart():
     pair = room(*SIZE, camera_motion=(0.5, 0, 0.2, 0, 0.17, 0.02))
     found = errors(interpreted(pair), pair)
     assert found.rotation < 0.5 and found.direction < 3
+
+
+def test_a_large_turn_found_by_points_is_a_rotation():
+    """As far as the flow of a turn goes, it has not run away."""
+    height, width, focal = 240, 320, 300.0
+    rng = np.random.default_rng(0)
+    wide = cv2.GaussianBlur(rng.normal(size=(2 * height, 3 * width)), (0, 0), 2)
+    wide = np.clip(128 + 45 * wide / wide.std(), 0, 255).astype(np.float32)
+    angle = np.radians(25)
+    turn = cv2.Rodrigues(np.array([0, angle, 0]))[0]
+    camera = tisfm.Camera(focal=focal)
+    cx, cy = camera.center_for(height, width)
+    inner = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
+    plane = np.array([[1, 0, width], [0, 1, height / 2], [0, 0, 1.0]])
+    frames = [
+        cv2.warpPerspective(
+            wide, plane @ inner @ rotation.T @ np.linalg.inv(inner), (width, height),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        )
+        for rotation in (np.eye(3), turn)
+    ]  # fmt: skip
+    result = tisfm.interpret(*frames, camera=camera, settings=tisfm.Settings(motion="camera"))
+    assert result.status == "pure_rotation"

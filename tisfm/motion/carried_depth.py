@@ -14,7 +14,7 @@ import numpy as np
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import along, displacement
-from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
+from tisfm.motion.matched_planes import MOST, MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.settings import Settings
@@ -85,8 +85,10 @@ def carried_depth(
     Returns
     -------
     CarriedSolution or None
-        None if too little could be matched to carry from.
+        None if too little could be matched to carry from, or no level is small enough.
     """
+    if pyramid.frames0[-1].size > MOST:
+        return None
     planes = matched_planes(pyramid, motion)
     if planes.believed.mean() < FEWEST:
         return None
@@ -107,6 +109,7 @@ def carried_depth(
         density=pyramid.scales[level],
         history=history,
         converged=converged,
+        adjustable=False,
         carried_deviation=_deviation(planes, pyramid),
     )
 
@@ -201,6 +204,7 @@ def _texture(frame: np.ndarray) -> np.ndarray:
 def _variance(frame: np.ndarray) -> np.ndarray:
     """Return the variance of a window around every pixel."""
     window = (WINDOW, WINDOW)
-    frame = frame - frame.mean()
-    mean = cv2.blur(frame, window)
-    return np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+        frame = frame - frame.mean()
+        mean = cv2.blur(frame, window)
+        return np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)

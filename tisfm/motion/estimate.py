@@ -76,9 +76,17 @@ def _any(array: LaneData, components: int) -> bool:
     return any(component.any() for component in on_host(array)[:components])
 
 
-def ended(history: Records, converged: bool, settings: Settings) -> Status:
-    """Return how the last iterations ended."""
+def ended(
+    history: Records, converged: bool, settings: Settings, *, adjustable: bool = True
+) -> Status:
+    """Return how the last iterations ended; `adjustable`: whether settings say how many."""
     last = history[-1][2]
+    if not converged and not adjustable:
+        return Status(
+            "iteration_limit",
+            f"depth still changed by {last.change:.1e} of its norm in the last iteration "
+            f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
+        )
     if not converged:
         return Status(
             "iteration_limit",

@@ -57,6 +57,8 @@ class RigidSolution:
         Its sampling density over the finest's.
     history : list of (level, warp, Iteration)
     converged : bool
+    adjustable : bool
+        Whether the settings say how many iterations there are.
     """
 
     motions: np.ndarray
@@ -66,6 +68,7 @@ class RigidSolution:
     density: float
     history: Records
     converged: bool
+    adjustable: bool = True
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.

@@ -70,7 +70,9 @@ def with_depth(
         normalized=settings.depth_normalization is not None,
         freedom=1,
         history=solution.history,
-        status=ended(solution.history, solution.converged, settings),
+        status=ended(
+            solution.history, solution.converged, settings, adjustable=solution.adjustable
+        ),
         motions=twists,
         labels=labels,
     )

@@ -217,6 +217,8 @@ def _polished(rays: Rays, start: Pose, reaches: tuple[float, ...]) -> _Motion | 
             return None
         rotation, translation, residual = refine(near, pose, free, iterations=ITERATIONS)
         pose = rotation, translation
+    if np.count_nonzero(_explained(rays, pose, EXPLAINED)) < FEWEST:
+        return None
     return *pose, residual
 
 

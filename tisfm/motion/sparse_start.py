@@ -9,7 +9,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.agreement import correlation, unrelated
 from tisfm.motion.epipolar_fit import Pose, nearest_points
-from tisfm.motion.plane_sweep import swept
+from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
 from tisfm.motion.sparse_matches import LARGEST, sparse_matches
 from tisfm.motion.sparse_motion import TIED, SparseMotion, angle, sparse_motions
@@ -109,6 +109,7 @@ class _View:
         seen = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))  # D of the matches
         high = min(FURTHER * float(np.percentile(seen, RARE)), max(frame0.shape))
         hypotheses = np.arange(max(np.ceil(high), FEWEST_HYPOTHESES))
+        hypotheses = hypotheses[: max(FEWEST_HYPOTHESES, ENTRIES // frame0.size)]
         guess = np.full_like(frame0, np.median(seen))
         depth = swept(frame0, frame1, scaled, camera, hypotheses, guess, np.zeros_like(guess))
         self.flow = _flow(depth, scaled, camera)

