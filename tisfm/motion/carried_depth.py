@@ -40,8 +40,9 @@ TEXTURE = 100.0  # times the variance of the noise: of a window whose constraint
 WARPS, ITERATIONS = 3, 2
 FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
 FURTHEST_SHARE = 0.01  # of the matched pixels: those that are further are not counted
-# Standard deviations of D, px: of a matched pixel, and for every px that it is carried. Rendered
-# rooms and real ones then have 50 to 90% of their pixels within one.
+# Standard deviations of D, px: of a matched pixel, and for every px that it is carried. Of rendered
+# rooms 80 to 92% of the pixels then lie within one; of TartanAir 64%, and of a HoloLens, whose
+# poses are not exact, 36%.
 MATCHING, CARRYING = 0.2, 0.05
 FAINTEST = 0.01  # of the precision of a matched pixel: less counts for none
 SPREAD = 0.2  # px²: the variance of what is carried, for the share that data have in it

@@ -7,6 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import LEVELS, STEEPEST, PlaneSearch, disagreement
+from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.solver.image_pyramid import ImagePyramid
 
 MOST = 2**19  # pixels of the finest level that is searched: a coarser one serves larger frames
@@ -28,7 +29,6 @@ QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
 # to be believed.
 SEEN = 1.8
 QUIET, BLOCK = 0.2, 16  # the noise is that of the quietest fifth of the blocks, px
-DEVIATION = 1.4826  # of a normal distribution, over its median absolute value
 COST = 0.35  # what is believed costs less,
 AGREEMENT = 0.6  # px: is found the other way round as near,
 ISLAND, SIXTEENTHS = 200, 16  # and belongs to as many pixels that lie within 1 px of each other
@@ -203,4 +203,4 @@ def noise_deviation(frame: np.ndarray) -> float:
 
 
 def _bounded(left: float) -> float:
-    return min(max(LEAST_NOISE, DEVIATION * float(left)), MOST_NOISE)
+    return min(max(LEAST_NOISE, MAD_TO_DEVIATION * float(left)), MOST_NOISE)
