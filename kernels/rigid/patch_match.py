@@ -32,6 +32,7 @@ SIDE = range(-RADIUS, RADIUS + 1, 2)
 WINDOW = [(j, i) for j in SIDE for i in SIDE if abs(i) < RADIUS or abs(j) < RADIUS]
 VECTOR = 16
 UNSEEN = 4.0  # a cost that no hypothesis has: nothing to be compared
+DISTANCES = (1, 3, 5, 7, 13, 21)
 NONE = -1e30  # a D that no hypothesis has
 NOWHERE = 1.0  # of a hypothesis that takes the pixel out of frame 1: that of noise
 SIMILAR = 20.0  # levels: pixels that differ by so much from the centre weigh 1/e, about
@@ -260,10 +261,10 @@ def _improve(
                 random = ti.cast(4 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
                 random = _hash(random + _hash(ti.cast(seed, ti.u32)))
                 span = 1.0
-                for n in range(9 + draws):  # 8 neighbours, one of all, and those nearby
+                for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
                     plane = best
-                    if n < 8:
-                        plane = _neighbour(planes, y, x, n, reach)
+                    if n < 4:
+                        plane = _neighbour(planes, y, x, n, reach, best)
                     else:
                         a, b, c = (
                             _unit(random),
@@ -271,7 +272,7 @@ def _improve(
                             _unit(random + ti.u32(2)),
                         )
                         random += ti.u32(4)
-                        if n == 8:
+                        if n == 4:
                             plane[0] = least + (largest - least) * a
                             steepest = STEEPEST / focal * ti.max(plane[0], 0.0)
                             plane[1] = steepest * (2.0 * b - 1.0)
@@ -292,18 +293,26 @@ def _improve(
 
 
 @ti.func
-def _neighbour(planes: ti.template(), y, x, n, reach):
-    """Return the plane of one of eight neighbours, as it is here; D is `NONE` if missing."""
-    away = ti.select(n < 4, 1, reach)
-    way = n % 4
-    row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
-    column = x + ti.select(way == 2, away, ti.select(way == 3, -away, 0))
+def _neighbour(planes: ti.template(), y, x, way, reach, best):
+    """Return the cheapest plane of the neighbours on one side that differs, as it is here.
+
+    D is `NONE` if there is none.
+    """
+    cheapest, away = UNSEEN, 0
+    down = ti.select(way == 0, 1, ti.select(way == 1, 0 - 1, 0))
+    across = ti.select(way == 2, 1, ti.select(way == 3, 0 - 1, 0))
+    for n in ti.static(range(len(DISTANCES))):
+        row, column = y + ti.static(DISTANCES[n]) * down, x + ti.static(DISTANCES[n]) * across
+        within = row >= 0 and row < planes.shape[0] and column >= 0 and column < planes.shape[1]
+        cost = planes[ti.select(within, row, y), ti.select(within, column, x)][3]
+        cheaper = within and cost < cheapest
+        cheapest = ti.select(cheaper, cost, cheapest)
+        away = ti.select(cheaper, ti.static(DISTANCES[n]), away)
     plane = ti.Vector([NONE, 0.0, 0.0, UNSEEN])
-    if row >= 0 and row < planes.shape[0] and column >= 0 and column < planes.shape[1]:
-        other = planes[row, column]
-        if other[3] < UNSEEN:
-            plane = other
-            plane[0] += other[1] * (x - column) + other[2] * (y - row)
+    if away > 0:
+        other = planes[y + away * down, x + away * across]
+        plane = other
+        plane[0] = other[0] - other[1] * (away * across) - other[2] * (away * down)
     return plane
 
 

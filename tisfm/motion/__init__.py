@@ -3,5 +3,5 @@
 Here: ``"field"``, ``"camera"`` and, in `tisfm.motion.objects`, ``"objects"``; first motions,
 egomotion, plane sweep, depth under rigid motions, agreement of frames and poses.
 May import: `tisfm.solver`, `tisfm.visibility`, `tisfm.kernels`, and of the top level `camera`,
-`checks`, `outcome`, `rigid`, `runtime` and `settings`.
+`checks`, `outcome`, `rigid`, `runtime`, `second_thread` and `settings`.
 """

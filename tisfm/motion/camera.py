@@ -15,9 +15,9 @@ from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
-# px of parallax between near and far from which depth is carried where frames are partly bare:
-# below, coarse to fine follows weak texture better.
-CARRIED_RANGE = 12.0
+# Of the longer side: parallax between near and far from which depth is carried where frames are
+# partly bare. Below, coarse to fine follows weak texture better.
+CARRIED_RANGE = 0.019
 START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
 
 
@@ -64,7 +64,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
     solution: RigidSolution | None = None
     low, high = sweep.range
-    if high - low >= CARRIED_RANGE and bare_share(pyramid.frames0[level]) >= BARE:
+    far_apart = high - low >= CARRIED_RANGE * max(pyramid.shape)
+    if far_apart and bare_share(pyramid.frames0[level]) >= BARE:
         surer = motions
         if refine != "none" and not start.matched:
             surer = _finer(pyramid, settings, motions, pose)

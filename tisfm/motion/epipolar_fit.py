@@ -182,9 +182,12 @@ def sampling(threshold: float, draws: int) -> cv2.UsacParams:
 
 
 def refine(
-    rays: Rays, start: Pose, free: Free, *, iterations: int
+    rays: Rays, start: Pose, free: Free, *, iterations: int, settled: float = SETTLED
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px."""
+    """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
+
+    It ends with a step shorter than `settled`, rad, and of ‖t‖ = 1.
+    """
     unknowns = free.unknowns
     rotation, translation = start
     scale = 0.0
@@ -210,7 +213,7 @@ def refine(
         rotation = turn @ rotation
         translation = turn @ translation + step[:3]
         translation = translation / np.linalg.norm(translation)
-        if np.linalg.norm(step) < SETTLED:
+        if np.linalg.norm(step) < settled:
             break
     return rotation, translation, scale
 

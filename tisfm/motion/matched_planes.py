@@ -12,7 +12,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 MOST = 2**19  # pixels of the finest level that is searched: a coarser one serves larger frames
 FEWEST = 2**14  # pixels of the coarsest, at least
-ROUNDS = (4, 2, 1)  # of improvement: on the coarsest level, on the next, and on all others
+ROUNDS = (3, 2, 1)  # of improvement: on the coarsest level, on the next, and on all others
 REACH = 5  # px: how far away the further neighbours are
 DRAWS = 2  # of planes that are nearly a pixel's own
 SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest level and others; of slopes

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tisfm import runtime
+from tisfm.second_thread import beside
+
 # Of the detector: rooms have few points, and faint ones; matching leaves out what is not alike.
 CONTRAST = 0.01
 LARGEST = 2**20  # pixels: a larger frame is matched on a coarser level
@@ -55,10 +58,10 @@ def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
     nothing = Matches(before=np.empty((0, 2)), after=np.empty((0, 2)))
     if not high > low:
         return nothing
-    (points0, root0), (points1, root1) = (
-        _described(np.clip((frame - low) * (255 / (high - low)), 0, 255))
-        for frame in (frame0, frame1)
-    )
+    scaled = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
+    other = beside(_described, scaled[1]) if runtime.threads() > 1 else None
+    points0, root0 = _described(scaled[0])
+    points1, root1 = other() if other is not None else _described(scaled[1])
     if min(len(points0), len(points1)) < 2:
         return nothing
     alike = root0 @ root1.T

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -28,6 +28,8 @@ DRAWS = 10_000  # at most: half of the matches may be wrong
 # px: matches within take part in the refinement, one time after the other. Near ones alone miss
 # the least cost from a poor start; far ones lead away from a good one.
 REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
+SETTLED = 1e-5  # rad, and of ‖t‖ = 1: a step that is as good as none
+ALIKE = 1e-3  # in every entry of R and t: motions that differ by less need no refinement each
 EXPLAINED = 3.0  # px
 ITERATIONS = 30
 FEWEST = 12  # matches within reach: five fit any motion, and wrong ones add a few by chance
@@ -42,6 +44,7 @@ COORDINATES, WORST = 4, 2.0
 
 Model = Literal["rotation", "plane", "depth"]
 _Motion = tuple[np.ndarray, np.ndarray, float]  # R, t and the residual, px
+_AnyMotion = TypeVar("_AnyMotion", Pose, _Motion)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,12 +128,8 @@ def sparse_motions(
     starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
     for homography in homographies:
         starts += _of_plane(homography, rays)
-    found = [
-        motion
-        for start in starts
-        for reaches in REACHES
-        if (motion := _polished(rays, start, reaches)) is not None
-    ]
+    starts = _distinct(starts)
+    found = [motion for reaches in REACHES for motion in _polished(rays, starts, reaches)]
     if not found:
         return [], None
     scale = max(min(residual for _, _, residual in found), SMALLEST_RESIDUAL)
@@ -208,18 +207,36 @@ def _of_plane(homography: np.ndarray, rays: Rays) -> list[Pose]:
     return poses
 
 
-def _polished(rays: Rays, start: Pose, reaches: tuple[float, ...]) -> _Motion | None:
-    """Return a motion refined by the matches near it, and their residual; None if they are few."""
-    pose, free = start, Free(unknowns=6, near=None)
+def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> list[_Motion]:
+    """Return motions refined by the matches near them, and their residuals: each found once."""
+    free = Free(unknowns=6, near=None)
+    poses, found = starts, []
     for reach in reaches:
-        near = rays.where(_explained(rays, pose, reach))
-        if near.trust.size < FEWEST:
-            return None
-        rotation, translation, residual = refine(near, pose, free, iterations=ITERATIONS)
-        pose = rotation, translation
-    if np.count_nonzero(_explained(rays, pose, EXPLAINED)) < FEWEST:
-        return None
-    return *pose, residual
+        found = []
+        for pose in poses:
+            near = rays.where(_explained(rays, pose, reach))
+            if near.trust.size >= FEWEST:
+                found.append(refine(near, pose, free, iterations=ITERATIONS, settled=SETTLED))
+        found = _distinct(found)
+        poses = [(rotation, translation) for rotation, translation, _ in found]
+    return [
+        motion
+        for motion in found
+        if np.count_nonzero(_explained(rays, motion[:2], EXPLAINED)) >= FEWEST
+    ]
+
+
+def _distinct(motions: list[_AnyMotion]) -> list[_AnyMotion]:
+    """Return motions without those that differ by less than `ALIKE` from one before."""
+    kept: list[_AnyMotion] = []
+    for motion in motions:
+        if all(
+            np.abs(motion[0] - other[0]).max() > ALIKE
+            or np.abs(motion[1] - other[1]).max() > ALIKE
+            for other in kept
+        ):
+            kept.append(motion)
+    return kept
 
 
 def _explained(rays: Rays, pose: Pose, reach: float) -> np.ndarray:

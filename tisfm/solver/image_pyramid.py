@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Callable
-from concurrent.futures import Executor
 from functools import cache, partial
-from typing import Any
 
 import cv2
 import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.second_thread import beside
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 
@@ -77,17 +76,17 @@ class ImagePyramid:
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, presmoothing), factor, count)
 
-        beside = runtime.threads() > 1 and grey0.size >= BESIDE
-        if beside:
+        together = runtime.threads() > 1 and grey0.size >= BESIDE
+        if together:
             # OpenCV's filters take one thread each, and so do kernels on coarse levels.
-            others = _beside(frames, grey1)
+            others = beside(frames, grey1)
             self.frames0, self.frames1 = frames(grey0), others()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(count)]
-        if beside:
+        if together:
             for level in reversed(range(self.last, count)):  # the coarsest comes first
-                self._taps1[level] = _beside(spline_taps, self.frames1[level])
+                self._taps1[level] = beside(spline_taps, self.frames1[level])
         self.contrast = mean_step(self.frames0[0])
 
     def taps1(self, level: int) -> np.ndarray:
@@ -144,18 +143,3 @@ def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
     if sigma == 0:
         return image
     return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101)
-
-
-@cache
-def _second_thread() -> Executor:
-    from concurrent.futures import ThreadPoolExecutor  # impossible after the main thread has ended
-
-    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-pyramid")
-
-
-def _beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
-    """Start a call in the second thread; return what waits for its result."""
-    try:
-        return _second_thread().submit(function, *arguments).result
-    except RuntimeError:  # the main thread has ended, and with it the second
-        return cache(partial(function, *arguments))
