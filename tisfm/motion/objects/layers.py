@@ -41,6 +41,8 @@ class Layers:
         What is not visible in frame 1.
     costs : (K, H, W) float32
         Of each layer, in units.
+    flows : (K, 2, H, W) float32
+        Of each layer's surface, everywhere.
     reach : (K, H, W) bool
         Where a motion may be.
     floats : (H, W) int32
@@ -52,6 +54,7 @@ class Layers:
     labels: np.ndarray
     hidden: np.ndarray
     costs: np.ndarray
+    flows: np.ndarray
     reach: np.ndarray
     floats: np.ndarray
 
@@ -130,6 +133,7 @@ class Layering:
             labels=labels,
             hidden=hidden,
             costs=costs,
+            flows=moved,
             reach=reach,
             floats=self._floating(background) * (labels == 0),
         )
