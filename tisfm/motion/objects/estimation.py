@@ -11,7 +11,7 @@ from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
-from tisfm.motion.rigid_depth import rigid_depth
+from tisfm.motion.objects.runaways import steady_depth
 from tisfm.motion.rigid_estimate import with_depth
 from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -31,7 +31,8 @@ def objects_estimate(
     leaves unexplained (`candidates`). The images decide which of them are needed, and where their
     boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
     is added (`floating`), and boundaries are made sharp (`boundaries`). Depth and motions then are
-    estimated jointly, as for one motion (`tisfm.motion.rigid_depth`).
+    estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), but for what runs away
+    (`runaways`).
 
     Parameters
     ----------
@@ -78,8 +79,10 @@ def objects_estimate(
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
     rank = np.zeros(len(motions), np.int32)
     rank[order] = np.arange(len(order))
+    expected = np.take_along_axis(layers.flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
-    solution = rigid_depth(
+    unseen = int(rank[0]) if start.status and areas[0] else None
+    estimate = steady_depth(
         pyramid,
         replace(
             settings,
@@ -87,8 +90,8 @@ def objects_estimate(
         ),
         np.stack([motions[k] for k in order]),
         labels,
+        expected,
+        lambda solution: with_depth(solution, labels, camera, settings, unseen=unseen),
     )
-    unseen = int(rank[0]) if start.status and areas[0] else None
-    estimate = with_depth(solution, labels, camera, settings, unseen=unseen)
     estimate = replace(estimate, history=start.history + estimate.history)
     return aligned(estimate, hidden) if settings.align_scales else estimate
