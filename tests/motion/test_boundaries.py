@@ -79,7 +79,8 @@ def test_what_is_hidden_has_the_label_of_what_hides_less(in_front, monkeypatch):
     """Without hidden pixels, those in the strip have the label that happens to fit."""
     true, *frames = scene(in_front=in_front)
     found = sharpened(true, flows(), anywhere(), *frames)
-    monkeypatch.setattr(boundaries, "HIDDEN", 50.0)
+    for name in ("LEAST_HIDDEN", "HIDDEN"):
+        monkeypatch.setattr(boundaries, name, 50.0)
     blind = sharpened(true, flows(), anywhere(), *frames)
     assert (found != true).sum() < (blind != true).sum()
 

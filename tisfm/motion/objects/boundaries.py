@@ -15,12 +15,14 @@ ROUNDS = 2  # of labels, and of what they hide
 # Deviation of the grey level of a pixel that is seen, added in squares: grey levels, median
 # residuals, and px that its flow may be off by.
 LEAST_NOISE, NOISE, SLIP = 3.0, 1.5, 0.4
-MISSED = 3.2  # nats, against 0 for a grey level that is met: it is another's
-HIDDEN = 1.7  # nats, of a pixel that is hidden in frame 1
-NEVER = 1e3  # nats
-LENGTH, IMAGE_EDGES = 5.0, 0.7  # of boundaries: nats per px, and κ
-USUAL_ORDER = 15
-ORDER_WINDOW = 31  # px, over which the same surface is in front
+# In nats, against 0 for a grey level that is met:
+MISSED = 3.2  # one that is another's,
+LEAST_HIDDEN, HIDDEN = 0.6, 1.7  # of a pixel that is hidden in frame 1, by how varied it is around,
+NEVER = 1e3  # of a label that may not be here,
+LENGTH, IMAGE_EDGES = 5.0, 0.5  # per px of a boundary in uniform frames; and its κ
+VARIED = 5  # px, over which frame 0 is alike or varied
+ORDER_WINDOW, USUAL_ORDER = 31, 15.0  # px, over which one surface is in front; pixels that order
+# in all of the image counts for, beside those in the window
 BRIGHTNESS_WINDOW = 31  # px, over which brightness changes alike
 
 
@@ -36,7 +38,7 @@ def sharpened(
     Layers are told apart by windows, which reach over boundaries. Here a pixel near a boundary is
     judged by its own grey level in both frames, which are not smoothed, under the flow of every
     label near. Pixels of a surface behind may be hidden in frame 1: under a label whose flow takes
-    a pixel to where a surface before it goes, the grey level says nothing. And a surface before
+    a pixel to where a surface before it goes, the grey level says little. And a surface before
     others is not where those are still seen. Which of two is before the other shows where they go
     to the same place: its grey levels are met there.
 
@@ -58,11 +60,11 @@ def sharpened(
     if not free.any():
         return labels
     flows = np.nan_to_num(flows)
-    costs = _costs(flows, labels, frame0, frame1)
+    costs, hidden = _costs(flows, labels, frame0, frame1)
     far = ~(near & reach)[:, free]
     boundaries = MinSum(free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
     for _ in range(ROUNDS):
-        unary = _with_hidden(costs, flows, labels, free)
+        unary = _with_hidden(costs, hidden, flows, labels, free)
         unary[far] = NEVER
         labels = labels.copy()
         labels[free] = boundaries.assign(unary, labels)
@@ -71,49 +73,79 @@ def sharpened(
 
 def _costs(
     flows: np.ndarray, labels: np.ndarray, frame0: np.ndarray, frame1: np.ndarray
-) -> np.ndarray:
-    """Return what every label costs at every pixel, (K, H, W) float32, from 0 to `MISSED`.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what every label costs at every pixel where it is seen, and where it is hidden.
 
-    It is −log of a normal distribution of grey levels over one that is the same everywhere. Where
-    a label leaves the image, the others have to decide.
+    What is seen costs −log of a normal distribution of grey levels over one that is the same
+    everywhere, from 0 to `MISSED`; things that are not quite rigid have more noise. Where a label
+    leaves the image, the others have to decide. What is hidden costs the less, the better its grey
+    level is told by those around it.
+
+    Returns
+    -------
+    seen : (K, H, W) float32
+    hidden : (H, W) float32
     """
     residual = np.stack([sample(frame1, flow) - frame0 for flow in flows])
-    gone = np.stack([leaves_image(flow) for flow in flows])
     own = np.take_along_axis(residual, labels[None], axis=0)[0]
     usual = np.median(own)
     own, residual = own - usual, residual - usual
     noise = NOISE * float(np.median(np.abs(own)))
     limit = np.hypot(noise, LEAST_NOISE)
-    brighter = cv2.blur(np.clip(own, -limit, limit), (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW))
+    window = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
+    residual -= cv2.blur(np.clip(own, -limit, limit), window)
     slope = np.hypot(*(cv2.Sobel(frame0, -1, *way, scale=1 / 8) for way in ((1, 0), (0, 1))))
-    variance = LEAST_NOISE**2 + noise**2 + (SLIP * slope) ** 2
-    costs = -np.log(np.exp(-((residual - brighter) ** 2) / (2 * variance)) + np.exp(-MISSED))
-    known = np.where(gone, np.inf, costs).min(axis=0).clip(None, MISSED)
-    return np.where(gone, known, costs).astype(np.float32)
+    least = LEAST_NOISE**2 + (SLIP * slope) ** 2
+    common = least + noise**2
+    seen = np.empty_like(residual)
+    for label, change in enumerate(residual):
+        mine = np.abs(change[labels == label])
+        variance = least + (NOISE * float(np.median(mine)) if mine.size else noise) ** 2
+        met = np.sqrt(common / variance) * np.exp(-(change**2) / (2 * variance))
+        seen[label] = -np.log(np.minimum(met, 1) + np.exp(-MISSED))
+    gone = np.stack([leaves_image(flow) for flow in flows])
+    known = np.where(gone, np.inf, seen).min(axis=0).clip(None, MISSED)
+    hidden = LEAST_HIDDEN + 0.5 * np.log1p(_variance(frame0) / common)
+    return np.where(gone, known, seen), np.minimum(hidden, HIDDEN)
+
+
+def _variance(frame: np.ndarray) -> np.ndarray:
+    """Return the variance of the least varied of the windows that a pixel lies in."""
+    window = (VARIED, VARIED)
+    frame = frame - frame.mean()
+    variance = cv2.blur(frame * frame, window) - cv2.blur(frame, window) ** 2
+    return cv2.erode(np.maximum(variance, 0), np.ones(window, np.uint8))
 
 
 def _with_hidden(
-    costs: np.ndarray, flows: np.ndarray, labels: np.ndarray, free: np.ndarray
+    costs: np.ndarray,
+    hidden: np.ndarray,
+    flows: np.ndarray,
+    labels: np.ndarray,
+    free: np.ndarray,
 ) -> np.ndarray:
-    """Return the costs of the free pixels, (K, N) float32, where some labels hide others."""
+    """Return the costs of the free pixels, (K, N) float32, where some labels hide others.
+
+    `costs` are those where a label is seen, `hidden` where it is hidden.
+    """
     count = len(costs)
     own_cost = np.take_along_axis(costs, labels[None], axis=0)[0]
     places = _places(np.take_along_axis(flows, labels[None, None], axis=0)[0])
     taken, missed, seen = (
         _landed(labels, places, values, count)
-        for values in (np.ones_like(own_cost), own_cost, np.maximum(HIDDEN - own_cost, 0))
+        for values in (np.ones_like(own_cost), own_cost, np.maximum(hidden - own_cost, 0))
     )
     unary = costs[:, free]
     mine = [_places(flow)[:, free] for flow in flows]
-    hidden = np.zeros_like(unary)
+    share = np.zeros_like(unary)
     for front, behind in permutations(range(count), 2):
         before = _before(taken[[front, behind]], missed[[front, behind]])
         if before.any():
             cover = before * (2 * taken[front] - 1).clip(0, 1)
-            np.maximum(hidden[behind], _read(cover, mine[behind]), out=hidden[behind])
+            np.maximum(share[behind], _read(cover, mine[behind]), out=share[behind])
             # Were it here, what is seen behind would be hidden.
             unary[front] += _read(before * seen[behind], mine[front])
-    return -np.log((1 - hidden) * np.exp(-unary) + hidden * np.exp(-HIDDEN))
+    return -np.log((1 - share) * np.exp(-unary) + share * np.exp(-hidden[free]))
 
 
 def _before(taken: np.ndarray, missed: np.ndarray) -> np.ndarray:
