@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from tisfm.camera import Camera
+from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.layers import nearest_known
-from tisfm.motion.rigid_depth import RigidSolution, rigid_depth
+from tisfm.motion.rigid_depth import RigidSolution, rigid_depth, scaled_translations
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -31,9 +33,9 @@ def steady_depth(
 ) -> Estimate:
     """Estimate motions and depth of several labels, and leave out what runs away.
 
-    A label other than the largest whose flow runs away keeps the motion that it had, and depth is
-    estimated once more. A few pixels that run away take the depth of those of their label that are
-    nearest and do not, or none if there are none.
+    A label other than the largest whose flow runs away keeps the motion and the depth of its layer.
+    A few pixels that run away take the depth of those of their label that are nearest and do not,
+    or none if there are none.
 
     Parameters
     ----------
@@ -57,9 +59,7 @@ def steady_depth(
         if np.median(away[labels == label]) > LABEL_AWAY * side
     ]
     if lost:
-        held = solution.motions.copy()
-        held[lost] = motions[lost]
-        solution = rigid_depth(pyramid, settings, held, labels, refine="none")
+        solution = _with_layers(solution, motions, labels, expected, lost, pyramid.cameras[0])
         estimate = finish(solution)
         away = _away(estimate, expected)
     far = away > PIXEL_AWAY * side
@@ -70,6 +70,34 @@ def steady_depth(
         mine, near = labels == label, (labels == label) & ~far
         depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
     return finish(replace(solution, inverse_depth=depth))
+
+
+def _with_layers(
+    solution: RigidSolution,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    expected: np.ndarray,
+    lost: list[int],
+    camera: Camera,
+) -> RigidSolution:
+    """Return a solution in which some labels have the motion and the depth of their layers."""
+    held = solution.motions.copy()
+    held[lost] = scaled_translations(motions, labels, camera)[lost]
+    depth = solution.inverse_depth.copy()
+    cx, cy = camera.center_for(*labels.shape)
+    for label in lost:
+        mine = labels == label
+        rows, columns = np.nonzero(mine)
+        start = np.stack([columns - cx, rows - cy], axis=-1)
+        ones = np.ones((len(start), 1))
+        before, after = (
+            np.hstack([place / camera.focal, ones])
+            for place in (start, start + expected[:, mine].T)
+        )
+        rotation, translation = held[label, :, :3], held[label, :, 3]
+        if translation.any():
+            depth[mine] = camera.focal * triangulate(before, after, rotation, translation)
+    return replace(solution, motions=held, inverse_depth=depth)
 
 
 def _away(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
