@@ -135,7 +135,7 @@ def interpret_pair(
     elif settings.motion == "camera":
         estimate = camera_estimate(pyramid, settings, known)
     else:
-        estimate = objects_estimate(pyramid, settings, grey0)
+        estimate = objects_estimate(pyramid, settings, grey0, grey1)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)

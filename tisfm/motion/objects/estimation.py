@@ -7,10 +7,11 @@ import numpy as np
 from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import first_motion
+from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
-from tisfm.motion.rigid_depth import rigid_depth
+from tisfm.motion.objects.runaways import steady_depth
 from tisfm.motion.rigid_estimate import with_depth
 from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -21,21 +22,24 @@ from tisfm.visibility.occlusion import occlusion_in
 SMOOTHER = 4 / 3
 
 
-def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray) -> Estimate:
+def objects_estimate(
+    pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, grey1: np.ndarray
+) -> Estimate:
     """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
 
     The largest motion, the background's, is fitted to the flow field. Others are fitted to what it
     leaves unexplained (`candidates`). The images decide which of them are needed, and where their
     boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
-    is added (`floating`). Depth and motions then are estimated jointly, as for one motion
-    (`tisfm.motion.rigid_depth`).
+    is added (`floating`), and boundaries are made sharp (`boundaries`). Depth and motions then are
+    estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), but for what runs away
+    (`runaways`).
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
-    grey0 : (H, W) float32
-        Grey levels of frame 0 on the 8-bit scale.
+    grey0, grey1 : (H, W) float32
+        Grey levels of the frames on the 8-bit scale.
     """
     # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
     settings = replace(
@@ -67,13 +71,18 @@ def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarra
         layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
     layers = layering.with_floating(layers, most=settings.max_objects)
     motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
+    labels = sharpened(labels, layers.flows, layers.reach, grey0, grey1)
+    labels = without_specks(labels, layering.smallest)
     if len(motions) == 1 and start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=0)
-    order = np.argsort(-np.bincount(labels.ravel(), minlength=len(motions)), kind="stable")
-    rank = np.empty(len(order), np.int32)
+    areas = np.bincount(labels.ravel(), minlength=len(motions))
+    order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
+    rank = np.zeros(len(motions), np.int32)
     rank[order] = np.arange(len(order))
+    expected = np.take_along_axis(layers.flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
-    solution = rigid_depth(
+    unseen = int(rank[0]) if start.status and areas[0] else None
+    estimate = steady_depth(
         pyramid,
         replace(
             settings,
@@ -81,9 +90,8 @@ def objects_estimate(pyramid: ImagePyramid, settings: Settings, grey0: np.ndarra
         ),
         np.stack([motions[k] for k in order]),
         labels,
-    )
-    estimate = with_depth(
-        solution, labels, camera, settings, unseen=int(rank[0]) if start.status else None
+        expected,
+        lambda solution: with_depth(solution, labels, camera, settings, unseen=unseen),
     )
     estimate = replace(estimate, history=start.history + estimate.history)
     return aligned(estimate, hidden) if settings.align_scales else estimate

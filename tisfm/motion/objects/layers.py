@@ -41,6 +41,8 @@ class Layers:
         What is not visible in frame 1.
     costs : (K, H, W) float32
         Of each layer, in units.
+    flows : (K, 2, H, W) float32
+        Of each layer's surface, everywhere.
     reach : (K, H, W) bool
         Where a motion may be.
     floats : (H, W) int32
@@ -52,6 +54,7 @@ class Layers:
     labels: np.ndarray
     hidden: np.ndarray
     costs: np.ndarray
+    flows: np.ndarray
     reach: np.ndarray
     floats: np.ndarray
 
@@ -130,6 +133,7 @@ class Layering:
             labels=labels,
             hidden=hidden,
             costs=costs,
+            flows=moved,
             reach=reach,
             floats=self._floating(background) * (labels == 0),
         )
@@ -278,12 +282,17 @@ def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
         if not large.any():
             large[1 + int(np.argmax(areas[1:]))] = True
         kept |= large[parts]
+    return np.where(kept, labels, nearest_known(labels, kept))
+
+
+def nearest_known(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return for every pixel the value, (H, W), of the nearest one where it is known."""
     _, nearest = cv2.distanceTransformWithLabels(
-        (~kept).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    label_of = np.zeros(int(nearest.max()) + 1, labels.dtype)
-    label_of[nearest[kept]] = labels[kept]
-    return np.where(kept, labels, label_of[nearest])
+    value_of = np.zeros(int(nearest.max()) + 1, values.dtype)
+    value_of[nearest[known]] = values[known]
+    return value_of[nearest]
 
 
 def _core(mask: np.ndarray) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""Labels and pixels that run away when motions and depth are refined: brought back, one by one.
+
+The motion of a small thing is hardly held by its data. Where it takes the thing's pixels beyond
+the image, nothing is left to bring it back.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.egomotion import triangulate
+from tisfm.motion.estimate import Estimate
+from tisfm.motion.objects.layers import nearest_known
+from tisfm.motion.rigid_depth import RigidSolution, rigid_depth, scaled_translations
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+
+# Of the longer side: how far the flow of a label, as a median, and that of a pixel may come to be
+# from that of its layer.
+LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
+FEW = 0.02  # of the pixels: if more run away, the pair does
+
+
+def steady_depth(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    expected: np.ndarray,
+    finish: Callable[[RigidSolution], Estimate],
+) -> Estimate:
+    """Estimate motions and depth of several labels, and leave out what runs away.
+
+    A label other than the largest whose flow runs away keeps the motion and the depth of its layer.
+    A few pixels that run away take the depth of those of their label that are nearest and do not,
+    or none if there are none.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    motions : (K, 3, 4) array
+        R and t of each, the largest label's first.
+    labels : (H, W) int32
+    expected : (2, H, W) float32
+        The flow of the layers.
+    finish : callable
+        Makes an estimate of a solution.
+    """
+    side = max(labels.shape)
+    solution = rigid_depth(pyramid, settings, motions, labels)
+    estimate = finish(solution)
+    away = _away(estimate, expected)
+    lost = [
+        label
+        for label in range(1, len(motions))
+        if np.median(away[labels == label]) > LABEL_AWAY * side
+    ]
+    if lost:
+        solution = _with_layers(solution, motions, labels, expected, lost, pyramid.cameras[0])
+        estimate = finish(solution)
+        away = _away(estimate, expected)
+    far = away > PIXEL_AWAY * side
+    if not 0 < far.mean() <= FEW:
+        return estimate
+    depth = solution.inverse_depth.copy()
+    for label in np.unique(labels[far]):
+        mine, near = labels == label, (labels == label) & ~far
+        depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
+    return finish(replace(solution, inverse_depth=depth))
+
+
+def _with_layers(
+    solution: RigidSolution,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    expected: np.ndarray,
+    lost: list[int],
+    camera: Camera,
+) -> RigidSolution:
+    """Return a solution in which some labels have the motion and the depth of their layers."""
+    held = solution.motions.copy()
+    held[lost] = scaled_translations(motions, labels, camera)[lost]
+    depth = solution.inverse_depth.copy()
+    cx, cy = camera.center_for(*labels.shape)
+    for label in lost:
+        mine = labels == label
+        rows, columns = np.nonzero(mine)
+        start = np.stack([columns - cx, rows - cy], axis=-1)
+        ones = np.ones((len(start), 1))
+        before, after = (
+            np.hstack([place / camera.focal, ones])
+            for place in (start, start + expected[:, mine].T)
+        )
+        rotation, translation = held[label, :, :3], held[label, :, 3]
+        if translation.any():
+            depth[mine] = camera.focal * triangulate(before, after, rotation, translation)
+    return replace(solution, motions=held, inverse_depth=depth)
+
+
+def _away(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
+    """Return how far the flow of every pixel is from what was expected, px; (H, W)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.hypot(*(estimate.flow - expected))
+    return np.where(np.isfinite(away), away, np.inf)
