@@ -115,7 +115,7 @@ def interpret_pair(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.motion.agreement import unrelated_field
+    from tisfm.motion.agreement import field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
@@ -155,8 +155,11 @@ def interpret_pair(
             or diverged(flow, leaves, matched=estimate.matched)
             or (status if counted else UNCOUNTED)
         )
-    if settings.motion == "field" and status == "converged":
-        status = unrelated_field(pyramid, flow, trust) or status
+    if status in ("converged", "iteration_limit"):
+        if settings.motion == "field":
+            status = field_doubt(pyramid, flow, trust) or status
+        elif estimate.free_flow is not None:
+            status = unexplained(pyramid, estimate, unseen) or status
     return Interpretation(
         rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved

@@ -74,7 +74,13 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
         )
     estimate = with_depth(solution, labels, camera, settings, unit=unit)
-    estimate = replace(estimate, level=level, matched=start.matched)
+    estimate = replace(
+        estimate,
+        level=level,
+        matched=start.matched,
+        free_flow=start.flow,
+        free_level=start.level,
+    )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 

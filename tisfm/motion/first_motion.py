@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.agreement import mismatch, unrelated
+from tisfm.motion.agreement import mismatch, one_direction, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
@@ -108,6 +108,9 @@ def first_motion(
     if start.status is not None:
         return start
     scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
+    stripes = one_direction(pyramid.frames0[start.level])
+    if stripes is not None and given.translation is None:
+        return replace(start, status=stripes)
     try:
         found = camera_motion(start.flow, start.trust, camera)
     except TooFewPixelsError as error:
@@ -125,7 +128,9 @@ def first_motion(
         return replace(start, status=apart)
     best = found.residual / scale
     if given.translation is not None:
-        return replace(start, residual=best, doubt=_doubt(start, given, camera, scale, best))
+        # Along stripes a flow is no reason to doubt a pose.
+        doubt = None if stripes else _doubt(start, given, camera, scale, best)
+        return replace(start, residual=best, doubt=doubt)
     doubt = None
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)

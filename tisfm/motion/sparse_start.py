@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
-from tisfm.motion.agreement import correlation, unrelated
+from tisfm.motion.agreement import correlation, texture, unrelated
 from tisfm.motion.epipolar_fit import Pose, nearest_points
 from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
@@ -15,7 +14,6 @@ from tisfm.motion.sparse_matches import LARGEST, sparse_matches
 from tisfm.motion.sparse_motion import TIED, SparseMotion, angle, sparse_motions
 from tisfm.outcome import Status
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 from tisfm.visibility.occlusion import leaves_image
 
 MOST = 3  # motions that are compared by the images
@@ -115,11 +113,11 @@ class _View:
         self.flow = _flow(depth, scaled, camera)
         alike = correlation(frame0, frame1, self.flow)
         leaves = leaves_image(np.moveaxis(self.flow, -1, 0))
-        weight = np.where(leaves, 0, _texture(frame0))
+        weight = np.where(leaves, 0, texture(frame0))
         total = float(weight.sum())
         self.score = float((weight * alike).sum() / total) if total > 0 else -1.0
         self.trust = np.clip(weight * alike, 0, 1).astype(np.float32)
-        self.apart = unrelated(frame0, frame1, self.flow, weight) if total > 0 else None
+        self.apart = unrelated(frame0, frame1, self.flow, weight, free=False) if total > 0 else None
 
 
 def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
@@ -134,13 +132,3 @@ def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
     nearness = 1 / np.maximum(moved[2], NEAREST)
     flow = np.stack([moved[0] * nearness - x, moved[1] * nearness - y], axis=-1)
     return (camera.focal * flow).astype(np.float32)
-
-
-def _texture(frame: np.ndarray) -> np.ndarray:
-    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
-    window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
-    frame = frame - frame.mean()
-    mean = cv2.blur(frame, window)
-    variance = np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)
-    usual = np.float32(np.median(variance))
-    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
