@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.matched_planes import noise_deviation
 from tisfm.outcome import Status
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
@@ -29,14 +28,13 @@ UNEXPLAINED, BETTER = 0.15, 0.1
 # a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
 # where it is off by more than half.
 BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
-# Stripes: the frame varies along them by less than this share of its variation across, and by no
-# more than noise in all but this share of the windows. Real frames have 0.21 and 0.82 at least.
-ALONG, VARIED = 0.1, 0.01
-NOISE_OF_DERIVATIVE = 0.1875  # variance that a derivative has of noise of variance 1
-NOISY = 3.0  # times that: what is more is not noise
+# Stripes: in all but this share of the windows, no more than this share of the variation is along
+# them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
+VARIED, ALONG = 0.01, 0.25
+FAINT = 0.01  # of the usual variation: windows with less do not count
+BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
 SAMPLED = 8  # one pixel of so many, for a median
 HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
-GREY_LEVELS = 255.0  # that noise is estimated in
 
 
 def unrelated(
@@ -229,25 +227,26 @@ def one_direction(frame: np.ndarray) -> Status | None:
     and Ullman, "Directional selectivity and its use in early visual processing", Proc. R. Soc.
     Lond. B 211 (1981), doi 10.1098/rspb.1981.0001 (aperture problem).
     """
-    low, high = float(frame.min()), float(frame.max())
-    if not (np.isfinite(low) and np.isfinite(high) and high > low):
+    while frame.size >= 4 * JUDGED:
+        frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    if min(frame.shape) <= 2 * BORDER:
         return None
-    grey = (frame - np.float32(low)) * np.float32(GREY_LEVELS / (high - low))
-    # Sobel's borders repeat, which bends stripes.
-    across, down = (
-        cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[1:-1, 1:-1] for order in ((1, 0), (0, 1))
-    )
-    mixed = (across * down).mean(dtype=np.float64)
-    tensor = [
-        [(across * across).mean(dtype=np.float64), mixed],
-        [mixed, (down * down).mean(dtype=np.float64)],
-    ]
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+        grey = (frame - frame.mean()) / frame.std()
+        right, down = (
+            cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[inner] for order in ((1, 0), (0, 1))
+        )
+        derivatives = np.stack([right.ravel(), down.ravel()])
+        tensor = derivatives @ derivatives.T / right.size
+    if not np.isfinite(tensor).all():
+        return None
     variation, directions = np.linalg.eigh(tensor)
-    if not variation[0] < ALONG * variation[1]:
-        return None
-    along = np.float32(directions[0, 0]) * across + np.float32(directions[1, 0]) * down
-    noise = NOISE_OF_DERIVATIVE * noise_deviation(grey) ** 2
-    if (_mean(along * along) > NOISY * noise).mean() > VARIED:
+    along, across = (
+        _mean((np.float32(x) * right + np.float32(y) * down) ** 2) for x, y in directions.T
+    )
+    faint = np.float32(FAINT * variation.sum())
+    if (along > ALONG * (along + across + faint)).mean() > VARIED:
         return None
     return Status(
         "aperture",
