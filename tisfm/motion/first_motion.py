@@ -16,7 +16,7 @@ from tisfm.motion.egomotion import (
 from tisfm.motion.estimate import unmoved
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
-from tisfm.motion.sparse_start import SparseStart, sparse_start
+from tisfm.motion.sparse_start import SparseStart, posed_start, sparse_start
 from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
@@ -100,7 +100,8 @@ def first_motion(
     pixels : float
         Of the level, at least: the coarsest that has as many, by default the finest.
     matches : bool
-        Whether points are matched where the flow field is found wanting and no pose is known.
+        Whether points are matched where the flow field is found wanting and no pose is known, or
+        where it leaves the frames unlike and a pose with translation is known.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
@@ -124,6 +125,12 @@ def first_motion(
         # What matches hardly see is better seen by a flow field, if there is one.
         if far is not None and (apart is not None or _matched_status(far.motion) is None):
             return _far_apart(start, far)
+    if matches and apart is not None and given.translation is not None:
+        length = float(np.linalg.norm(given.translation))
+        posed = posed_start(pyramid, start.level, (given.rotation, given.translation / length))
+        if posed is not None and posed.apart is None:
+            # The images agree with the pose, by what no flow field shows.
+            return replace(start, flow=posed.flow, trust=posed.trust, matched=True)
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale

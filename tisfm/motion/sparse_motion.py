@@ -18,6 +18,7 @@ from tisfm.motion.epipolar_fit import (
     length,
     nearest_points,
     refine,
+    robust_deviation,
     rotation_alone,
     sampling,
 )
@@ -145,6 +146,29 @@ def sparse_motions(
         ):
             kept.append(motion)
     return [_described(judge, motion, model, camera, shape) for motion in kept], judge
+
+
+def posed_motion(
+    matches: Matches, camera: Camera, shape: tuple[int, int], pose: Pose
+) -> SparseMotion | None:
+    """Return a motion that is known as matches show it, None where too few agree with it.
+
+    Parameters
+    ----------
+    matches, camera, shape
+        As of `sparse_motions`.
+    pose : (rotation, translation)
+        ‖t‖ = 1.
+    """
+    if len(matches.before) < FEWEST:
+        return None
+    rays = _rays(matches, camera, shape)
+    near = rays.where(_explained(rays, pose, EXPLAINED))
+    if near.trust.size < FEWEST:
+        return None
+    residual = robust_deviation(np.abs(nearest_points(near, *pose).distance), near.trust)
+    judge = Judge(rays=rays, scale=max(residual, SMALLEST_RESIDUAL))
+    return _described(judge, (*pose, residual), "depth", camera, shape)
 
 
 @dataclass(frozen=True, kw_only=True)
