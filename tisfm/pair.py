@@ -24,9 +24,9 @@ UNCOUNTED = Status(
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
-# The same of frames far apart, whose motion matched points vouch for: near things pass the whole
-# image, and where the camera turned by 20° two thirds left it.
-RUNAWAY_MATCHED, MOST_LEAVING_MATCHED = 1.0, 0.8
+# The same of frames far apart, whose motion matched points or a pose vouch for: near things pass
+# the whole image, and where the camera turned by 20° two thirds left it.
+RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED = 1.0, 0.8
 
 
 def interpret(
@@ -149,10 +149,11 @@ def interpret_pair(
         )
     history, counted = _countable(history_of(estimate.history))
     status = estimate.status
+    posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = (
             overflow
-            or diverged(flow, leaves, matched=estimate.matched)
+            or diverged(flow, leaves, vouched=estimate.matched or posed)
             or (status if counted else UNCOUNTED)
         )
     if status in ("converged", "iteration_limit"):
@@ -203,7 +204,7 @@ def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     )
 
 
-def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> Status | None:
+def diverged(flow: np.ndarray, leaves: np.ndarray, *, vouched: bool = False) -> Status | None:
     """Return the status of a flow that no pair of frames can have, None for others.
 
     Parameters
@@ -212,12 +213,13 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> 
         (u, v), px/frame.
     leaves : (H, W) bool
         Where it leaves the image.
-    matched : bool
-        Whether matched points vouch for a large motion: what leaves the image then may go far.
+    vouched : bool
+        Whether matched points or a pose vouch for a large motion: what leaves the image then may
+        go far.
     """
     furthest, most = RUNAWAY, MOST_LEAVING
-    if matched:
-        furthest, most = RUNAWAY_MATCHED, MOST_LEAVING_MATCHED
+    if vouched:
+        furthest, most = RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED
         flow = np.where(leaves & np.isfinite(flow), 0, flow)
     # What moves by half the image is hardly seen twice; NaN fails the comparisons as well.
     limit = furthest * max(flow.shape[1:])
