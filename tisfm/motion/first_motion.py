@@ -11,9 +11,11 @@ from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
     camera_motion,
+    correspondences,
     distance_from_rays,
 )
 from tisfm.motion.estimate import unmoved
+from tisfm.motion.one_plane import plane_doubt
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
 from tisfm.motion.sparse_start import SparseStart, posed_start, sparse_start
@@ -50,7 +52,7 @@ class FirstMotion:
     status : Status or None
         Why there is no depth to go on to, None if there is.
     doubt : Status or None
-        Why the pose given may be wrong.
+        Why the pose may be wrong: it was given, or another one is as likely.
     history : list of (level, warp, Iteration)
     flow : (h, w, 2) float32
         The flow field, px of its level.
@@ -154,7 +156,9 @@ def first_motion(
         return known
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
-    return replace(known, rotation=found.rotation, translation=found.translation)
+    if pose is None and status is None:
+        doubt = plane_doubt(correspondences(start.flow, start.trust, camera), found.residual)
+    return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
 
 
 def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:

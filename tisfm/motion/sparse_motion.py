@@ -125,7 +125,7 @@ def sparse_motions(
     homographies = _homographies(rays)
     starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
     for homography in homographies:
-        starts += _of_plane(homography, rays)
+        starts += of_plane(homography, rays)
     found = [
         motion
         for start in starts
@@ -221,13 +221,22 @@ def _homographies(rays: Rays) -> list[np.ndarray]:
     return found
 
 
-def _of_plane(homography: np.ndarray, rays: Rays) -> list[Pose]:
-    """Return the motions that may be behind a homography: of a plane that the camera sees."""
+def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[Pose]:
+    """Return the motions that may be behind a homography: of a plane that the camera sees.
+
+    Parameters
+    ----------
+    homography : (3, 3)
+        Of normalised coordinates.
+    rays : Rays
+    share : float
+        Of them, at least, which meet the plane before the camera.
+    """
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
         away = float(np.linalg.norm(translation))
-        if away > 0 and np.median(normal[:, 0] @ rays.before) > 0:
+        if away > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - share) > 0:
             poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / away))
     return poses
 

@@ -8,6 +8,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.agreement import correlation, texture, unrelated
 from tisfm.motion.epipolar_fit import Pose, nearest_points
+from tisfm.motion.one_plane import TWO_MOTIONS
 from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
 from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
@@ -79,11 +80,7 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
     if len(likely) > 1 and dense is not None:
         chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
     if len(likely) > 1 and (dense is None or chosen.motion.model == "plane"):
-        doubt = Status(
-            "two_motions",
-            "two motions of the camera explain the frames alike, as where they show one plane, and "
-            "depth follows from one of them: take frames that show more, or give the pose",
-        )
+        doubt = TWO_MOTIONS
     return chosen.start(1 / pyramid.scales[finest], doubt)
 
 
