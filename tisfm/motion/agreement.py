@@ -33,7 +33,7 @@ BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
 VARIED, ALONG = 0.01, 0.25
 FAINT = 0.01  # of the usual variation: windows with less do not count
 BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
-SAMPLED = 8  # one pixel of so many, for a median
+SAMPLED = 3  # px: of as many columns and rows, one tells
 HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
 
 
@@ -166,14 +166,16 @@ def unexplained(
 
 def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
     """Return the status of depth much of which lies behind the camera."""
-    inverse_depth, deviation = estimate.inverse_depth, estimate.inverse_depth_std
-    assert deviation is not None
-    count = np.count_nonzero(seen)
-    if not count:
+    assert estimate.inverse_depth_std is not None
+    sample = np.s_[::SAMPLED, ::SAMPLED]
+    seen = seen[sample]
+    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & seen)
+    if negative <= BEHIND * np.count_nonzero(seen):
         return None
-    usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth[seen][::SAMPLED]))
-    behind = inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)
-    share = np.count_nonzero(behind & seen) / count
+    inverse_depth = estimate.inverse_depth[sample][seen]
+    deviation = estimate.inverse_depth_std[sample][seen]
+    usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth))
+    share = (inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)).mean()
     if share <= BEHIND:
         return None
     return Status(
@@ -194,15 +196,18 @@ def _worse_than_flow(
     size, area = frame0.shape[::-1], cv2.INTER_AREA
     flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
     alike = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
+    seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
+    weight = np.where(seen, texture(frame0), 0)
+    tolerated = UNEXPLAINED * float(weight.sum())
+    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow is better by as much
+        return None
     worse = correlation(frame0, frame1, free) > alike + np.float32(BETTER)
     if estimate.matched:  # then the flow is that of the motion as well
         worse |= alike < CORRELATED
-    seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
-    weight = np.where(seen, texture(frame0), 0)
-    total = float(weight.sum())
-    share = float(weight[worse].sum()) / total if total > 0 else 0.0
-    if share <= UNEXPLAINED:
+    left = float(weight[worse].sum())
+    if left <= tolerated:
         return None
+    share = UNEXPLAINED * left / tolerated
     return Status(
         "unexplained",
         f"motion and depth do not make the frames alike at {100 * share:.0f}% of the texture that "

@@ -11,8 +11,8 @@ TWO_MOTIONS = Status(
     "two motions of the camera explain the frames alike, as where they show one plane, and "
     "depth follows from one of them: take frames that show more, or give the pose",
 )
-FEW = 1000  # of the rays, which a homography is fitted to
-ROUNDS = 5  # of weights
+FEW = 400  # of the rays, which a homography is fitted to
+ROUNDS = 4  # of weights
 # Of the distances from epipolar lines: those from where the homography of a plane leads, at most.
 # They are along two directions, so that noise alone makes it 1.75; of real frames, 2.6 and more.
 AS_NEAR = 2.2
@@ -55,15 +55,12 @@ def _homography(rays: Rays) -> tuple[np.ndarray, float]:
     before = rays.before
     x, y = rays.after
     nothing = np.zeros_like(before)
-    system = np.stack(
-        [
-            np.concatenate([before, nothing, -x * before]),
-            np.concatenate([nothing, before, -y * before]),
-        ]
-    )  # two equations for each ray, (2, 9, N)
+    system = np.hstack(
+        [np.vstack([before, nothing, -x * before]), np.vstack([nothing, before, -y * before])]
+    )  # two equations for each ray, (9, 2N)
     weight = rays.trust
     for _ in range(ROUNDS):
-        normal = np.einsum("ain,ajn,n->ij", system, system, weight, optimize=True)
+        normal = (system * np.tile(weight, 2)) @ system.T
         homography = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
         moved = homography @ before
         distance = rays.focal * np.hypot(*(moved[:2] / moved[2] - rays.after))
