@@ -29,7 +29,10 @@ _ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
-_RIGID_STATUSES = ("pose_mismatch", "little_parallax", "pure_rotation", "two_motions")
+_RIGID_STATUSES = (
+    "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
+    "unexplained",
+)  # fmt: skip
 _WITHOUT_DEPTH = ("no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated")
 _WITHOUT_MOTION = ("no_motion", "no_texture")  # and so without depth; of a field as well
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use

@@ -6,7 +6,8 @@ import numpy as np
 
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
-    "little_parallax", "unrelated", "pose_mismatch", "two_motions",
+    "little_parallax", "unrelated", "pose_mismatch", "two_motions", "aperture", "behind_camera",
+    "unexplained",
 )  # fmt: skip
 """Codes of `Status`."""
 
@@ -15,18 +16,20 @@ class Status(str):
     """A short code that says how the interpretation ended, with a message on what to try.
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
-    ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no
-    gradient that motion could be seen by, or too few pixels are trusted to fit a motion to them;
+    ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no gradient
+    that motion could be seen by, or too few pixels are trusted to fit a motion to them;
     ``"diverged"``, the numbers are of no use: somewhere the image motion grew beyond half of the
     image's longer side, or more than half of the pixels leave the image (the whole side, and 80 %,
-    where matched points vouch for a large motion); ``"unrelated"``, the frames have nothing in
-    common. With ``motion="camera"``, or ``"objects"`` that find one motion
-    only, also ``"pure_rotation"``, the camera only turned, and ``"little_parallax"``, it hardly
-    changed its place: there is no depth. With ``motion="camera"`` also ``"two_motions"``: frames
-    that lie far apart leave two motions that explain them alike, and depth follows from one of
-    them. With a pose given,
-    ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all the
-    same.
+    where matched points or a 4×4 pose vouch for a large motion); ``"unrelated"``, the frames have
+    nothing in common; ``"aperture"``, they vary along one direction only, so that motion along
+    their stripes cannot be seen, and there is no depth unless a 4×4 pose is given. With
+    ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
+    camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth.
+    With ``motion="camera"`` also ``"two_motions"``: frames of one plane, or far apart, leave two
+    motions that explain them alike, and depth follows from one of them; ``"behind_camera"``, much
+    of the scene would lie behind the camera; and ``"unexplained"``, much of the texture is not
+    alike where motion and depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``:
+    it contradicts the images, and the depth is what follows from it all the same.
     """
 
     message: str

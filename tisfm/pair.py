@@ -24,9 +24,9 @@ UNCOUNTED = Status(
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
-# The same of frames far apart, whose motion matched points vouch for: near things pass the whole
-# image, and where the camera turned by 20° two thirds left it.
-RUNAWAY_MATCHED, MOST_LEAVING_MATCHED = 1.0, 0.8
+# The same of frames far apart, whose motion matched points or a pose vouch for: near things pass
+# the whole image, and where the camera turned by 20° two thirds left it.
+RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED = 1.0, 0.8
 
 
 def interpret(
@@ -115,7 +115,7 @@ def interpret_pair(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.motion.agreement import unrelated_field
+    from tisfm.motion.agreement import field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
@@ -149,14 +149,18 @@ def interpret_pair(
         )
     history, counted = _countable(history_of(estimate.history))
     status = estimate.status
+    posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = (
             overflow
-            or diverged(flow, leaves, matched=estimate.matched)
+            or diverged(flow, leaves, vouched=estimate.matched or posed)
             or (status if counted else UNCOUNTED)
         )
-    if settings.motion == "field" and status == "converged":
-        status = unrelated_field(pyramid, flow, trust) or status
+    if status in ("converged", "iteration_limit"):
+        if settings.motion == "field":
+            status = field_doubt(pyramid, flow, trust) or status
+        elif estimate.free_flow is not None:
+            status = unexplained(pyramid, estimate, unseen) or status
     return Interpretation(
         rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
@@ -200,7 +204,7 @@ def overflown(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     )
 
 
-def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> Status | None:
+def diverged(flow: np.ndarray, leaves: np.ndarray, *, vouched: bool = False) -> Status | None:
     """Return the status of a flow that no pair of frames can have, None for others.
 
     Parameters
@@ -209,12 +213,13 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, matched: bool = False) -> 
         (u, v), px/frame.
     leaves : (H, W) bool
         Where it leaves the image.
-    matched : bool
-        Whether matched points vouch for a large motion: what leaves the image then may go far.
+    vouched : bool
+        Whether matched points or a pose vouch for a large motion: what leaves the image then may
+        go far.
     """
     furthest, most = RUNAWAY, MOST_LEAVING
-    if matched:
-        furthest, most = RUNAWAY_MATCHED, MOST_LEAVING_MATCHED
+    if vouched:
+        furthest, most = RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED
         flow = np.where(leaves & np.isfinite(flow), 0, flow)
     # What moves by half the image is hardly seen twice; NaN fails the comparisons as well.
     limit = furthest * max(flow.shape[1:])

@@ -1,29 +1,55 @@
-"""Whether two frames show the same things, and whether a known pose explains how they move."""
+"""Whether two frames show the same things, and whether a motion explains how they move."""
 
 import cv2
 import numpy as np
 
+from tisfm.motion.estimate import Estimate
 from tisfm.outcome import Status
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.visibility.confidence import CONFIDENCE_WINDOW
+from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
+# Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
+# misses much then, and under "paper" 0.17 and more between unrelated ones.
+FOLDED = 0.12
 JUDGED = 2**12  # pixels, at least, of the level that a flow field is judged on
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
 LEAST_DISTANCE = 0.02  # px: distances from the best that are no smaller in real frames
 FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
+# Of the texture that is seen: what a flow field makes alike, by as much as `BETTER`, and motion and
+# depth do not. At most 0.11 where depth is off by less than a tenth, from 0.17 on where it is off
+# by more than half.
+UNEXPLAINED, BETTER = 0.15, 0.1
+# Of the pixels that are seen: those that lie behind the camera by more than 3 deviations, and than
+# a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
+# where it is off by more than half.
+BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
+# Stripes: in all but this share of the windows, no more than this share of the variation is along
+# them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
+VARIED, ALONG = 0.01, 0.25
+FAINT = 0.01  # of the usual variation: windows with less do not count
+BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
+SAMPLED = 3  # px: of as many columns and rows, one tells
+HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
 
 
 def unrelated(
-    frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray, trust: np.ndarray
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    flow: np.ndarray,
+    trust: np.ndarray,
+    *,
+    free: bool = True,
 ) -> Status | None:
     """Return the status of frames that a flow does not make alike, None if it does.
 
-    That is judged by their correlation in windows, at the median of what is trusted.
+    That is judged by their correlation in windows, at the median of what is trusted. Where motion
+    is free, it also has to leave neighbours in their order nearly everywhere: a flow that folds the
+    image makes any two frames alike.
 
     Parameters
     ----------
@@ -33,19 +59,38 @@ def unrelated(
         px/frame.
     trust : (H, W) float32
         Its confidence; not all 0.
+    free : bool
+        Whether the flow is free at every pixel.
     """
+    if free and (share := _folded(flow, trust)) > FOLDED:
+        return Status(
+            "unrelated",
+            f"the frames are alike only where the flow folds {100 * share:.0f}% of the image over: "
+            "check that they are of one scene, take them closer in time, or raise smoothness",
+        )
     alike = correlation(frame0, frame1, flow)
     order = np.argsort(alike, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
-    median = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
-    if median >= CORRELATED:
+    middle = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
+    if middle >= CORRELATED:
         return None
     return Status(
         "unrelated",
         f"the frames have little in common wherever their parts are moved to (correlation "
-        f"{median:.2f}): check that they are of one scene, take them closer in time, or with less "
+        f"{middle:.2f}): check that they are of one scene, take them closer in time, or with less "
         "noise",
     )
+
+
+def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
+    """Return the share of what is trusted whose neighbours to the right and below change sides."""
+    with np.errstate(over="ignore", invalid="ignore"):  # where it diverged
+        across = np.diff(flow[:-1], axis=1)
+        down = np.diff(flow[:, :-1], axis=0)
+        area = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
+        weight = trust[:-1, :-1]
+        total = float(weight.sum())
+        return float(weight[area <= 0].sum()) / total if total > 0 else 0.0
 
 
 def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -72,9 +117,10 @@ def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.
     return (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
 
 
-def unrelated_field(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
-    """Return the same of a flow field of the finest level, judged on a coarser one.
+def field_doubt(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
+    """Return why a flow field of the finest level is wrong, None where nothing is against it.
 
+    That is judged on a coarser level.
     Motion that is free at every pixel makes fine detail alike in any two frames.
 
     Parameters
@@ -87,12 +133,131 @@ def unrelated_field(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) 
     """
     level = max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+    stripes = one_direction(frame0)
     size, area = frame0.shape[::-1], cv2.INTER_AREA
     trust = cv2.resize(trust, size, interpolation=area)
-    if not trust.any():
-        return None
+    if stripes is not None or not trust.any():
+        return stripes
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in flow])
     return unrelated(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
+
+
+def unexplained(
+    pyramid: ImagePyramid,
+    estimate: Estimate,
+    unseen: np.ndarray,
+) -> Status | None:
+    """Return why the depth of one rigid motion is wrong, None where it explains the images.
+
+    Depth is wrong where much of it lies behind the camera, and where much of the texture is more
+    alike where the flow field leads that the motion was first fitted to. Where that is not known,
+    because points were matched instead, frames have to be alike where the depth leads.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    estimate : Estimate
+        With inverse depth, its deviation and the flow field.
+    unseen : (H, W) bool
+        Pixels that are not visible in frame 1.
+    """
+    return _behind(estimate, ~unseen) or _worse_than_flow(pyramid, estimate, unseen)
+
+
+def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
+    """Return the status of depth much of which lies behind the camera."""
+    assert estimate.inverse_depth_std is not None
+    sample = np.s_[::SAMPLED, ::SAMPLED]
+    seen = seen[sample]
+    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & seen)
+    if negative <= BEHIND * np.count_nonzero(seen):
+        return None
+    inverse_depth = estimate.inverse_depth[sample][seen]
+    deviation = estimate.inverse_depth_std[sample][seen]
+    usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth))
+    share = (inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)).mean()
+    if share <= BEHIND:
+        return None
+    return Status(
+        "behind_camera",
+        f"{100 * share:.0f}% of the pixels that are seen would lie behind the camera, so depth is "
+        "wrong: check the focal length, the pose if one is given, and that nothing large moves on "
+        'its own (motion="objects" allows that), or take frames further apart',
+    )
+
+
+def _worse_than_flow(
+    pyramid: ImagePyramid, estimate: Estimate, unseen: np.ndarray
+) -> Status | None:
+    """Return the status of depth that leaves unlike what a flow field makes alike."""
+    level, free = estimate.free_level, estimate.free_flow
+    assert free is not None
+    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+    size, area = frame0.shape[::-1], cv2.INTER_AREA
+    flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
+    alike = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
+    seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
+    weight = np.where(seen, texture(frame0), 0)
+    tolerated = UNEXPLAINED * float(weight.sum())
+    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow is better by as much
+        return None
+    worse = correlation(frame0, frame1, free) > alike + np.float32(BETTER)
+    if estimate.matched:  # then the flow is that of the motion as well
+        worse |= alike < CORRELATED
+    left = float(weight[worse].sum())
+    if left <= tolerated:
+        return None
+    share = UNEXPLAINED * left / tolerated
+    return Status(
+        "unexplained",
+        f"motion and depth do not make the frames alike at {100 * share:.0f}% of the texture that "
+        "is seen, so depth is wrong there: take frames closer in time, check the camera, the pose "
+        'if one is given, and that nothing large moves on its own (motion="objects" allows that)',
+    )
+
+
+def one_direction(frame: np.ndarray) -> Status | None:
+    """Return the status of a frame that varies along one direction only, None for others.
+
+    How far it moves along its stripes cannot be seen: the aperture problem.
+
+    Parameters
+    ----------
+    frame : (H, W) float32
+        Grey levels.
+
+    References
+    ----------
+    Jähne, "Digital Image Processing", chapter on simple neighbourhoods (structure tensor); Marr
+    and Ullman, "Directional selectivity and its use in early visual processing", Proc. R. Soc.
+    Lond. B 211 (1981), doi 10.1098/rspb.1981.0001 (aperture problem).
+    """
+    while frame.size >= 4 * JUDGED:
+        frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    if min(frame.shape) <= 2 * BORDER:
+        return None
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+        grey = (frame - frame.mean()) / frame.std()
+        right, down = (
+            cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[inner] for order in ((1, 0), (0, 1))
+        )
+        derivatives = np.stack([right.ravel(), down.ravel()])
+        tensor = derivatives @ derivatives.T / right.size
+    if not np.isfinite(tensor).all():
+        return None
+    variation, directions = np.linalg.eigh(tensor)
+    along, across = (
+        _mean((np.float32(x) * right + np.float32(y) * down) ** 2) for x, y in directions.T
+    )
+    faint = np.float32(FAINT * variation.sum())
+    if (along > ALONG * (along + across + faint)).mean() > VARIED:
+        return None
+    return Status(
+        "aperture",
+        "the frames vary along one direction only, so that motion along their stripes cannot be "
+        "seen (the aperture problem): take frames that show corners, or give the pose",
+    )
 
 
 def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status | None:
@@ -122,6 +287,14 @@ def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status
         f"the pose given does not explain the images: they move to {off:.2g} px beside where it "
         f"can take points, the motion that fits best to {best:.2g} px; {advice}",
     )
+
+
+def texture(frame: np.ndarray) -> np.ndarray:
+    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
+    frame = frame - frame.mean()
+    variance = _variance(frame, _mean(frame))
+    usual = np.float32(np.median(variance))
+    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
 
 
 def _moved(image: np.ndarray, flow: np.ndarray) -> np.ndarray:

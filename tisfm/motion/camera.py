@@ -68,30 +68,37 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     if far_apart and bare_share(pyramid.frames0[level]) >= BARE:
         surer = motions
         if refine != "none" and not start.matched:
-            surer = _finer(pyramid, settings, motions, pose)
+            surer, doubt = _finer(pyramid, settings, motions, pose)
+            start = replace(start, doubt=start.doubt or doubt)
         solution = carried_depth(pyramid, settings, surer[0])
     if solution is None:
         solution = rigid_depth(
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
         )
     estimate = with_depth(solution, labels, camera, settings, unit=unit)
-    estimate = replace(estimate, level=level, matched=start.matched)
+    estimate = replace(
+        estimate,
+        level=level,
+        matched=start.matched,
+        free_flow=start.flow,
+        free_level=start.level,
+    )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 
 def _finer(
     pyramid: ImagePyramid, settings: Settings, motions: np.ndarray, pose: KnownPose | None
-) -> np.ndarray:
-    """Return the motion of the flow field of the last level, if it shows one.
+) -> tuple[np.ndarray, Status | None]:
+    """Return the motion of the flow field of the last level, if it shows one, and why to doubt it.
 
     Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
     start = first_motion(pyramid, settings, pose=pose, pixels=pixels)
     if start.status is not None:
-        return motions
+        return motions, start.doubt
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(start.matrix[None], labels, pyramid.cameras[0])
+    return scaled_translations(start.matrix[None], labels, pyramid.cameras[0]), start.doubt
 
 
 def only_turned(

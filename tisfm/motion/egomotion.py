@@ -114,7 +114,7 @@ def camera_motion(
     confidence = unmasked(
         confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
     )
-    rays = _correspondences(flow, confidence, camera)
+    rays = correspondences(flow, confidence, camera)
     few = rays.every(max(1, rays.trust.size // FEW))
     if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
         few = rays
@@ -171,7 +171,7 @@ def distance_from_rays(
     TooFewPixelsError
         A ValueError: if too few pixels are trusted.
     """
-    rays = _correspondences(flow, confidence, camera)
+    rays = correspondences(flow, confidence, camera)
     nearest = nearest_points(rays, rotation, translation / np.linalg.norm(translation))
     end = camera.focal * length(beyond(rays, rotation))
     off = np.where(nearest.inverse_depth > 0, np.abs(nearest.distance), end)
@@ -197,7 +197,7 @@ def triangulate(
     return inverse_depth_of((before @ rotation.T).T, after.T[:2], translation)
 
 
-def _correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
+def correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
     """Return the rays of a regular sample of a flow."""
     height, width = confidence.shape
     stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))

@@ -37,6 +37,11 @@ class Estimate:
     inverse_depth_std : (H, W) float32 or None
     matched : bool
         Whether the motion was first found from matched points, by which frames may be far apart.
+    free_flow : (h, w, 2) float32 or None
+        The flow that one rigid motion was first fitted to, px of its level; None where there is no
+        depth.
+    free_level : int
+        Its level.
     """
 
     rho: np.ndarray
@@ -52,6 +57,8 @@ class Estimate:
     labels: np.ndarray | None = None
     inverse_depth_std: np.ndarray | None = None
     matched: bool = False
+    free_flow: np.ndarray | None = None
+    free_level: int = 0
 
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:

@@ -6,17 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.agreement import mismatch, unrelated
+from tisfm.motion.agreement import mismatch, one_direction, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
     camera_motion,
+    correspondences,
     distance_from_rays,
 )
 from tisfm.motion.estimate import unmoved
+from tisfm.motion.one_plane import plane_doubt
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
-from tisfm.motion.sparse_start import SparseStart, sparse_start
+from tisfm.motion.sparse_start import SparseStart, posed_start, sparse_start
 from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
@@ -50,7 +52,7 @@ class FirstMotion:
     status : Status or None
         Why there is no depth to go on to, None if there is.
     doubt : Status or None
-        Why the pose given may be wrong.
+        Why the pose may be wrong: it was given, or another one is as likely.
     history : list of (level, warp, Iteration)
     flow : (h, w, 2) float32
         The flow field, px of its level.
@@ -100,7 +102,8 @@ def first_motion(
     pixels : float
         Of the level, at least: the coarsest that has as many, by default the finest.
     matches : bool
-        Whether points are matched where the flow field is found wanting and no pose is known.
+        Whether points are matched where the flow field is found wanting and no pose is known, or
+        where it leaves the frames unlike and a pose with translation is known.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
@@ -108,6 +111,9 @@ def first_motion(
     if start.status is not None:
         return start
     scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
+    stripes = one_direction(pyramid.frames0[start.level])
+    if stripes is not None and given.translation is None:
+        return replace(start, status=stripes)
     try:
         found = camera_motion(start.flow, start.trust, camera)
     except TooFewPixelsError as error:
@@ -121,11 +127,19 @@ def first_motion(
         # What matches hardly see is better seen by a flow field, if there is one.
         if far is not None and (apart is not None or _matched_status(far.motion) is None):
             return _far_apart(start, far)
+    if matches and apart is not None and given.translation is not None:
+        length = float(np.linalg.norm(given.translation))
+        posed = posed_start(pyramid, start.level, (given.rotation, given.translation / length))
+        if posed is not None and posed.apart is None:
+            # The images agree with the pose, by what no flow field shows.
+            return replace(start, flow=posed.flow, trust=posed.trust, matched=True)
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale
     if given.translation is not None:
-        return replace(start, residual=best, doubt=_doubt(start, given, camera, scale, best))
+        # Along stripes a flow is no reason to doubt a pose.
+        doubt = None if stripes else _doubt(start, given, camera, scale, best)
+        return replace(start, residual=best, doubt=doubt)
     doubt = None
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
@@ -142,7 +156,9 @@ def first_motion(
         return known
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
-    return replace(known, rotation=found.rotation, translation=found.translation)
+    if pose is None and status is None:
+        doubt = plane_doubt(correspondences(start.flow, start.trust, camera), found.residual)
+    return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
 
 
 def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:

@@ -18,6 +18,7 @@ from tisfm.motion.epipolar_fit import (
     length,
     nearest_points,
     refine,
+    robust_deviation,
     rotation_alone,
     sampling,
 )
@@ -127,7 +128,7 @@ def sparse_motions(
     homographies = _homographies(rays)
     starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
     for homography in homographies:
-        starts += _of_plane(homography, rays)
+        starts += of_plane(homography, rays)
     starts = _distinct(starts)
     found = [motion for reaches in REACHES for motion in _polished(rays, starts, reaches)]
     if not found:
@@ -144,6 +145,29 @@ def sparse_motions(
         ):
             kept.append(motion)
     return [_described(judge, motion, model, camera, shape) for motion in kept], judge
+
+
+def posed_motion(
+    matches: Matches, camera: Camera, shape: tuple[int, int], pose: Pose
+) -> SparseMotion | None:
+    """Return a motion that is known as matches show it, None where too few agree with it.
+
+    Parameters
+    ----------
+    matches, camera, shape
+        As of `sparse_motions`.
+    pose : (rotation, translation)
+        ‖t‖ = 1.
+    """
+    if len(matches.before) < FEWEST:
+        return None
+    rays = _rays(matches, camera, shape)
+    near = rays.where(_explained(rays, pose, EXPLAINED))
+    if near.trust.size < FEWEST:
+        return None
+    residual = robust_deviation(np.abs(nearest_points(near, *pose).distance), near.trust)
+    judge = Judge(rays=rays, scale=max(residual, SMALLEST_RESIDUAL))
+    return _described(judge, (*pose, residual), "depth", camera, shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,13 +220,22 @@ def _homographies(rays: Rays) -> list[np.ndarray]:
     return found
 
 
-def _of_plane(homography: np.ndarray, rays: Rays) -> list[Pose]:
-    """Return the motions that may be behind a homography: of a plane that the camera sees."""
+def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[Pose]:
+    """Return the motions that may be behind a homography: of a plane that the camera sees.
+
+    Parameters
+    ----------
+    homography : (3, 3)
+        Of normalised coordinates.
+    rays : Rays
+    share : float
+        Of them, at least, which meet the plane before the camera.
+    """
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
         away = float(np.linalg.norm(translation))
-        if away > 0 and np.median(normal[:, 0] @ rays.before) > 0:
+        if away > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - share) > 0:
             poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / away))
     return poses
 

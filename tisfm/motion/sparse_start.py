@@ -2,20 +2,25 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
-from tisfm.motion.agreement import correlation, unrelated
+from tisfm.motion.agreement import correlation, texture, unrelated
 from tisfm.motion.epipolar_fit import Pose, nearest_points
+from tisfm.motion.one_plane import TWO_MOTIONS
 from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
-from tisfm.motion.sparse_matches import LARGEST, sparse_matches
-from tisfm.motion.sparse_motion import TIED, SparseMotion, angle, sparse_motions
+from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
+from tisfm.motion.sparse_motion import (
+    TIED,
+    SparseMotion,
+    angle,
+    posed_motion,
+    sparse_motions,
+)
 from tisfm.outcome import Status
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 from tisfm.visibility.occlusion import leaves_image
 
 MOST = 3  # motions that are compared by the images
@@ -61,12 +66,8 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
         That of a flow field. It stays if the matches have little against it, and decides between
         motions that the images do not tell apart.
     """
-    finest = next(
-        (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
-    )
-    frame0, frame1 = pyramid.frames0[finest], pyramid.frames1[finest]
-    matches = sparse_matches(frame0, frame1)
-    motions, judge = sparse_motions(matches, pyramid.cameras[finest], frame0.shape)
+    finest, matches = _matches(pyramid)
+    motions, judge = sparse_motions(matches, pyramid.cameras[finest], pyramid.frames0[finest].shape)
     if judge is None:
         return None
     if dense is not None and judge.cost(dense) <= TIED * motions[0].cost:
@@ -79,18 +80,34 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
     if len(likely) > 1 and dense is not None:
         chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
     if len(likely) > 1 and (dense is None or chosen.motion.model == "plane"):
-        doubt = Status(
-            "two_motions",
-            "two motions of the camera explain the frames alike, as where they show one plane, and "
-            "depth follows from one of them: take frames that show more, or give the pose",
-        )
-    return SparseStart(
-        motion=chosen.motion.scaled(1 / pyramid.scales[finest]),
-        flow=chosen.flow,
-        trust=chosen.trust,
-        apart=chosen.apart,
-        doubt=doubt,
+        doubt = TWO_MOTIONS
+    return chosen.start(1 / pyramid.scales[finest], doubt)
+
+
+def posed_start(pyramid: ImagePyramid, level: int, pose: Pose) -> SparseStart | None:
+    """Return what a known motion makes of a level, None where too few matches agree with it.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    level : int
+    pose : (rotation, translation)
+        ‖t‖ = 1.
+    """
+    finest, matches = _matches(pyramid)
+    shape = pyramid.frames0[finest].shape
+    motion = posed_motion(matches, pyramid.cameras[finest], shape, pose)
+    if motion is None:
+        return None
+    return _View(pyramid, level, motion).start(1 / pyramid.scales[finest], None)
+
+
+def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
+    """Return a level that is not too large, and matches of its frames."""
+    finest = next(
+        (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
     )
+    return finest, sparse_matches(pyramid.frames0[finest], pyramid.frames1[finest])
 
 
 class _View:
@@ -115,11 +132,21 @@ class _View:
         self.flow = _flow(depth, scaled, camera)
         alike = correlation(frame0, frame1, self.flow)
         leaves = leaves_image(np.moveaxis(self.flow, -1, 0))
-        weight = np.where(leaves, 0, _texture(frame0))
+        weight = np.where(leaves, 0, texture(frame0))
         total = float(weight.sum())
         self.score = float((weight * alike).sum() / total) if total > 0 else -1.0
         self.trust = np.clip(weight * alike, 0, 1).astype(np.float32)
-        self.apart = unrelated(frame0, frame1, self.flow, weight) if total > 0 else None
+        self.apart = unrelated(frame0, frame1, self.flow, weight, free=False) if total > 0 else None
+
+    def start(self, enlarged: float, doubt: Status | None) -> SparseStart:
+        """Return it, with lengths of the motion that many times as large."""
+        return SparseStart(
+            motion=self.motion.scaled(enlarged),
+            flow=self.flow,
+            trust=self.trust,
+            apart=self.apart,
+            doubt=doubt,
+        )
 
 
 def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
@@ -134,13 +161,3 @@ def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
     nearness = 1 / np.maximum(moved[2], NEAREST)
     flow = np.stack([moved[0] * nearness - x, moved[1] * nearness - y], axis=-1)
     return (camera.focal * flow).astype(np.float32)
-
-
-def _texture(frame: np.ndarray) -> np.ndarray:
-    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
-    window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
-    frame = frame - frame.mean()
-    mean = cv2.blur(frame, window)
-    variance = np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)
-    usual = np.float32(np.median(variance))
-    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)

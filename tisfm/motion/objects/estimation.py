@@ -51,7 +51,9 @@ def objects_estimate(
     )
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings)
-    if start.status in ("no_texture", "no_motion") and not start.flow.any():
+    nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
+    if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
+        assert start.status is not None
         return only_turned(pyramid, settings, start, start.status, level=0)
     hidden = occlusion_in(pyramid, np.moveaxis(start.flow, -1, 0), settings)
     motions, labels = motion_candidates(
