@@ -75,6 +75,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         solution = rigid_depth(
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
         )
+        solution = replace(solution, misfit=start.residual)
     estimate = with_depth(solution, labels, camera, settings, unit=unit)
     estimate = replace(
         estimate,

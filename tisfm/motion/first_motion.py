@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.camera import Camera
 from tisfm.motion.agreement import mismatch, one_direction, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
@@ -14,6 +13,7 @@ from tisfm.motion.egomotion import (
     correspondences,
     distance_from_rays,
 )
+from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import unmoved
 from tisfm.motion.one_plane import plane_doubt
 from tisfm.motion.problems import flow_problem
@@ -48,7 +48,8 @@ class FirstMotion:
     rotation, translation : (3, 3) and (3,) float64
         ‖t‖ = 1 unless it was given, or 0 where none is seen.
     residual : float
-        Of the fit, px of the finest level.
+        Robust deviation of the displacements from where the motion can take points, px of the
+        finest level.
     status : Status or None
         Why there is no depth to go on to, None if there is.
     doubt : Status or None
@@ -132,14 +133,24 @@ def first_motion(
         posed = posed_start(pyramid, start.level, (given.rotation, given.translation / length))
         if posed is not None and posed.apart is None:
             # The images agree with the pose, by what no flow field shows.
-            return replace(start, flow=posed.flow, trust=posed.trust, matched=True)
+            return replace(
+                start,
+                residual=SMALLEST_RESIDUAL / scale,
+                flow=posed.flow,
+                trust=posed.trust,
+                matched=True,
+            )
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale
     if given.translation is not None:
+        off, back = (
+            distance_from_rays(start.flow, start.trust, camera, *way) / scale
+            for way in _both_ways(given.rotation, given.translation)
+        )
         # Along stripes a flow is no reason to doubt a pose.
-        doubt = None if stripes else _doubt(start, given, camera, scale, best)
-        return replace(start, residual=best, doubt=doubt)
+        doubt = None if stripes else mismatch(off, best, inverse=back)
+        return replace(start, residual=off, doubt=doubt)
     doubt = None
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
@@ -215,19 +226,9 @@ def _flow_alone(
     )
 
 
-def _doubt(
-    start: FirstMotion, given: KnownPose, camera: Camera, scale: float, best: float
-) -> Status | None:
-    """Return why a pose may be wrong, by the flow; `best` is the least distance from any."""
-    assert given.translation is not None
-    off, back = (
-        distance_from_rays(start.flow, start.trust, camera, turn, offset) / scale
-        for turn, offset in (
-            (given.rotation, given.translation),
-            (given.rotation.T, -given.rotation.T @ given.translation),
-        )
-    )
-    return mismatch(off, best, inverse=back)
+def _both_ways(rotation: np.ndarray, translation: np.ndarray) -> tuple[Pose, Pose]:
+    """Return a motion and its inverse."""
+    return (rotation, translation), (rotation.T, -rotation.T @ translation)
 
 
 def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:

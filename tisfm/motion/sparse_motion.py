@@ -243,7 +243,8 @@ def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[
 def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> list[_Motion]:
     """Return motions refined by the matches near them, and their residuals: each found once."""
     free = Free(unknowns=6, near=None)
-    poses, found = starts, []
+    poses: list[Pose] = starts
+    found: list[_Motion] = []
     for reach in reaches:
         found = []
         for pose in poses:
