@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.depth.matched_truth import depth_of_matches
 from bench.shared.sequences import FlowPair
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
@@ -32,6 +33,8 @@ ROOMS = tuple(
     group + given for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for given in (GIVEN, "")
 )
 FARTHEST = 40.0  # m: true depth beyond does not count in rooms
+WIDE = "fountain"  # views of a wide baseline, with true poses
+WIDES = (WIDE + GIVEN, WIDE)
 STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
 
@@ -123,6 +126,7 @@ SELECTIONS: dict[Layout, list[Selection]] = {
         for group, folder, first in (
             (ROOM, "tartanair", range(2, 27, 4)),
             (OFFICE, "hololens", range(2, 63, 6)),
+            (WIDE, "fountain", range(10)),
         )
         for given in (GIVEN, "")
     ],
@@ -172,7 +176,7 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
             name = pair.name
-            if selection.group in ROOMS:  # several have numbers alone, and all are there twice
+            if selection.group in (*ROOMS, *WIDES):  # numbers alone, and all are there twice
                 name = f"{selection.folder} {name}, {selection.step} apart"
             if selection.pose_given:
                 name += GIVEN
@@ -194,11 +198,15 @@ def _loaded(
         depth, raw = raw, None
     if depth is not None and group in ROOMS:
         depth = np.where(depth < FARTHEST, depth, np.nan)
+    frame0, frame1 = (undistort(frame, camera) for frame in (loaded.frame0, loaded.frame1))
+    if group in WIDES:
+        assert loaded.pose is not None
+        depth = depth_of_matches(frame0, frame1, camera.pinhole(), loaded.pose)
     return DepthPair(
         name=name,
         group=group,
-        frame0=undistort(loaded.frame0, camera),
-        frame1=undistort(loaded.frame1, camera),
+        frame0=frame0,
+        frame1=frame1,
         camera=camera.pinhole(),
         depth=depth,
         raw_depth=raw,

@@ -16,6 +16,7 @@ from bench.depth.pairs import (
     RENDERED_STUDIO,
     ROOMS,
     STEREO,
+    WIDES,
 )
 from bench.depth.scores import HORIZON, Score
 from bench.shared.contest_report import NOTHING, Cells
@@ -42,6 +43,7 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
     ("stereo abs-rel, mean", STEREO, "abs_rel", fmean, 3),
     ("KITTI stereo", BLOCK_MATCHER, "abs_rel", fmean, 3),
     *((f"{room}, all pixels, median", room, "abs_rel_all", median, 3) for room in ROOMS),
+    *((f"{wide} abs-rel, median", wide, "abs_rel", median, 4) for wide in WIDES),
 )
 
 
@@ -275,6 +277,9 @@ def _heading(group: Group) -> str:
         RENDERED_STUDIO: "poses only",
         MOVING: "things that move on their own, beside a moving camera",
         BLOCK_MATCHER: "the truth is a block matcher's",
+        **dict.fromkeys(
+            WIDES, "a wide baseline; the truth is that of matched points, by the true poses"
+        ),
     }.get(group.name)
     return f"{group.name} ({many}{'; ' + kind if kind else ''})"
 

@@ -265,8 +265,7 @@ def _distinct(motions: list[_AnyMotion]) -> list[_AnyMotion]:
     kept: list[_AnyMotion] = []
     for motion in motions:
         if all(
-            np.abs(motion[0] - other[0]).max() > ALIKE
-            or np.abs(motion[1] - other[1]).max() > ALIKE
+            np.abs(motion[0] - other[0]).max() > ALIKE or np.abs(motion[1] - other[1]).max() > ALIKE
             for other in kept
         ):
             kept.append(motion)
