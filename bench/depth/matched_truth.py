@@ -13,7 +13,7 @@ OFF = 0.7  # px, at most, between a point and where it is seen, in both frames
 
 def depth_of_matches(
     frame0: NDArray, frame1: NDArray, camera: Camera, pose: NDArray
-) -> NDArray[np.float64]:
+) -> NDArray[np.float32]:
     """Return the depth of frame 0, (H, W), where a matched point is, NaN elsewhere.
 
     Parameters
@@ -27,8 +27,8 @@ def depth_of_matches(
     matches = sparse_matches(*grey_pair(frame0, frame1))
     cx, cy = camera.center_for(*frame0.shape[:2])
     pinhole = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
-    views = [pinhole @ np.eye(3, 4), pinhole @ pose[:3]]
-    points = cv2.triangulatePoints(*views, matches.before.T, matches.after.T)
+    views = [np.asarray(pinhole @ motion) for motion in (np.eye(3, 4), pose[:3])]
+    points = cv2.triangulatePoints(views[0], views[1], matches.before.T, matches.after.T)
     points = points / points[3]
     met = points[2] > 0
     for view, seen in zip(views, (matches.before, matches.after), strict=True):
@@ -37,4 +37,4 @@ def depth_of_matches(
     depth = np.full(frame0.shape[:2], np.nan)
     columns, rows = np.rint(matches.before[met]).astype(int).T
     depth[rows, columns] = points[2, met]
-    return depth
+    return depth.astype(np.float32)

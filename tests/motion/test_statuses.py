@@ -133,6 +133,7 @@ def judged(scene, *, inverse_depth=None, flow=None, matched=False):
     inverse_depth = np.float32(1) / scene.depth if inverse_depth is None else inverse_depth
     estimate = SimpleNamespace(
         inverse_depth=inverse_depth.astype(np.float32),
+        widening=1.0,
         inverse_depth_std=np.full(SIZE, 1e-3, np.float32),
         flow=np.ascontiguousarray(np.moveaxis(truth if flow is None else flow, -1, 0)),
         free_flow=truth,

@@ -173,7 +173,8 @@ def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
     if negative <= BEHIND * np.count_nonzero(seen):
         return None
     inverse_depth = estimate.inverse_depth[sample][seen]
-    deviation = estimate.inverse_depth_std[sample][seen]
+    # An error that pixels share is no excuse.
+    deviation = estimate.inverse_depth_std[sample][seen] / np.float32(estimate.widening)
     usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth))
     share = (inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)).mean()
     if share <= BEHIND:

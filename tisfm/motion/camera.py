@@ -63,6 +63,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     motions = scaled_translations(start.matrix[None], labels, camera)
     sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
     solution: RigidSolution | None = None
+    misfit = 0.0  # is in the deviation of what is carried
     low, high = sweep.range
     far_apart = high - low >= CARRIED_RANGE * max(pyramid.shape)
     if far_apart and bare_share(pyramid.frames0[level]) >= BARE:
@@ -75,8 +76,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         solution = rigid_depth(
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
         )
-        solution = replace(solution, misfit=start.residual)
-    estimate = with_depth(solution, labels, camera, settings, unit=unit)
+        misfit = start.residual
+    estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(
         estimate,
         level=level,

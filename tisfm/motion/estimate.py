@@ -35,6 +35,8 @@ class Estimate:
     motions : (K, 6) float64 or None
     labels : (H, W) int32 or None
     inverse_depth_std : (H, W) float32 or None
+    widening : float
+        By how much deviations grew for errors that pixels share.
     matched : bool
         Whether the motion was first found from matched points, by which frames may be far apart.
     free_flow : (h, w, 2) float32 or None
@@ -56,6 +58,7 @@ class Estimate:
     motions: np.ndarray | None = None
     labels: np.ndarray | None = None
     inverse_depth_std: np.ndarray | None = None
+    widening: float = 1.0
     matched: bool = False
     free_flow: np.ndarray | None = None
     free_level: int = 0

@@ -31,11 +31,8 @@ WARPS = 3  # linearisations on the last level for one of the field's
 OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 DEVIATION_WINDOW = 15  # px, over which curvature and residual are averaged for it
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
-# then lie within one.
+# then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
-# px: how far noise leaves flow fields of rendered scenes from where their motion can take points.
-# What a misfit is beyond is an error of lens, shutter or pose, and as many times that one of D.
-FITTING, MISFIT = 0.016, 1.5
 SUREST = np.float32(0.001)  # px: the least deviation
 SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
 
@@ -62,9 +59,6 @@ class RigidSolution:
     converged : bool
     adjustable : bool
         Whether the settings say how many iterations there are.
-    misfit : float
-        Robust deviation of a flow field from where the motion can take points, px of the finest
-        level: what is wrong with more than pixels one by one.
     """
 
     motions: np.ndarray
@@ -75,7 +69,6 @@ class RigidSolution:
     history: Records
     converged: bool
     adjustable: bool = True
-    misfit: float = 0.0
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
@@ -83,8 +76,7 @@ class RigidSolution:
         That of a linear problem with constant coefficients, where data of precision A at every
         pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
         nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
-        pixel's edges weigh, and the unit is the residual there. All grow in proportion such that a
-        usual one has the error in it that a misfit tells of.
+        pixel's edges weigh, and the unit is the residual there.
         """
         window, known = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
         precision = cv2.blur(known[0], window)
@@ -103,9 +95,6 @@ class RigidSolution:
         np.sqrt(precision, out=precision)
         precision *= np.float32(CALIBRATION)
         deviation = np.maximum(precision, SUREST, out=precision)
-        beyond = max(self.misfit**2 - FITTING**2, 0) ** 0.5
-        usual = median(deviation.ravel()) / self.density  # px of the finest level
-        deviation *= np.float32(np.hypot(1, MISFIT * beyond / usual))
         height, width = self.inverse_depth.shape
         if deviation.shape == (height, width):
             return deviation

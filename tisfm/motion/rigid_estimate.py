@@ -14,6 +14,11 @@ from tisfm.rigid import rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, data_term_on, minimiser_on, unknowns_on
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.visibility.confidence import median
+
+# px: how far noise leaves flow fields of rendered scenes from where their motion can take points.
+# What a misfit is beyond that is an error of lens, shutter or pose; as many times it, one of D.
+FITTING, MISFIT = 0.016, 1.5
 
 
 def with_depth(
@@ -24,6 +29,7 @@ def with_depth(
     *,
     unit: float | None = None,
     unseen: int | None = None,
+    misfit: float = 0.0,
 ) -> Estimate:
     """Bring a solution to ‖T‖ = 1 and depth in that unit.
 
@@ -38,6 +44,10 @@ def with_depth(
         ‖t‖ of a given motion, in whose unit depth then is.
     unseen : int, optional
         The label whose parallax is too little to return its depth.
+    misfit : float
+        Robust deviation of a flow field from where the motion can take points, px: what is wrong
+        with more than pixels one by one. All deviations grow in proportion, such that a usual one
+        has it in it.
     """
     twists = np.empty((len(solution.motions), 6))
     for_twist = np.empty(len(twists), np.float32)  # d over D, for ‖T‖ = 1
@@ -57,7 +67,8 @@ def with_depth(
         for_twist[unseen] = for_output[unseen] = 0
     factor = for_output[labels] if len(for_output) > 1 else for_output[0]
     deviation = solution.deviation()
-    deviation *= factor
+    widening = _widening(deviation, misfit)
+    deviation *= factor * np.float32(widening)
     np.copyto(deviation, np.inf, where=factor == 0)
     flow, rho = _fields(solution.inverse_depth, labels, solution.motions, twists, for_twist, camera)
     return Estimate(
@@ -65,6 +76,7 @@ def with_depth(
         flow=flow,
         inverse_depth=solution.inverse_depth * factor,
         inverse_depth_std=deviation,
+        widening=widening,
         precision=solution.precision,
         level=solution.level,
         normalized=settings.depth_normalization is not None,
@@ -76,6 +88,14 @@ def with_depth(
         motions=twists,
         labels=labels,
     )
+
+
+def _widening(deviation: np.ndarray, misfit: float) -> float:
+    """Return the factor by which deviations of D, (H, W) px, grow for a misfit."""
+    if misfit <= FITTING:
+        return 1.0
+    beyond = (misfit**2 - FITTING**2) ** 0.5
+    return float(np.hypot(1, MISFIT * beyond / median(deviation.ravel())))
 
 
 def without_depth(
