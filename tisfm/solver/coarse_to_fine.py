@@ -43,6 +43,23 @@ class Problem:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Amendment:
+    """What may change the unknowns on their way.
+
+    Attributes
+    ----------
+    level : int
+        On which, once half of its linearisations are done.
+    apply : callable
+        Takes the unknowns, and gives whether it has changed them. If so, the level has all of its
+        linearisations again.
+    """
+
+    level: int
+    apply: Callable[[Unknowns], bool]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Solution:
     """What coarse to fine leaves at the level that it ends on.
 
@@ -72,6 +89,7 @@ def coarse_to_fine(
     *,
     last: int = 0,
     release: bool = False,
+    amendment: Amendment | None = None,
 ) -> Solution:
     """Estimate ρ̂ from the coarsest level to the last, from zero.
 
@@ -83,6 +101,7 @@ def coarse_to_fine(
         The level to end on.
     release : bool
         Whether the splines of all levels but the last are let go of once they have served.
+    amendment : Amendment, optional
     """
     history: Records = []
     unknowns: Unknowns | None = None
@@ -91,7 +110,13 @@ def coarse_to_fine(
         solution = None  # of the level before, only its unknowns are needed
         unknowns = unknowns_on(pyramid, level, problem, unknowns)
         solution = _on_level(
-            pyramid, problem, unknowns, level, problem.warps(level - last), history
+            pyramid,
+            problem,
+            unknowns,
+            level,
+            problem.warps(level - last),
+            history,
+            amendment.apply if amendment is not None and amendment.level == level else None,
         )
         if release and level > last:
             pyramid.release_taps1(level)
@@ -157,6 +182,7 @@ def _on_level(
     level: int,
     warps: int,
     history: Records,
+    amend: Callable[[Unknowns], bool] | None = None,
 ) -> Solution:
     """Estimate ρ̂ on one level, from what it is, and add to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
@@ -164,13 +190,18 @@ def _on_level(
     flow = unknowns.grid.allocate(2, zeros=False)
     find_flow = unknowns.bind_flow(flow)
     linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
-    for warp in range(warps):
+    half, warp, changed = (warps + 1) // 2, 0, True
+    while warp < warps:
         find_flow()
         linearise()  # its tensor is that of this flow already
-        if warp == 0:
+        if changed:
             minimiser.update()
         iterations, converged = minimiser.minimise()
         history += [(level, warp, iteration) for iteration in iterations]
+        warp += 1
+        changed = amend is not None and warp == half and amend(unknowns)
+        if changed:
+            warps += half
     return Solution(
         unknowns=unknowns,
         system=minimiser.system,
