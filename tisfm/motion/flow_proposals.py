@@ -12,14 +12,16 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import carry
 from tisfm.kernels.rigid.patch_match import RADIUS, UNSEEN
-from tisfm.motion.matched_windows import FEWEST, Windows, WindowSearch, resized
-from tisfm.solver.coarse_to_fine import Amendment, Problem
-from tisfm.solver.data_term import Constancy
+from tisfm.motion.evidence import Evidence
+from tisfm.motion.matched_windows import FEWEST, Windows, WindowSearch, masked, resized
+from tisfm.motion.strays import Strays
+from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 from tisfm.solver.unknowns import Unknowns
 
 MOST = 2**18  # pixels of the level that is amended: a coarser one serves larger frames
+LONGEST = 2**15 - 2  # px: OpenCV samples no longer frames
 JUDGED = 2**14  # pixels, at least, of the level that the flow is judged on
 WANTING = 0.5  # a cost that no right flow has, but where something hides the pixel
 PLAIN = 6.0  # times the variance of the noise: windows that vary by more are judged
@@ -29,16 +31,18 @@ MANY = 0.08
 AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
 COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
 ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of each other
-STRAY = 30  # px: the least area of what moves farther than it is large
+STRAY = 10  # px: the least area of what moves farther than it is large
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
-EVIDENCE, MOST_OFF = 5, 5.0  # px: residuals are means over it, each of so many deviations at most
+EVIDENCE = 5  # px: the side of the square whose residuals decide
+VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
+MANY_TRIED = 2**17  # draws in each round, where something seems to be
 CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
 CARRIED_COST = 0.3  # of what was there before
 PASSES = 6  # of carrying, along rows and columns
 EDGE = 0.33  # of the mean step: a step of grey levels over which it is as far as over a pixel
 
 
-def proposals(pyramid: ImagePyramid, problem: Problem) -> Amendment | None:
+def proposals(pyramid: ImagePyramid, problem: Problem) -> "Proposals | None":
     """Return what amends a flow on its way from coarse to fine, None where it would not pay.
 
     Parameters
@@ -52,40 +56,13 @@ def proposals(pyramid: ImagePyramid, problem: Problem) -> Amendment | None:
     levels = range(pyramid.last, pyramid.levels)
     level = next((k for k in levels if pyramid.frames0[k].size <= MOST), levels[-1])
     height, width = pyramid.frames0[level].shape
-    if height * width < FEWEST or min(height, width) <= 2 * RADIUS:
+    if height * width < FEWEST or min(height, width) <= 2 * RADIUS or max(pyramid.shape) > LONGEST:
         return None
-
-    def amend(unknowns: Unknowns) -> bool:
-        flow = cv2.merge(list(unknowns.flow()))
-        better = better_flow(pyramid, level, problem.constancy, flow)
-        if better is None:
-            return False
-        rho = unknowns.images()
-        rho[:2] += cv2.split(better - flow)
-        unknowns.set_images(rho)
-        return True
-
-    return Amendment(level=level, apply=amend)
+    return Proposals(pyramid, problem, level)
 
 
-def better_flow(
-    pyramid: ImagePyramid, level: int, constancy: Constancy, flow: np.ndarray
-) -> np.ndarray | None:
-    """Return a flow that the images of a level confirm where they contradict another.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    level : int
-    constancy : Constancy
-        Its weights are those of the evidence.
-    flow : (h, w, 2) float32
-        px/frame of the level.
-
-    Returns
-    -------
-    (h, w, 2) float32 or None
-        None where nothing better was found.
+class Proposals:
+    """An `Amendment`: motions that the images of a level bear out where they contradict the flow.
 
     References
     ----------
@@ -94,40 +71,88 @@ def better_flow(
     Weinzaepfel, Harchaoui, Schmid, "EpicFlow: edge-preserving interpolation of correspondences for
     optical flow", CVPR 2015, doi 10.1109/CVPR.2015.7298720 (geodesic distance).
     """
-    if not np.isfinite(flow).all():
-        return None
-    search = WindowSearch(pyramid, level)
-    wanting = _wanting(search, flow)
-    share = float(wanting.mean())
-    if not share:
-        return None
-    sought = None
-    if share < MANY:
-        sought = cv2.dilate(wanting.astype(np.uint8), np.ones((AROUND, AROUND), np.uint8)) > 0
-    windows = search.windows[-1]
-    before, there = windows.scored(flow), search.forward(flow, sought)
-    new = _new(there, before)
-    if sought is not None:
-        new = _strays(new, there, flow)
-    if not new.any():
-        return None
-    here = search.backward(None if sought is None else _landing(there, new))
-    agreed = _agreeing(there, here)
-    residual = _Residual(windows, constancy)
-    new &= agreed & residual.falls(flow, there[..., :2], by=0.0)
-    if sought is not None:
-        new = _strays(new, there, flow)
-    found = np.where(new[..., None], there[..., :2], flow)
-    if sought is None:
+
+    def __init__(self, pyramid: ImagePyramid, problem: Problem, level: int) -> None:
+        self.level = level
+        self._search = WindowSearch(pyramid, level)
+        large = [k for k in self._search.levels if pyramid.frames0[k].size >= JUDGED]
+        self._judged = large[0] if large else level
+        self._problem = problem
+        self._strays: Strays | None = None
+
+    def apply(self, unknowns: Unknowns) -> bool:
+        """Put in what is better than ρ̂ on its level, and return whether anything is."""
+        flow = cv2.merge(list(unknowns.flow()))
+        if not np.isfinite(flow).all():
+            return False
+        wanting = _wanting(self._search.windows(self._judged), flow)
+        share = float(wanting.mean())
+        if not share:
+            return False
+        better = self._all_over(flow) if share >= MANY else self._with_strays(flow, wanting)
+        if better is None:
+            return False
+        rho = unknowns.images()
+        rho[:2] += cv2.split(better - flow)
+        unknowns.set_images(rho)
+        self.go_on(unknowns, self.level)
+        return True
+
+    def go_on(self, unknowns: Unknowns, level: int) -> None:
+        """Keep apart, on the next finer level, what moves on its own."""
+        if self._strays is not None:
+            self._strays.set_apart(self._search.windows(level), unknowns)
+
+    def _all_over(self, flow: np.ndarray) -> np.ndarray | None:
+        """Return a better flow of frames whose motion was missed in large parts, None if none."""
+        search = self._search
+        windows = search.windows(self.level)
+        before, there = windows.scored(flow), search.forward(search.levels, flow)
+        agreed = _agreeing(there, search.backward(search.levels))
+        evidence = Evidence(windows, self._problem.constancy)
+        new = agreed & _new(there, before)
+        new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
+        if not new.any():
+            return None
+        found = np.where(new[..., None], there[..., :2], flow)
         known = new | (agreed & ~_elsewhere(there, flow))
-        found = _carried(windows, residual, found, known, before)
-    return found if new.any() else None
+        return _carried(windows, evidence, found, known, before)
+
+    def _with_strays(self, flow: np.ndarray, wanting: np.ndarray) -> np.ndarray | None:
+        """Return a flow with that of things that move farther than they are large, None if none."""
+        search = self._search
+        windows = search.windows(self._judged)
+        coarse = resized(flow, windows.shape)
+        there = search.forward([self._judged], coarse, sought=wanting)
+        new = _new(there, windows.scored(coarse, sought=wanting))
+        new = _strays(new, there, coarse, farther=0.5)
+        if not new.any():
+            return None
+        # There may be some. They are looked for again where more can be seen, with more draws.
+        windows = search.windows(self.level)
+        sought = masked(_around(new), windows.shape)
+        there = search.forward([self.level], flow, sought=sought, tried=MANY_TRIED)
+        evidence = Evidence(windows, self._problem.constancy)
+        new = _new(there, windows.scored(flow, sought=sought))
+        new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
+        new = _strays(new, there, flow, farther=1.0)
+        if not new.any():
+            return None
+        here = search.backward(
+            [self.level],
+            known=[-flow, _turned(there, new)],
+            sought=_landing(there, new),
+            tried=MANY_TRIED,
+        )
+        new = _strays(_vouched(new, _agreeing(there, here)), there, flow, farther=1.0)
+        if not new.any():
+            return None
+        self._strays = Strays(new, self._problem)
+        return np.where(new[..., None], there[..., :2], flow)
 
 
-def _wanting(search: WindowSearch, flow: np.ndarray) -> np.ndarray:
+def _wanting(windows: Windows, flow: np.ndarray) -> np.ndarray:
     """Return where the frames do not look alike along a flow, (h, w) bool of a coarser level."""
-    large = [windows for windows in search.windows if windows.levels0.size >= JUDGED]
-    windows = large[0] if large else search.windows[-1]
     cost = windows.scored(resized(flow, windows.shape), seen=PLAIN)[..., 2]
     return (cost > WANTING) & (cost < UNSEEN)
 
@@ -143,11 +168,11 @@ def _new(there: np.ndarray, before: np.ndarray) -> np.ndarray:
     return better & (before[..., 2] < UNSEEN) & _elsewhere(there, before[..., :2])
 
 
-def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: float) -> np.ndarray:
     """Return those of the new pixels that move farther than they are large.
 
-    Each of their areas, connected, has to move against all of the flow around it by more than the
-    root of its size.
+    Each of their areas, connected, has to move against all of the flow around it by more than
+    `farther` times the root of its size.
     """
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
@@ -158,17 +183,39 @@ def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray) -> np.ndarray:
     count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
     size = np.bincount(labels.ravel(), minlength=count)
     mean = np.bincount(labels.ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
-    strays = (mean > np.sqrt(size)) & (size >= STRAY)
+    strays = (mean > farther * np.sqrt(size)) & (size >= STRAY)
     strays[0] = False
     return strays[labels]
 
 
+def _vouched(new: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+    """Return those of the new pixels in whose area, connected, enough are found both ways round."""
+    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    share = np.bincount(labels[agreed], minlength=count) / np.bincount(labels.ravel())
+    share[0] = 0
+    return (share > VOUCHED)[labels]
+
+
+def _turned(there: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return the way back, (h, w, 2), of the new pixels, in frame 1; elsewhere 0."""
+    back = np.zeros_like(there[..., :2])
+    row, column, _ = _target(there)
+    back[row[new], column[new]] = -there[new][:, :2]
+    return back
+
+
 def _landing(there: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Return where in frame 1 the new pixels go, and what is around, (h, w) bool."""
-    mask = np.zeros(new.shape, np.uint8)
+    mask = np.zeros(new.shape, bool)
     row, column, _ = _target(there)
-    mask[row[new], column[new]] = 1
-    return cv2.dilate(mask, np.ones((AROUND, AROUND), np.uint8)) > 0
+    mask[row[new], column[new]] = True
+    return _around(mask)
+
+
+def _around(mask: np.ndarray) -> np.ndarray:
+    """Return a mask with what is around it."""
+    wider: np.ndarray = cv2.dilate(mask.astype(np.uint8), np.ones((AROUND, AROUND), np.uint8))
+    return wider > 0
 
 
 def _target(there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -198,51 +245,23 @@ def _agreeing(there: np.ndarray, here: np.ndarray) -> np.ndarray:
 
 def _carried(
     windows: Windows,
-    residual: "_Residual",
+    evidence: Evidence,
     found: np.ndarray,
     known: np.ndarray,
     before: np.ndarray,
 ) -> np.ndarray:
-    """Return a flow with what is known carried to where the images confirm it."""
+    """Return a flow with what is known carried to where the images bear it out.
+
+    Of what leaves the image they say nothing: there it is enough that they contradict the flow.
+    """
     distance = np.where(known, 0, np.float32(found.size)).astype(np.float32)
     nearest = np.zeros((*windows.shape, 4), np.float32)
     nearest[..., :2], nearest[..., 3] = found, 1
     for _ in range(PASSES):
         carry(windows.levels0, distance, nearest, edge=EDGE * mean_step(windows.levels0))
     windows.search().score(nearest)
-    lower = nearest[..., 2] < before[..., 2] - BETTER
-    taken = ~known & lower & (before[..., 2] > CARRIED_COST) & (before[..., 2] < UNSEEN)
-    taken &= residual.falls(found, nearest[..., :2], by=CARRIED)
-    return np.where(taken[..., None], nearest[..., :2], found)
-
-
-class _Residual:
-    """By how much frame 1 is off along a flow, in deviations of the noise."""
-
-    def __init__(self, windows: Windows, constancy: Constancy) -> None:
-        weights = (constancy.brightness, constancy.gradient, constancy.gradient)
-        self._weights = [weight / sum(weights) for weight in weights]
-        self._noise = windows.noise
-        self._frames0, self._frames1 = map(_with_slopes, (windows.levels0, windows.levels1))
-
-    def falls(self, before: np.ndarray, after: np.ndarray, *, by: float) -> np.ndarray:
-        """Return where it is lower by more than `by` along one flow, (h, w, 2), than another."""
-        return self._along(after) < self._along(before) - by
-
-    def _along(self, flow: np.ndarray) -> np.ndarray:
-        height, width = flow.shape[:2]
-        x = flow[..., 0] + np.arange(width, dtype=np.float32)
-        y = flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
-        total = np.zeros((height, width), np.float32)
-        for weight, frame0, frame1 in zip(self._weights, self._frames0, self._frames1, strict=True):
-            moved = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            total += weight * np.minimum(np.abs(moved - frame0) / self._noise, MOST_OFF)
-        mean: np.ndarray = cv2.blur(total, (EVIDENCE, EVIDENCE))
-        return mean
-
-
-def _with_slopes(levels: np.ndarray) -> list[np.ndarray]:
-    """Return a frame, over the root of 2, as its difference of two has that noise; and slopes."""
-    slope = np.array([[-0.5, 0, 0.5]], np.float32)
-    across, down = (cv2.filter2D(levels, cv2.CV_32F, kernel) for kernel in (slope, slope.T))
-    return [levels / np.float32(2**0.5), across, down]
+    cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
+    lower = (nearest[..., 2] < cost - BETTER) & (cost > CARRIED_COST)
+    lower &= evidence.better(nearest[..., :2], found, window=EVIDENCE, by=CARRIED)
+    leaves = ~_target(nearest)[2] & (cost > WANTING)
+    return np.where((~known & (lower | leaves))[..., None], nearest[..., :2], found)

@@ -1,5 +1,6 @@
 """Displacements found by comparing windows of two frames, from coarse to fine, either way round."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,12 +13,13 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
 SEEN = 1.8  # times the variance of the noise: windows that vary by less are not compared
-ROUNDS = (6, 3, 2)  # of improvement: on the coarsest level, on the next, and on all others
-DRAWS, MOST_DRAWS = 7, 28  # on the coarsest level: of every pixel, and where few are sought
-DRAWS_NEARBY = (3, 2)  # on the next, and on all others
+ROUNDS = (6, 3, 2)  # of improvement: where all is searched far and wide, and on levels after that
+# Draws in each: far and wide, as many as keep to a number in all, if few pixels are sought.
+DRAWS, MOST_DRAWS, TRIED = 7, 280, 2**15
+NEAR_DRAWS = 3  # and nearby
 REACH = 5  # px: how far away the further neighbours are
-LARGEST = 0.35  # of the longer side: how far away a pixel is sought on the coarsest level
-NEARBY, SHRINKING = 4.0, 0.6  # px: on the others; less with every round
+LARGEST = 0.35  # of the longer side: how far is far and wide
+NEARBY, SHRINKING = 4.0, 0.6  # px: and nearby; less with every round
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,48 +74,85 @@ class Windows:
 
 
 class WindowSearch:
-    """Windows of all levels that are searched, the coarsest first.
+    """A search on several levels, each about twice as dense as the one before.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     finest : int
         Level to end on.
+
+    Attributes
+    ----------
+    levels : list of int
+        The coarsest first.
     """
 
     def __init__(self, pyramid: ImagePyramid, finest: int) -> None:
-        frames = pyramid.frames0, pyramid.frames1
-        noise = max(noise_deviation(of[finest]) for of in frames)
+        self._pyramid = pyramid
+        self._windows: dict[int, Windows] = {}
         step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
         levels = range(finest, pyramid.levels, step)
-        large = [k for k in levels if pyramid.frames0[k].size >= FEWEST] or [finest]
-        ends = [extreme for of in frames for extreme in (of[finest].min(), of[finest].max())]
-        low, gain = min(ends), LEVELS / max(float(max(ends) - min(ends)), LEAST_NOISE)
-        self.windows = [
-            Windows(
-                levels0=np.float32(gain) * (pyramid.frames0[k] - low),
-                levels1=np.float32(gain) * (pyramid.frames1[k] - low),
-                noise=max(gain * noise * pyramid.scales[k] / pyramid.scales[finest], QUIETEST),
-            )
-            for k in reversed(large)
-        ]
+        self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
+        # Of the finest: beyond it there is less noise, and more detail that looks like noise.
+        self._noise = noise_deviation(pyramid.frames0[finest])
 
-    def forward(self, flow: np.ndarray, sought: np.ndarray | None = None) -> np.ndarray:
-        """Return the state (h, w, 4) of the finest level, where frame 0 is sought in frame 1.
+    def windows(self, level: int) -> Windows:
+        """Return what is compared on one of the levels."""
+        if level not in self._windows:
+            frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
+            low = min(float(frame.min()) for frame in frames)
+            high = max(float(frame.max()) for frame in frames)
+            gain = LEVELS / max(high - low, LEAST_NOISE)
+            scale = self._pyramid.scales[level] / self._pyramid.scales[self.levels[-1]]
+            levels0, levels1 = (np.float32(gain) * (frame - np.float32(low)) for frame in frames)
+            self._windows[level] = Windows(
+                levels0=levels0, levels1=levels1, noise=max(gain * scale * self._noise, QUIETEST)
+            )
+        return self._windows[level]
+
+    def forward(
+        self,
+        levels: list[int],
+        flow: np.ndarray,
+        *,
+        sought: np.ndarray | None = None,
+        tried: int = TRIED,
+    ) -> np.ndarray:
+        """Return the state (h, w, 4) of the last of some levels, frame 0 being sought in frame 1.
 
         Parameters
         ----------
+        levels : list of int
         flow : (h, w, 2) float32
-            What is known, which is kept where nothing is better; px/frame of the finest level.
+            What is known, which is kept where nothing is better; px/frame of any level.
         sought : array of bool, optional
-            Where; by default everywhere.
+            Where, on any level; by default everywhere.
+        tried : int
+            Draws in each round on the first level, in all, if few pixels are sought.
         """
-        return _searched(self.windows, flow, sought, seed=0)
+        return _searched([self.windows(k) for k in levels], [flow], sought, tried, seed=0)
 
-    def backward(self, sought: np.ndarray | None = None) -> np.ndarray:
-        """Return the state (h, w, 4) of the finest level, where frame 1 is sought in frame 0."""
-        turned = [windows.turned() for windows in self.windows]
-        return _searched(turned, None, sought, seed=1)
+    def backward(
+        self,
+        levels: list[int],
+        *,
+        known: Sequence[np.ndarray] = (),
+        sought: np.ndarray | None = None,
+        tried: int = TRIED,
+    ) -> np.ndarray:
+        """Return the same with frame 1 being sought in frame 0.
+
+        Parameters
+        ----------
+        levels, sought, tried
+            As in `forward`.
+        known : sequence of (h, w, 2) float32
+            Flows, of which the best is kept where nothing is better. By default it starts from
+            anything.
+        """
+        turned = [self.windows(k).turned() for k in levels]
+        return _searched(turned, known, sought, tried, seed=1)
 
 
 def resized(flow: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -125,46 +164,55 @@ def resized(flow: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _searched(
-    levels: list[Windows], flow: np.ndarray | None, sought: np.ndarray | None, *, seed: int
+    levels: list[Windows],
+    flows: Sequence[np.ndarray],
+    sought: np.ndarray | None,
+    tried: int,
+    *,
+    seed: int,
 ) -> np.ndarray:
     state: np.ndarray | None = None
     for k, windows in enumerate(levels):
-        size = windows.shape[::-1]
-        here = None if sought is None else _masked(sought, size)
-        share = 1.0 if here is None else float(here.mean())
-        states = []
+        here = None if sought is None else masked(sought, windows.shape)
+        wide = state is None
+        known = [resized(flow, windows.shape) for flow in flows]
         if state is not None:
-            finer = cv2.resize(state, size, interpolation=cv2.INTER_NEAREST)[..., :2]
-            ratio = np.float32(windows.shape[1] / state.shape[1])
-            states.append(windows.scored(ratio * finer, sought=here))
-        if flow is not None:
-            states.append(windows.scored(resized(flow, windows.shape), sought=here))
-        if not states:
-            states.append(windows.scored(_drawn(windows.shape, seed), sought=here))
-        state = states[0]
-        for other in states[1:]:
-            state = np.where((other[..., 2] < state[..., 2])[..., None], other, state)
+            finer = cv2.resize(state, windows.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            known.append(np.float32(windows.shape[1] / state.shape[1]) * finer[..., :2])
+        state = _best(
+            [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
+        )
         search = windows.search()
-        for turn in range(ROUNDS[min(k, len(ROUNDS) - 1)]):
-            if k == 0:
-                draws = int(min(DRAWS / max(share, DRAWS / MOST_DRAWS), MOST_DRAWS))
-                span = LARGEST * max(windows.shape)
-            else:
-                draws = DRAWS_NEARBY[min(k - 1, len(DRAWS_NEARBY) - 1)]
-                span = NEARBY * SHRINKING**turn
-            number = (seed * len(levels) + k) * max(ROUNDS) + turn
-            search.improve(state, reach=REACH, draws=draws, span=span, seed=number)
+        number = windows.levels0.size if here is None else np.count_nonzero(here)
+        for turn in range(ROUNDS[0] if wide else ROUNDS[min(k, 1) + 1]):
+            search.improve(
+                state,
+                reach=REACH,
+                draws=max(DRAWS, min(tried // max(number, 1), MOST_DRAWS)) if wide else NEAR_DRAWS,
+                span=LARGEST * max(windows.shape) if wide else NEARBY * SHRINKING**turn,
+                seed=(seed * len(levels) + k) * max(ROUNDS) + turn,
+            )
     assert state is not None
     return state
 
 
-def _masked(sought: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return where a mask of another level has any."""
-    mask: np.ndarray = cv2.resize(sought.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    return mask > 0
+def _best(states: list[np.ndarray]) -> np.ndarray:
+    """Return at every pixel the one that costs least."""
+    best = states[0]
+    for state in states[1:]:
+        best = np.where((state[..., 2] < best[..., 2])[..., None], state, best)
+    return best
 
 
-def _drawn(shape: tuple[int, int], seed: int) -> np.ndarray:
+def masked(sought: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a mask of another level, in the pixels of which there is any of it."""
+    if sought.shape == shape:
+        return sought
+    mask = cv2.resize(sought.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(mask) > 0
+
+
+def _drawn(windows: Windows, seed: int) -> np.ndarray:
     """Return a flow (h, w, 2) float32 drawn at random, px/frame."""
-    random = np.random.default_rng(seed).random((*shape, 2), np.float32)
-    return (2 * random - 1) * np.float32(LARGEST * max(shape))
+    random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
+    return (2 * random - 1) * np.float32(LARGEST * max(windows.shape))

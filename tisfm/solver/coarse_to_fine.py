@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -42,21 +43,22 @@ class Problem:
         return len(self.smoothness.stiffness)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Amendment:
+class Amendment(Protocol):
     """What may change the unknowns on their way.
 
     Attributes
     ----------
     level : int
-        On which, once half of its linearisations are done.
-    apply : callable
-        Takes the unknowns, and gives whether it has changed them. If so, the level has all of its
-        linearisations again.
+        On which they may be changed, once half of its linearisations are done.
     """
 
     level: int
-    apply: Callable[[Unknowns], bool]
+
+    def apply(self, unknowns: Unknowns) -> bool:
+        """Return whether it has changed the unknowns: the level is then linearised as if new."""
+
+    def go_on(self, unknowns: Unknowns, level: int) -> None:
+        """Change the unknowns of a finer level, before anything else is done there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,14 +111,13 @@ def coarse_to_fine(
     for level in reversed(range(last, pyramid.levels)):
         solution = None  # of the level before, only its unknowns are needed
         unknowns = unknowns_on(pyramid, level, problem, unknowns)
+        amend = None
+        if amendment is not None and level < amendment.level:
+            amendment.go_on(unknowns, level)
+        elif amendment is not None and level == amendment.level:
+            amend = amendment.apply
         solution = _on_level(
-            pyramid,
-            problem,
-            unknowns,
-            level,
-            problem.warps(level - last),
-            history,
-            amendment.apply if amendment is not None and amendment.level == level else None,
+            pyramid, problem, unknowns, level, problem.warps(level - last), history, amend
         )
         if release and level > last:
             pyramid.release_taps1(level)
