@@ -34,7 +34,6 @@ from tisfm.kernels.rigid.patch_match import (
 )
 
 ALIKE = 0.05  # px: displacements that differ by less are taken for the same
-LEAST_SPAN = 0.5  # px: of draws, before they start again from the whole range
 
 _State = ti.types.vector(4, ti.f32)
 
@@ -70,13 +69,15 @@ class FlowSearch:
         self._check(state)
         _score(*self._images, self._noise, self._seen, state)
 
-    def improve(self, state: np.ndarray, *, reach: int, draws: int, span: float, seed: int) -> None:
+    def improve(
+        self, state: np.ndarray, *, reach: int, draws: int, spans: tuple[float, float], seed: int
+    ) -> None:
         """Replace displacements by better ones, in place: red pixels, and then black ones.
 
         Each compares what it has with those of its neighbours 1 and `reach` px away in four
         directions, and with `draws` drawn around it, each from half the range of the one before,
-        and from all of it again once that is `LEAST_SPAN`. No cost rises, and what is not sought
-        for stays as it is.
+        and from all of it again once that is the least. No cost rises, and what is not sought for
+        stays as it is.
 
         Parameters
         ----------
@@ -85,8 +86,8 @@ class FlowSearch:
         reach : int
             px, odd, so that red pixels look at black ones alone.
         draws : int
-        span : float
-            How far the first of these may be in u and in v, px/frame.
+        spans : (float, float)
+            How far the first and the last of these may be in u and in v, px/frame.
         seed : int
             Of the random numbers.
         """
@@ -94,7 +95,9 @@ class FlowSearch:
         if reach % 2 != 1:
             raise ValueError(f"reach is {reach}: expected an odd number of pixels")
         for color in range(2):
-            _improve(*self._images, self._noise, color, reach, draws, span, 2 * seed + color, state)
+            _improve(
+                *self._images, self._noise, color, reach, draws, *spans, 2 * seed + color, state
+            )
 
     def _check(self, state: np.ndarray) -> None:
         check_array(state, (*self._shape, 4), "state", aligned=False)
@@ -157,6 +160,7 @@ def _improve(
     reach: ti.i32,
     draws: ti.i32,
     span: ti.f32,
+    least: ti.f32,
     seed: ti.i32,
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
 ):
@@ -178,7 +182,7 @@ def _improve(
                         other[0] += away * (2.0 * _unit(random) - 1.0)
                         other[1] += away * (2.0 * _unit(random + ti.u32(1)) - 1.0)
                         random += ti.u32(2)
-                        away = ti.select(away > 2.0 * LEAST_SPAN, 0.5 * away, span)
+                        away = ti.select(away > least, 0.5 * away, span)
                     if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > ALIKE:
                         other[2] = _cost(
                             packed1, height, width, noise,

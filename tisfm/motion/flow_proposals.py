@@ -24,6 +24,7 @@ MOST = 2**18  # pixels of the level that is amended: a coarser one serves larger
 LONGEST = 2**15 - 2  # px: OpenCV samples no longer frames
 JUDGED = 2**14  # pixels, at least, of the level that the flow is judged on
 WANTING = 0.5  # a cost that no right flow has, but where something hides the pixel
+RIGHT = 0.3  # a cost that is more than that of most right flows
 PLAIN = 6.0  # times the variance of the noise: windows that vary by more are judged
 # Of the pixels that are wanting: up to 0.06 where motion is found, 0.11 and more where much of it
 # is lost. If fewer are, only what moves farther than it is large is looked for.
@@ -35,7 +36,7 @@ STRAY = 10  # px: the least area of what moves farther than it is large
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
-MANY_TRIED = 2**17  # draws in each round, where something seems to be
+MANY_TRIED = 2**16  # draws in each round, where something seems to be
 CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
 CARRIED_COST = 0.3  # of what was there before
 PASSES = 6  # of carrying, along rows and columns
@@ -85,11 +86,13 @@ class Proposals:
         flow = cv2.merge(list(unknowns.flow()))
         if not np.isfinite(flow).all():
             return False
-        wanting = _wanting(self._search.windows(self._judged), flow)
-        share = float(wanting.mean())
-        if not share:
-            return False
-        better = self._all_over(flow) if share >= MANY else self._with_strays(flow, wanting)
+        windows = self._search.windows(self._judged)
+        judged = windows.scored(resized(flow, windows.shape), seen=PLAIN)
+        wanting = (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
+        if wanting.mean() >= MANY:
+            better = self._all_over(flow)
+        else:
+            better = self._with_strays(flow, judged, wanting)
         if better is None:
             return False
         rho = unknowns.images()
@@ -118,19 +121,22 @@ class Proposals:
         known = new | (agreed & ~_elsewhere(there, flow))
         return _carried(windows, evidence, found, known, before)
 
-    def _with_strays(self, flow: np.ndarray, wanting: np.ndarray) -> np.ndarray | None:
+    def _with_strays(
+        self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray
+    ) -> np.ndarray | None:
         """Return a flow with that of things that move farther than they are large, None if none."""
+        sought = _unexplained(judged, wanting)
+        if not sought.any():
+            return None
         search = self._search
-        windows = search.windows(self._judged)
-        coarse = resized(flow, windows.shape)
-        there = search.forward([self._judged], coarse, sought=wanting)
-        new = _new(there, windows.scored(coarse, sought=wanting))
-        new = _strays(new, there, coarse, farther=0.5)
+        coarse = judged[..., :2]
+        there = search.forward([self._judged], coarse, sought=sought)
+        new = _strays(_new(there, judged), there, coarse, farther=0.5)
         if not new.any():
             return None
         # There may be some. They are looked for again where more can be seen, with more draws.
         windows = search.windows(self.level)
-        sought = masked(_around(new), windows.shape)
+        sought = masked(_around(new, 3), windows.shape)
         there = search.forward([self.level], flow, sought=sought, tried=MANY_TRIED)
         evidence = Evidence(windows, self._problem.constancy)
         new = _new(there, windows.scored(flow, sought=sought))
@@ -151,10 +157,19 @@ class Proposals:
         return np.where(new[..., None], there[..., :2], flow)
 
 
-def _wanting(windows: Windows, flow: np.ndarray) -> np.ndarray:
-    """Return where the frames do not look alike along a flow, (h, w) bool of a coarser level."""
-    cost = windows.scored(resized(flow, windows.shape), seen=PLAIN)[..., 2]
-    return (cost > WANTING) & (cost < UNSEEN)
+def _unexplained(judged: np.ndarray, wanting: np.ndarray) -> np.ndarray:
+    """Return those of the wanting pixels that nothing seems to hide, (h, w) bool.
+
+    They stay in the image, do not go where others go that look alike there, and are not scattered.
+    """
+    row, column, inside = _target(judged)
+    right = inside & (judged[..., 2] < RIGHT)
+    taken = np.zeros(wanting.shape, np.uint8)
+    taken[row[right], column[right]] = 1
+    square = np.ones((3, 3), np.uint8)
+    free = cv2.dilate(taken, square)[row, column] == 0
+    left = (wanting & inside & free).astype(np.uint8)
+    return np.asarray(cv2.morphologyEx(left, cv2.MORPH_OPEN, square)) > 0
 
 
 def _elsewhere(state: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -209,13 +224,13 @@ def _landing(there: np.ndarray, new: np.ndarray) -> np.ndarray:
     mask = np.zeros(new.shape, bool)
     row, column, _ = _target(there)
     mask[row[new], column[new]] = True
-    return _around(mask)
+    return _around(mask, AROUND)
 
 
-def _around(mask: np.ndarray) -> np.ndarray:
-    """Return a mask with what is around it."""
-    wider: np.ndarray = cv2.dilate(mask.astype(np.uint8), np.ones((AROUND, AROUND), np.uint8))
-    return wider > 0
+def _around(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return a mask with the squares of a side, px, around its pixels."""
+    wider = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
+    return np.asarray(wider) > 0
 
 
 def _target(there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

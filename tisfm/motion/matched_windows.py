@@ -14,11 +14,13 @@ from tisfm.solver.image_pyramid import ImagePyramid
 FEWEST = 2**12  # pixels of the coarsest level, at least
 SEEN = 1.8  # times the variance of the noise: windows that vary by less are not compared
 ROUNDS = (6, 3, 2)  # of improvement: where all is searched far and wide, and on levels after that
-# Draws in each: far and wide, as many as keep to a number in all, if few pixels are sought.
-DRAWS, MOST_DRAWS, TRIED = 7, 280, 2**15
+# The first of these far and wide. Draws in each: if few pixels are sought, as many as keep to a
+# number in all.
+WIDE, DRAWS, MOST_DRAWS, TRIED = 5, 5, 64, 2**14
 NEAR_DRAWS = 3  # and nearby
 REACH = 5  # px: how far away the further neighbours are
-LARGEST = 0.35  # of the longer side: how far is far and wide
+LARGEST = 0.35  # of the longer side: how far is far and wide,
+LEAST = 4.0  # px: and how near
 NEARBY, SHRINKING = 4.0, 0.6  # px: and nearby; less with every round
 
 
@@ -185,11 +187,15 @@ def _searched(
         search = windows.search()
         number = windows.levels0.size if here is None else np.count_nonzero(here)
         for turn in range(ROUNDS[0] if wide else ROUNDS[min(k, 1) + 1]):
+            draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**turn,) * 2
+            if wide and turn < WIDE:
+                draws = max(DRAWS, min(tried // max(number, 1), MOST_DRAWS))
+                spans = LARGEST * max(windows.shape), LEAST
             search.improve(
                 state,
                 reach=REACH,
-                draws=max(DRAWS, min(tried // max(number, 1), MOST_DRAWS)) if wide else NEAR_DRAWS,
-                span=LARGEST * max(windows.shape) if wide else NEARBY * SHRINKING**turn,
+                draws=draws,
+                spans=(spans[0], spans[1]),
                 seed=(seed * len(levels) + k) * max(ROUNDS) + turn,
             )
     assert state is not None

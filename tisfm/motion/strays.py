@@ -17,7 +17,7 @@ from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-BAND = 3  # px to each side of an outline: it is somewhere there
+BEYOND, WITHIN = 5, 2  # px to either side of an outline: it is somewhere there
 WINDOW = 3  # px: the side of the square that tells to which side a pixel belongs
 PASSES = 2  # of carrying, along rows and columns
 LIFTED = 1e6  # mean steps of the frame by which things are lifted: no smoothness crosses that
@@ -64,15 +64,18 @@ class Strays:
         size = windows.shape[::-1]
         thing = cv2.resize(self._thing.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
         thing = (thing > 0.5).astype(np.uint8)
-        side = 2 * BAND + 1
-        wide = cv2.dilate(thing, np.ones((side, side), np.uint8)) > 0
-        core = cv2.erode(thing, np.ones((BAND, BAND), np.uint8)) > 0
+        wide = cv2.dilate(thing, _square(BEYOND)) > 0
+        core = cv2.erode(thing, _square(WITHIN)) > 0
         inside, outside = _carried(flow, core), _carried(flow, ~wide)
         evidence = Evidence(windows, self._problem.constancy)
         told = core | (wide & evidence.better(inside, outside, window=WINDOW))
         told = cv2.medianBlur(told.astype(np.uint8), 3) > 0
         better = np.where(told[..., None], inside, outside)
         return told, np.where(wide[..., None], better, flow)
+
+
+def _square(reach: int) -> np.ndarray:
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
 def _carried(flow: np.ndarray, known: np.ndarray) -> np.ndarray:
