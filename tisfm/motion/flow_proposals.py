@@ -111,7 +111,7 @@ class Proposals:
         search = self._search
         windows = search.windows(self.level)
         before, there = windows.scored(flow), search.forward(search.levels, flow)
-        agreed = _agreeing(there, search.backward(search.levels))
+        agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
         evidence = Evidence(windows, self._problem.constancy)
         new = agreed & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
@@ -244,17 +244,21 @@ def _target(there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _agreeing(there: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Return which displacements are found the other way round too, and by many neighbours."""
+    """Return which displacements are found the other way round too."""
     row, column, inside = _target(there)
     back = here[row, column]
     apart = np.hypot(*cv2.split(there[..., :2] + back[..., :2]))
-    agreed = inside & (apart < AGREEMENT) & (there[..., 2] < COST) & (back[..., 2] < UNSEEN)
-    agreed &= back[..., 3] > 0
+    cheap = (there[..., 2] < COST) & (back[..., 2] < UNSEEN) & (back[..., 3] > 0)
+    return np.asarray(inside & cheap & (apart < AGREEMENT))
+
+
+def _without_islands(there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+    """Return those of some pixels that have many neighbours of nearly the same displacement."""
     for component in cv2.split(there[..., :2]):
         fixed = SIXTEENTHS * (component - component.min()) + 1
         fixed = np.where(agreed, fixed, 0).clip(0, np.iinfo(np.int16).max).astype(np.int16)
         cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
-        agreed &= fixed > 0
+        agreed = agreed & (fixed > 0)
     return agreed
 
 
