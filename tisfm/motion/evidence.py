@@ -35,13 +35,15 @@ class Evidence:
         flow, other : (h, w, 2) float32
             px/frame.
         window : int
-            px: the side of the square that residuals are means over.
+            px: the side of the square that residuals are means over, weighted so that a pixel at a
+            corner belongs to what it is a corner of.
         by : float
             Deviations of the noise.
         """
-        size = (window, window)
-        found = cv2.blur(self._off(flow), size) < cv2.blur(self._off(other), size) - by
-        return np.asarray(found)
+        mean, others = (
+            cv2.GaussianBlur(self._off(of), (window, window), 0) for of in (flow, other)
+        )
+        return np.asarray(mean < others - by)
 
     def _off(self, flow: np.ndarray) -> np.ndarray:
         height, width = flow.shape[:2]

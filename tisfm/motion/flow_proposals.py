@@ -151,6 +151,7 @@ class Proposals:
             tried=MANY_TRIED,
         )
         new = _strays(_vouched(new, _agreeing(there, here)), there, flow, farther=1.0)
+        new = _together(new, there)
         if not new.any():
             return None
         self._strays = Strays(new, self._problem)
@@ -209,6 +210,17 @@ def _vouched(new: np.ndarray, agreed: np.ndarray) -> np.ndarray:
     share = np.bincount(labels[agreed], minlength=count) / np.bincount(labels.ravel())
     share[0] = 0
     return (share > VOUCHED)[labels]
+
+
+def _together(new: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return those of the new pixels that move with most of their area."""
+    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    kept = np.zeros_like(new)
+    for label in range(1, count):
+        area = labels == label
+        moves = there[area][:, :2]
+        kept[area] = np.hypot(*(moves - np.median(moves, axis=0)).T) < 2 * AGREEMENT
+    return kept
 
 
 def _turned(there: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from tisfm.solver.unknowns import Unknowns
 
 BEYOND, WITHIN = 5, 2  # px to either side of an outline: it is somewhere there
 WINDOW = 3  # px: the side of the square that tells to which side a pixel belongs
+TURNS = 3  # of finding an outline from the one before
 PASSES = 2  # of carrying, along rows and columns
 LIFTED = 1e6  # mean steps of the frame by which things are lifted: no smoothness crosses that
 
@@ -46,8 +47,10 @@ class Strays:
         unknowns : Unknowns
             ρ̂ near the outlines is overwritten, and so are their `edges`.
         """
-        flow = cv2.merge(list(unknowns.flow()))
-        self._thing, better = self._told(windows, flow)
+        flow = better = cv2.merge(list(unknowns.flow()))
+        evidence = Evidence(windows, self._problem.constancy)
+        for _ in range(TURNS):
+            self._thing, better = _told(evidence, self._thing, better)
         rho = unknowns.images()
         rho[:2] += cv2.split(better - flow)
         unknowns.set_images(rho)
@@ -59,19 +62,20 @@ class Strays:
             rate=self._problem.smoothness.image_edges / step,
         )
 
-    def _told(self, windows: Windows, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which pixels are of things, and a flow that is theirs there."""
-        size = windows.shape[::-1]
-        thing = cv2.resize(self._thing.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-        thing = (thing > 0.5).astype(np.uint8)
-        wide = cv2.dilate(thing, _square(BEYOND)) > 0
-        core = cv2.erode(thing, _square(WITHIN)) > 0
-        inside, outside = _carried(flow, core), _carried(flow, ~wide)
-        evidence = Evidence(windows, self._problem.constancy)
-        told = core | (wide & evidence.better(inside, outside, window=WINDOW))
-        told = cv2.medianBlur(told.astype(np.uint8), 3) > 0
-        better = np.where(told[..., None], inside, outside)
-        return told, np.where(wide[..., None], better, flow)
+
+def _told(evidence: Evidence, thing: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pixels are of things, from what they seemed to be, and a flow that says so."""
+    size = flow.shape[1::-1]
+    enlarged = cv2.resize(thing.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    seeming = (enlarged > 0.5).astype(np.uint8)
+    wide = cv2.dilate(seeming, _square(BEYOND)) > 0
+    core = cv2.erode(seeming, _square(WITHIN)) > 0
+    inside, outside = _carried(flow, core), _carried(flow, ~wide)
+    told = core | (wide & evidence.better(inside, outside, window=WINDOW))
+    _, labels = cv2.connectedComponents(told.astype(np.uint8), connectivity=4)
+    told = np.isin(labels, np.unique(labels[core]))  # without what has come off
+    better = np.where(told[..., None], inside, outside)
+    return told, np.where(wide[..., None], better, flow)
 
 
 def _square(reach: int) -> np.ndarray:

@@ -55,7 +55,7 @@ class Amendment(Protocol):
     level: int
 
     def apply(self, unknowns: Unknowns) -> bool:
-        """Return whether it has changed the unknowns: the level is then linearised as if new."""
+        """Return whether it has changed the unknowns: if so, the level is linearised as if new."""
 
     def go_on(self, unknowns: Unknowns, level: int) -> None:
         """Change the unknowns of a finer level, before anything else is done there."""
