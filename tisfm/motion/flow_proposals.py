@@ -110,7 +110,7 @@ class Proposals:
         """Return a better flow of frames whose motion was missed in large parts, None if none."""
         search = self._search
         windows = search.windows(self.level)
-        before, there = windows.scored(flow), search.forward(search.levels, flow)
+        before, there = windows.scored(flow), search.forward(search.levels, known=[flow])
         agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
         evidence = Evidence(windows, self._problem.constancy)
         new = agreed & _new(there, before)
@@ -130,14 +130,18 @@ class Proposals:
             return None
         search = self._search
         coarse = judged[..., :2]
-        there = search.forward([self._judged], coarse, sought=sought)
+        there = search.forward([self._judged], known=[coarse], sought=sought)
         new = _strays(_new(there, judged), there, coarse, farther=0.5)
         if not new.any():
             return None
         # There may be some. They are looked for again where more can be seen, with more draws.
         windows = search.windows(self.level)
         sought = masked(_around(new, 3), windows.shape)
-        there = search.forward([self.level], flow, sought=sought, tried=MANY_TRIED)
+        # Draws are made around what is known, and what was found may be wrong: first without it.
+        level, found = [self.level], there[..., :2]
+        there = search.forward(level, known=[flow], sought=sought, tried=MANY_TRIED)
+        known = [there[..., :2], found]
+        there = search.forward(level, known=known, sought=sought, tried=MANY_TRIED)
         evidence = Evidence(windows, self._problem.constancy)
         new = _new(there, windows.scored(flow, sought=sought))
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
@@ -150,8 +154,8 @@ class Proposals:
             sought=_landing(there, new),
             tried=MANY_TRIED,
         )
-        new = _strays(_vouched(new, _agreeing(there, here)), there, flow, farther=1.0)
-        new = _together(new, there)
+        new = _vouched(new, there, _agreeing(there, here))
+        new = _strays(new, there, flow, farther=1.0)
         if not new.any():
             return None
         self._strays = Strays(new, self._problem)
@@ -204,22 +208,24 @@ def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: fl
     return strays[labels]
 
 
-def _vouched(new: np.ndarray, agreed: np.ndarray) -> np.ndarray:
-    """Return those of the new pixels in whose area, connected, enough are found both ways round."""
-    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    share = np.bincount(labels[agreed], minlength=count) / np.bincount(labels.ravel())
-    share[0] = 0
-    return (share > VOUCHED)[labels]
+def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+    """Return those of the new pixels that move with as many of their area as are found both ways.
 
-
-def _together(new: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Return those of the new pixels that move with most of their area."""
+    Parameters
+    ----------
+    new : (h, w) bool
+    there : (h, w, 4) float32
+    agreed : (h, w) bool
+        What is found both ways round.
+    """
     count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
     kept = np.zeros_like(new)
     for label in range(1, count):
         area = labels == label
-        moves = there[area][:, :2]
-        kept[area] = np.hypot(*(moves - np.median(moves, axis=0)).T) < 2 * AGREEMENT
+        sure = area & agreed
+        if np.count_nonzero(sure) > VOUCHED * np.count_nonzero(area):
+            away = there[area][:, :2] - np.median(there[sure][:, :2], axis=0)
+            kept[area] = np.hypot(*away.T) < 2 * AGREEMENT
     return kept
 
 

@@ -116,8 +116,8 @@ class WindowSearch:
     def forward(
         self,
         levels: list[int],
-        flow: np.ndarray,
         *,
+        known: Sequence[np.ndarray] = (),
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
@@ -126,14 +126,15 @@ class WindowSearch:
         Parameters
         ----------
         levels : list of int
-        flow : (h, w, 2) float32
-            What is known, which is kept where nothing is better; px/frame of any level.
+        known : sequence of (…, …, 2) float32
+            Flows, px/frame of any level, of which the best is kept where nothing is better. By
+            default it starts from anything.
         sought : array of bool, optional
             Where, on any level; by default everywhere.
         tried : int
             Draws in each round on the first level, in all, if few pixels are sought.
         """
-        return _searched([self.windows(k) for k in levels], [flow], sought, tried, seed=0)
+        return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
 
     def backward(
         self,
@@ -143,26 +144,17 @@ class WindowSearch:
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
-        """Return the same with frame 1 being sought in frame 0.
-
-        Parameters
-        ----------
-        levels, sought, tried
-            As in `forward`.
-        known : sequence of (h, w, 2) float32
-            Flows, of which the best is kept where nothing is better. By default it starts from
-            anything.
-        """
+        """Return the same with frame 1 being sought in frame 0."""
         turned = [self.windows(k).turned() for k in levels]
         return _searched(turned, known, sought, tried, seed=1)
 
 
 def resized(flow: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a flow (h, w, 2) of a finer level as means over the pixels of a coarser one, px."""
+    """Return a flow (h, w, 2) on another level: means over its pixels, or the nearest, px."""
     height, width = shape
     ratio = np.float32(width / flow.shape[1])
-    smaller: np.ndarray = cv2.resize(flow, (width, height), interpolation=cv2.INTER_AREA)
-    return ratio * smaller
+    how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
+    return ratio * np.asarray(cv2.resize(flow, (width, height), interpolation=how))
 
 
 def _searched(
@@ -179,8 +171,7 @@ def _searched(
         wide = state is None
         known = [resized(flow, windows.shape) for flow in flows]
         if state is not None:
-            finer = cv2.resize(state, windows.shape[::-1], interpolation=cv2.INTER_NEAREST)
-            known.append(np.float32(windows.shape[1] / state.shape[1]) * finer[..., :2])
+            known.append(resized(state[..., :2], windows.shape))
         state = _best(
             [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
         )
