@@ -32,6 +32,8 @@ MANY = 0.08
 AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
 COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
 ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of each other
+# Of the pixels: frames of one scene have 0.6 and more that are found so, others less than 0.05.
+ENOUGH = 0.2
 STRAY = 10  # px: the least area of what moves farther than it is large
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
 EVIDENCE = 5  # px: the side of the square whose residuals decide
@@ -112,6 +114,8 @@ class Proposals:
         windows = search.windows(self.level)
         before, there = windows.scored(flow), search.forward(search.levels, known=[flow])
         agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
+        if agreed.mean() < ENOUGH:
+            return None
         evidence = Evidence(windows, self._problem.constancy)
         new = agreed & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
