@@ -34,11 +34,14 @@ COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px)
 ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of each other
 # Of the pixels: frames of one scene have 0.6 and more that are found so, others less than 0.05.
 ENOUGH = 0.2
-STRAY = 10  # px: the least area of what moves farther than it is large
+# px of the level judged, and of the one amended: the least area of what moves farther than it is
+# large
+STRAY, STRAY_AMENDED = 24, 50
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
-MANY_TRIED = 2**16  # draws in each round, where something seems to be
+MANY_TRIED = 2**15  # draws in each round, where something seems to be
+CLEARLY = 0.6  # deviations: the least by which residuals fall for a thing that moves on its own
 CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
 CARRIED_COST = 0.3  # of what was there before
 PASSES = 6  # of carrying, along rows and columns
@@ -135,7 +138,7 @@ class Proposals:
         search = self._search
         coarse = judged[..., :2]
         there = search.forward([self._judged], known=[coarse], sought=sought)
-        new = _strays(_new(there, judged), there, coarse, farther=0.5)
+        new = _strays(_new(there, judged), there, coarse, farther=0.5, least=STRAY)
         if not new.any():
             return None
         # There may be some. They are looked for again where more can be seen, with more draws.
@@ -145,11 +148,11 @@ class Proposals:
         level, found = [self.level], there[..., :2]
         there = search.forward(level, known=[flow], sought=sought, tried=MANY_TRIED)
         known = [there[..., :2], found]
-        there = search.forward(level, known=known, sought=sought, tried=MANY_TRIED)
+        there = search.forward(level, known=known, sought=sought, tried=0)
         evidence = Evidence(windows, self._problem.constancy)
         new = _new(there, windows.scored(flow, sought=sought))
-        new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
-        new = _strays(new, there, flow, farther=1.0)
+        new &= evidence.better(there[..., :2], flow, window=EVIDENCE, by=CLEARLY)
+        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
         if not new.any():
             return None
         here = search.backward(
@@ -159,7 +162,7 @@ class Proposals:
             tried=MANY_TRIED,
         )
         new = _vouched(new, there, _agreeing(there, here))
-        new = _strays(new, there, flow, farther=1.0)
+        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
         if not new.any():
             return None
         self._strays = Strays(new, self._problem)
@@ -192,11 +195,13 @@ def _new(there: np.ndarray, before: np.ndarray) -> np.ndarray:
     return better & (before[..., 2] < UNSEEN) & _elsewhere(there, before[..., :2])
 
 
-def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: float) -> np.ndarray:
+def _strays(
+    new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: float, least: int
+) -> np.ndarray:
     """Return those of the new pixels that move farther than they are large.
 
     Each of their areas, connected, has to move against all of the flow around it by more than
-    `farther` times the root of its size.
+    `farther` times the root of its size, which is `least` px or more.
     """
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
@@ -207,7 +212,7 @@ def _strays(new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: fl
     count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
     size = np.bincount(labels.ravel(), minlength=count)
     mean = np.bincount(labels.ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
-    strays = (mean > farther * np.sqrt(size)) & (size >= STRAY)
+    strays = (mean > farther * np.sqrt(size)) & (size >= least)
     strays[0] = False
     return strays[labels]
 
