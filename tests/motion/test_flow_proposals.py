@@ -80,6 +80,13 @@ def test_a_background_that_moves_by_100_px_is_found(preset):
     assert off.mean() < 5  # what leaves the image goes with what stays
 
 
+def test_what_leaves_the_image_with_a_right_flow_keeps_it(monkeypatch):
+    frame0, frame1, flow, stays = moved([[1.3, 0, -59.9], [0, 1.3, -35.9]])
+    assert stays.mean() < 0.65
+    off = error(tisfm.interpret(frame0, frame1), flow).mean()
+    assert off < 1.05 * error(without_proposals(monkeypatch, frame0, frame1), flow).mean()
+
+
 @pytest.mark.parametrize("move", [(60, 0), (-42, 43)])
 @pytest.mark.parametrize("drift", [0, 3])
 @pytest.mark.parametrize(("preset", "most"), [("balanced", 2), ("accurate", 2)])

@@ -44,6 +44,7 @@ MANY_TRIED = 2**15  # draws in each round, where something seems to be
 CLEARLY = 0.6  # deviations: the least by which residuals fall for a thing that moves on its own
 CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
 CARRIED_COST = 0.3  # of what was there before
+STEEPEST = 0.5  # px/frame per px: a flow that changes faster than by turns and zooms breaks off
 PASSES = 6  # of carrying, along rows and columns
 EDGE = 0.33  # of the mean step: a step of grey levels over which it is as far as over a pixel
 
@@ -298,7 +299,8 @@ def _carried(
 ) -> np.ndarray:
     """Return a flow with what is known carried to where the images bear it out.
 
-    Of what leaves the image they say nothing: there it is enough that they contradict the flow.
+    Of what leaves the image they say nothing: there it is enough that they contradict a flow that
+    stays, or that the flow breaks off.
     """
     distance = np.where(known, 0, np.float32(found.size)).astype(np.float32)
     nearest = np.zeros((*windows.shape, 4), np.float32)
@@ -309,5 +311,7 @@ def _carried(
     cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
     lower = (nearest[..., 2] < cost - BETTER) & (cost > CARRIED_COST)
     lower &= evidence.better(nearest[..., :2], found, window=EVIDENCE, by=CARRIED)
-    leaves = ~_target(nearest)[2] & (cost > WANTING)
+    away = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 3)
+    breaks = np.hypot(*cv2.split(found - nearest[..., :2])) > STEEPEST * away
+    leaves = (breaks | _target(before)[2]) & ~_target(nearest)[2] & (cost > WANTING)
     return np.where((~known & (lower | leaves))[..., None], nearest[..., :2], found)
