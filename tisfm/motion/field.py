@@ -7,6 +7,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
 from tisfm.motion.estimate import Estimate, ended, unmoved
+from tisfm.motion.flow_proposals import proposals
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
@@ -24,7 +25,13 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
     """
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal)
-    solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
+    solution = coarse_to_fine(
+        pyramid,
+        problem,
+        last=pyramid.last,
+        release=True,
+        amendment=proposals(pyramid, problem),
+    )
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
     status = unmoved(solution, textured=pyramid.contrast > 0) or ended(

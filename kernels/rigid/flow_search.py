@@ -1,0 +1,268 @@
+"""PatchMatch for motions that are free: at every pixel the shift by which frame 1 looks most alike.
+
+A hypothesis is a displacement (u, v) of the whole window, and costs 1 − c, c being the correlation
+of `tisfm.kernels.rigid.patch_match`. Good ones are handed on from pixel to pixel, and others are
+drawn around them.
+
+The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNSEEN` where the window shows no
+more than noise, and whether the pixel is sought for at all, 1 or 0.
+
+References
+----------
+Barnes, Shechtman, Finkelstein, Goldman, "PatchMatch: a randomized correspondence algorithm for
+structural image editing", SIGGRAPH 2009, doi 10.1145/1531326.1531330.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import CHUNK, check_array
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.rigid.patch_match import (
+    _ACROSS,
+    _DOWN,
+    MOST_PIXELS,
+    NOWHERE,
+    UNSEEN,
+    _hash,
+    _sum,
+    _there,
+    _unit,
+    _window,
+    packed,
+    with_margin,
+)
+
+ALIKE = 0.05  # px: displacements that differ by less are taken for the same
+
+_State = ti.types.vector(4, ti.f32)
+
+
+class FlowSearch:
+    """A search for displacements from frame 0 to frame 1, on one level.
+
+    Parameters
+    ----------
+    levels0, levels1 : (H, W) float32
+        Grey levels of both frames, in [0, 255].
+    noise : float
+        Standard deviation of the noise of a frame, levels; above 0.
+    seen : float
+        Times the variance of the noise: what a window has to vary by to be compared.
+    """
+
+    def __init__(
+        self, levels0: np.ndarray, levels1: np.ndarray, *, noise: float, seen: float
+    ) -> None:
+        self._shape = levels0.shape
+        for name, levels in (("levels0", levels0), ("levels1", levels1)):
+            check_array(levels, self._shape, name, aligned=False)
+        if levels0.size > MOST_PIXELS:
+            raise ValueError(f"levels0 has {levels0.size} pixels: expected {MOST_PIXELS} at most")
+        if not noise > 0:
+            raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
+        self._images = with_margin(levels0), packed(levels1)
+        self._noise, self._seen = float(noise) ** 2, float(seen)
+
+    def score(self, state: np.ndarray) -> None:
+        """Compute the costs of the displacements of a state, (H, W, 4) float32, in place."""
+        self._check(state)
+        _score(*self._images, self._noise, self._seen, state)
+
+    def improve(
+        self, state: np.ndarray, *, reach: int, draws: int, spans: tuple[float, float], seed: int
+    ) -> None:
+        """Replace displacements by better ones, in place: red pixels, and then black ones.
+
+        Each compares what it has with those of its neighbours 1 and `reach` px away in four
+        directions, and with `draws` drawn around it, each from half the range of the one before,
+        and from all of it again once that is the least. No cost rises, and what is not sought for
+        stays as it is.
+
+        Parameters
+        ----------
+        state : (H, W, 4) float32
+            Of `score`.
+        reach : int
+            px, odd, so that red pixels look at black ones alone.
+        draws : int
+        spans : (float, float)
+            How far the first and the last of these may be in u and in v, px/frame.
+        seed : int
+            Of the random numbers.
+        """
+        self._check(state)
+        if reach % 2 != 1:
+            raise ValueError(f"reach is {reach}: expected an odd number of pixels")
+        for color in range(2):
+            _improve(
+                *self._images, self._noise, color, reach, draws, *spans, 2 * seed + color, state
+            )
+
+    def _check(self, state: np.ndarray) -> None:
+        check_array(state, (*self._shape, 4), "state", aligned=False)
+
+
+def carry(guide: np.ndarray, distance: np.ndarray, state: np.ndarray, *, edge: float) -> None:
+    """Carry displacements along rows and columns, there and back, to where the way is shorter.
+
+    A step from pixel to pixel is as long as 1 + |ΔI| / edge. Repeated, it gives every pixel the
+    displacement of the pixel of distance 0 that is nearest by way of steps.
+
+    Parameters
+    ----------
+    guide : (H, W) float32
+        Grey levels I.
+    distance : (H, W) float32
+        From where a pixel's displacement comes; in place.
+    state : (H, W, 4) float32
+        u and v first, px/frame; in place.
+    edge : float
+        Step of grey levels that is as long as a pixel; above 0.
+    """
+    check_array(guide, guide.shape, "guide", aligned=False)
+    check_array(distance, guide.shape, "distance", aligned=False)
+    check_array(state, (*guide.shape, 4), "state", aligned=False)
+    if not edge > 0:
+        raise ValueError(f"edge is {edge}: expected a positive value, in grey levels")
+    for across in (True, False):
+        _carry(guide, 1 / edge, across, distance, state)
+
+
+@Kernel
+def _score(
+    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
+    noise: ti.f32,
+    seen: ti.f32,
+    state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
+):
+    height, width = state.shape[0], state.shape[1]
+    for y, x in ti.ndrange(height, width):
+        best = state[y, x]
+        if best[3] > 0.0:
+            weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+            best[2] = UNSEEN
+            if variance > seen * noise:
+                best[2] = _cost(
+                    packed1, height, width, noise,
+                    weight0, weight1, weighted0, weighted1, variance, centre, y, x, best,
+                )  # fmt: skip
+            state[y, x] = best
+
+
+@Kernel
+def _improve(
+    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
+    noise: ti.f32,
+    color: ti.i32,
+    reach: ti.i32,
+    draws: ti.i32,
+    span: ti.f32,
+    least: ti.f32,
+    seed: ti.i32,
+    state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
+):
+    height, width = state.shape[0], state.shape[1]
+    for y, pair in ti.ndrange(height, (width + 1) // 2):
+        x = 2 * pair + (y + color) % 2
+        if x < width:
+            best = state[y, x]
+            if best[3] > 0.0 and best[2] < UNSEEN:
+                weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+                random = ti.cast(2 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
+                random = _hash(random + _hash(ti.cast(seed, ti.u32)))
+                away = span
+                for n in range(8 + draws):  # 8 neighbours, and those drawn
+                    other = best
+                    if n < 8:
+                        other = _neighbour(state, y, x, n, reach, best)
+                    else:
+                        other[0] += away * (2.0 * _unit(random) - 1.0)
+                        other[1] += away * (2.0 * _unit(random + ti.u32(1)) - 1.0)
+                        random += ti.u32(2)
+                        away = ti.select(away > least, 0.5 * away, span)
+                    if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > ALIKE:
+                        other[2] = _cost(
+                            packed1, height, width, noise,
+                            weight0, weight1, weighted0, weighted1, variance, centre, y, x, other,
+                        )  # fmt: skip
+                        if other[2] < best[2]:
+                            best = other
+                state[y, x] = best
+
+
+@ti.func
+def _neighbour(state: ti.template(), y, x, n, reach, best):
+    """Return `best` with the displacement of one of eight neighbours, or as it is beyond them."""
+    away = ti.select(n < 4, 1, reach)
+    way = n % 4
+    row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
+    column = x + ti.select(way == 2, away, ti.select(way == 3, -away, 0))
+    found = best
+    if row >= 0 and row < state.shape[0] and column >= 0 and column < state.shape[1]:
+        found[0], found[1] = state[row, column][0], state[row, column][1]
+    return found
+
+
+@ti.func
+def _cost(
+    packed1: ti.template(),
+    height,
+    width,
+    noise,
+    weight0,
+    weight1,
+    weighted0,
+    weighted1,
+    variance,
+    centre,
+    y,
+    x,
+    hypothesis,
+):
+    """Return 1 − c of a hypothesis."""
+    u, v = x + hypothesis[0], y + hypothesis[1]
+    cost = NOWHERE
+    if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
+        across0, down0 = ti.Vector(_ACROSS[0]), ti.Vector(_DOWN[0])
+        across1, down1 = ti.Vector(_ACROSS[1]), ti.Vector(_DOWN[1])
+        grey0 = _there(packed1, height, width, u + across0, v + down0) - centre
+        grey1 = _there(packed1, height, width, u + across1, v + down1) - centre
+        mean = _sum(weight0 * grey0 + weight1 * grey1)
+        square = _sum(weight0 * grey0 * grey0 + weight1 * grey1 * grey1) - mean * mean
+        product = _sum(weighted0 * grey0 + weighted1 * grey1)
+        cost = 1.0 - product / ti.sqrt((variance + noise) * (ti.max(square, 0.0) + noise))
+    return cost
+
+
+@Kernel
+def _carry(
+    guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    inverse_edge: ti.f32,
+    across: ti.template(),
+    distance: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W), in place
+    state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
+):
+    lines = guide.shape[0] if ti.static(across) else guide.shape[1]
+    length = guide.shape[1] if ti.static(across) else guide.shape[0]
+    for task in range(CHUNK * lines):
+        if task % CHUNK == 0:  # a line for each thread
+            line = task // CHUNK
+            for n in range(2 * length):
+                way = n // length  # there, and back
+                at = n if way == 0 else 2 * length - 1 - n
+                before = at - 1 if way == 0 else at + 1
+                if before >= 0 and before < length:
+                    y = line if ti.static(across) else at
+                    x = at if ti.static(across) else line
+                    y_before = line if ti.static(across) else before
+                    x_before = before if ti.static(across) else line
+                    apart = ti.abs(guide[y, x] - guide[y_before, x_before])
+                    longer = distance[y_before, x_before] + 1.0 + inverse_edge * apart
+                    if longer < distance[y, x]:
+                        distance[y, x] = longer
+                        other, here = state[y_before, x_before], state[y, x]
+                        here[0], here[1] = other[0], other[1]
+                        state[y, x] = here

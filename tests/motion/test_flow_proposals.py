@@ -1,0 +1,195 @@
+"""Motions that coarse to fine loses: large ones, and small things that move far."""
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.rendered import static_scene, two_blocks
+from tisfm.motion import field
+from tisfm.scenes import static_scene as rendered
+
+MARGIN = 200
+
+
+def texture(height, width, seed):
+    """Return noise of three scales, mean 128."""
+    rng = np.random.default_rng(seed)
+    octaves = [
+        cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), sigma) for sigma in (1.2, 4, 14)
+    ]
+    return 128 + 18.5 * sum(octave / octave.std() for octave in octaves)
+
+
+def seen(surface, matrix, height, width):
+    """Return the part of a surface that pixels show where a 2×3 matrix takes them, as bytes."""
+    matrix = np.add(matrix, [[0, 0, MARGIN], [0, 0, MARGIN]])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    frame = cv2.warpAffine(surface, matrix, (width, height), flags=flags)
+    return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+
+
+def moved(matrix, height=240, width=400, seed=0):
+    """Return two frames of a surface that an affine motion moves, its flow, and what stays seen."""
+    surface = texture(height + 2 * MARGIN, width + 2 * MARGIN, seed)
+    matrix = np.array(matrix, float)
+    rows, columns = np.mgrid[:height, :width]
+    flow = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ matrix.T
+    stays = ((flow >= 0) & (flow <= [width - 1, height - 1])).all(axis=-1)
+    flow -= np.stack([columns, rows], axis=-1)
+    frame0 = seen(surface, np.eye(2, 3), height, width)
+    frame1 = seen(surface, cv2.invertAffineTransform(matrix), height, width)
+    return frame0, frame1, flow, stays
+
+
+def with_thing(background, move, size=30, seed=5):
+    """Return frames with a square thing that moves by whole px, its flow, and where it is."""
+    frame0, frame1, flow, _ = background
+    frame0, frame1, flow = frame0.copy(), frame1.copy(), flow.copy()
+    height, width = frame0.shape
+    paint = texture(size + 40, size + 40, seed)[20:-20, 20:-20].clip(0, 255)
+    row, column = (height - size - move[1]) // 2, (width - size - move[0]) // 2
+    frame0[row : row + size, column : column + size] = paint
+    frame1[row + move[1] :, column + move[0] :][:size, :size] = paint
+    thing = np.zeros((height, width), bool)
+    thing[row : row + size, column : column + size] = True
+    flow[thing] = move
+    return frame0, frame1, flow, thing
+
+
+def error(result, flow):
+    return np.linalg.norm(result.flow - flow, axis=-1)
+
+
+def without_proposals(monkeypatch, *frames, **options):
+    with monkeypatch.context() as patch:
+        patch.setattr(field, "proposals", lambda pyramid, problem: None)
+        return tisfm.interpret(*frames, **options)
+
+
+AFAR = [[1.02, 0.1, 76], [0.01, 1.03, 10]]  # by 76 to 108 px
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_a_background_that_moves_by_100_px_is_found(preset):
+    frame0, frame1, flow, stays = moved(AFAR)
+    assert np.linalg.norm(flow, axis=-1).max() > 100
+    result = tisfm.interpret(frame0, frame1, settings=tisfm.Settings.preset(preset))
+    off = error(result, flow)
+    assert off[stays].mean() < 1
+    assert off.mean() < 5  # what leaves the image goes with what stays
+
+
+def test_what_leaves_the_image_with_a_right_flow_keeps_it(monkeypatch):
+    frame0, frame1, flow, stays = moved([[1.3, 0, -59.9], [0, 1.3, -35.9]])
+    assert stays.mean() < 0.65
+    off = error(tisfm.interpret(frame0, frame1), flow).mean()
+    assert off < 1.05 * error(without_proposals(monkeypatch, frame0, frame1), flow).mean()
+
+
+@pytest.mark.parametrize("move", [(60, 0), (-42, 43)])
+@pytest.mark.parametrize("drift", [0, 3])
+@pytest.mark.parametrize(("preset", "most"), [("balanced", 2), ("accurate", 2)])
+def test_a_small_thing_that_moves_far_is_found(preset, most, drift, move):
+    background = moved([[1, 0, drift], [0, 1, -drift / 2]], seed=drift)
+    frame0, frame1, flow, thing = with_thing(background, move)
+    result = tisfm.interpret(frame0, frame1, settings=tisfm.Settings.preset(preset))
+    off = error(result, flow)
+    assert off[thing].mean() < most
+    assert np.median(off[~thing]) < 0.1
+    assert off[~thing].mean() < 0.6
+
+
+def test_without_proposals_both_are_lost(monkeypatch):
+    frame0, frame1, flow, thing = with_thing(moved(np.eye(2, 3)), (60, 0))
+    result = without_proposals(monkeypatch, frame0, frame1)
+    assert error(result, flow)[thing].mean() > 30
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+@pytest.mark.parametrize("scene", ["blocks", "sideways", "forward"])
+def test_ordinary_pairs_keep_every_bit(monkeypatch, preset, scene):
+    pair = two_blocks(240, 320) if scene == "blocks" else static_scene(scene, 240, 320)
+    settings = tisfm.Settings.preset(preset)
+    amended = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
+    plain = without_proposals(
+        monkeypatch, pair.frame0, pair.frame1, camera=pair.camera, settings=settings
+    )
+    np.testing.assert_array_equal(amended.rho, plain.rho)
+    np.testing.assert_array_equal(amended.history.warp, plain.history.warp)
+
+
+def test_noise_keeps_ordinary_pairs_ordinary(monkeypatch):
+    pair = rendered("sideways", 240, 320)
+    rng = np.random.default_rng(0)
+    frames = [
+        np.clip(frame + rng.normal(0, 10, frame.shape), 0, 255).astype(np.uint8)
+        for frame in (pair.frame0, pair.frame1)
+    ]
+    amended = tisfm.interpret(*frames)
+    np.testing.assert_array_equal(amended.rho, without_proposals(monkeypatch, *frames).rho)
+
+
+def test_the_same_answer_twice_and_frames_are_left_alone():
+    frame0, frame1, _, _ = with_thing(moved(np.eye(2, 3)), (60, 0))
+    given = frame0.copy(), frame1.copy()
+    first, second = (tisfm.interpret(frame0, frame1) for _ in range(2))
+    np.testing.assert_array_equal(first.flow, second.flow)
+    np.testing.assert_array_equal((frame0, frame1), given)
+
+
+@pytest.mark.parametrize("size", [(64, 65), (67, 131), (251, 121), (12, 400), (4, 5)])
+@pytest.mark.parametrize("levels", [None, 2, 1])
+def test_any_size_and_unrelated_frames(size, levels):
+    frame0, frame1 = (
+        np.random.default_rng(seed).integers(0, 255, size).astype(np.uint8) for seed in range(2)
+    )
+    settings = tisfm.Settings(pyramid_levels=levels)
+    result = tisfm.interpret(frame0, frame1, settings=settings)
+    assert result.flow.shape == (*size, 2)
+    assert np.isfinite(result.flow).all()
+
+
+def test_a_single_scale_and_tiny_frames_are_left_alone():
+    from tisfm.motion.flow_proposals import proposals
+    from tisfm.motion.problems import flow_problem, pyramid_of
+
+    def of(height, width, settings):
+        frame = texture(height, width, 0).astype(np.float32)
+        pyramid = pyramid_of(frame, frame, tisfm.Camera(focal=100.0), settings)
+        return proposals(pyramid, flow_problem(settings, 100.0))
+
+    assert of(64, 64, tisfm.Settings()) is not None
+    assert of(64, 64, tisfm.Settings.preset("paper")) is None
+    assert of(63, 64, tisfm.Settings()) is None
+    assert of(11, 4000, tisfm.Settings()) is None
+    assert of(40, 2**15, tisfm.Settings()) is None
+
+
+def test_outlines_are_those_of_the_images():
+    from tisfm.motion.matched_windows import WindowSearch
+    from tisfm.motion.problems import flow_problem, pyramid_of
+    from tisfm.motion.strays import Strays
+    from tisfm.solver.coarse_to_fine import unknowns_on
+
+    frame0, frame1, flow, thing = with_thing(moved(np.eye(2, 3), 97, 151), (40, 11), size=20)
+    settings = tisfm.Settings(model="translation")
+    frames = (frame.astype(np.float32) for frame in (frame0, frame1))
+    pyramid = pyramid_of(*frames, tisfm.Camera(focal=100.0), settings)
+    problem = flow_problem(settings, 100.0)
+    unknowns = unknowns_on(pyramid, 0, problem)
+    rough = cv2.erode(thing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    rho = np.zeros((3, *thing.shape), np.float32)
+    rho[:2] = np.where(rough, np.array([40, 11])[:, None, None], 0)
+    unknowns.set_images(rho)
+    Strays(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
+    off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
+    assert (off > 1).sum() < 30  # of an outline of 80 px
+    east, south = unknowns.to_images(unknowns.edges)
+    told = unknowns.flow()[0] > 20
+    across = told[:, 1:] != told[:, :-1]
+    down = told[1:] != told[:-1]
+    assert (east[:, :-1][across] < 1e-4).all()
+    assert (south[:-1][down] < 1e-4).all()
+    assert east[:, :-1][~across].min() > 1e-4
+    assert (east[:, -1] == 0).all()

@@ -1,0 +1,317 @@
+"""Motions that coarse to fine has lost: looked for where the flow is found wanting.
+
+On a coarse level a thing that moves farther than it is large cannot be told from what is around
+it, and finer levels only improve what they start from. So once, on a level where most things can
+be seen, windows of both frames are compared along the flow. Where they do not look alike,
+displacements from all around are tried, both ways round, and the images decide pixel by pixel. The
+minimisation goes on from there.
+"""
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.rigid.flow_search import carry
+from tisfm.kernels.rigid.patch_match import RADIUS, UNSEEN
+from tisfm.motion.evidence import Evidence
+from tisfm.motion.matched_windows import FEWEST, Windows, WindowSearch, masked, resized
+from tisfm.motion.strays import Strays
+from tisfm.solver.coarse_to_fine import Problem
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.smoothness import mean_step
+from tisfm.solver.unknowns import Unknowns
+
+MOST = 2**18  # pixels of the level that is amended: a coarser one serves larger frames
+LONGEST = 2**15 - 2  # px: OpenCV samples no longer frames
+JUDGED = 2**14  # pixels, at least, of the level that the flow is judged on
+WANTING = 0.5  # a cost that no right flow has, but where something hides the pixel
+RIGHT = 0.3  # a cost that is more than that of most right flows
+PLAIN = 6.0  # times the variance of the noise: windows that vary by more are judged
+# Of the pixels that are wanting: up to 0.06 where motion is found, 0.11 and more where much of it
+# is lost. If fewer are, only what moves farther than it is large is looked for.
+MANY = 0.08
+AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
+COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
+ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of each other
+# Of the pixels: frames of one scene have 0.6 and more that are found so, others less than 0.05.
+ENOUGH = 0.2
+# px of the level judged, and of the one amended: the least area of what moves farther than it is
+# large
+STRAY, STRAY_AMENDED = 24, 50
+ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
+EVIDENCE = 5  # px: the side of the square whose residuals decide
+VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
+MANY_TRIED = 2**15  # draws in each round, where something seems to be
+CLEARLY = 0.6  # deviations: the least by which residuals fall for a thing that moves on its own
+CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
+CARRIED_COST = 0.3  # of what was there before
+STEEPEST = 0.5  # px/frame per px: a flow that changes faster than by turns and zooms breaks off
+PASSES = 6  # of carrying, along rows and columns
+EDGE = 0.33  # of the mean step: a step of grey levels over which it is as far as over a pixel
+
+
+def proposals(pyramid: ImagePyramid, problem: Problem) -> "Proposals | None":
+    """Return what amends a flow on its way from coarse to fine, None where it would not pay.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    problem : Problem
+        Of free motion, whose first two unknowns move the image alike everywhere.
+    """
+    if pyramid.levels == 1:  # a single scale is what was asked for
+        return None
+    levels = range(pyramid.last, pyramid.levels)
+    level = next((k for k in levels if pyramid.frames0[k].size <= MOST), levels[-1])
+    height, width = pyramid.frames0[level].shape
+    if height * width < FEWEST or min(height, width) <= 2 * RADIUS or max(pyramid.shape) > LONGEST:
+        return None
+    return Proposals(pyramid, problem, level)
+
+
+class Proposals:
+    """An `Amendment`: motions that the images of a level bear out where they contradict the flow.
+
+    References
+    ----------
+    Bailer, Taetz, Stricker, "Flow Fields: dense correspondence fields for highly accurate large
+    displacement optical flow estimation", ICCV 2015, doi 10.1109/ICCV.2015.457; Revaud,
+    Weinzaepfel, Harchaoui, Schmid, "EpicFlow: edge-preserving interpolation of correspondences for
+    optical flow", CVPR 2015, doi 10.1109/CVPR.2015.7298720 (geodesic distance).
+    """
+
+    def __init__(self, pyramid: ImagePyramid, problem: Problem, level: int) -> None:
+        self.level = level
+        self._search = WindowSearch(pyramid, level)
+        large = [k for k in self._search.levels if pyramid.frames0[k].size >= JUDGED]
+        self._judged = large[0] if large else level
+        self._problem = problem
+        self._strays: Strays | None = None
+
+    def apply(self, unknowns: Unknowns) -> bool:
+        """Put in what is better than ρ̂ on its level, and return whether anything is."""
+        flow = cv2.merge(list(unknowns.flow()))
+        if not np.isfinite(flow).all():
+            return False
+        windows = self._search.windows(self._judged)
+        judged = windows.scored(resized(flow, windows.shape), seen=PLAIN)
+        wanting = (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
+        if wanting.mean() >= MANY:
+            better = self._all_over(flow)
+        else:
+            better = self._with_strays(flow, judged, wanting)
+        if better is None:
+            return False
+        rho = unknowns.images()
+        rho[:2] += cv2.split(better - flow)
+        unknowns.set_images(rho)
+        self.go_on(unknowns, self.level)
+        return True
+
+    def go_on(self, unknowns: Unknowns, level: int) -> None:
+        """Keep apart, on the next finer level, what moves on its own."""
+        if self._strays is not None:
+            self._strays.set_apart(self._search.windows(level), unknowns)
+
+    def _all_over(self, flow: np.ndarray) -> np.ndarray | None:
+        """Return a better flow of frames whose motion was missed in large parts, None if none."""
+        search = self._search
+        windows = search.windows(self.level)
+        before, there = windows.scored(flow), search.forward(search.levels, known=[flow])
+        agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
+        if agreed.mean() < ENOUGH:
+            return None
+        evidence = Evidence(windows, self._problem.constancy)
+        new = agreed & _new(there, before)
+        new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
+        if not new.any():
+            return None
+        found = np.where(new[..., None], there[..., :2], flow)
+        known = new | (agreed & ~_elsewhere(there, flow))
+        return _carried(windows, evidence, found, known, before)
+
+    def _with_strays(
+        self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray
+    ) -> np.ndarray | None:
+        """Return a flow with that of things that move farther than they are large, None if none."""
+        sought = _unexplained(judged, wanting)
+        if not sought.any():
+            return None
+        search = self._search
+        coarse = judged[..., :2]
+        there = search.forward([self._judged], known=[coarse], sought=sought)
+        new = _strays(_new(there, judged), there, coarse, farther=0.5, least=STRAY)
+        if not new.any():
+            return None
+        # There may be some. They are looked for again where more can be seen, with more draws.
+        windows = search.windows(self.level)
+        sought = masked(_around(new, 3), windows.shape)
+        # Draws are made around what is known, and what was found may be wrong: first without it.
+        level, found = [self.level], there[..., :2]
+        there = search.forward(level, known=[flow], sought=sought, tried=MANY_TRIED)
+        known = [there[..., :2], found]
+        there = search.forward(level, known=known, sought=sought, tried=0)
+        evidence = Evidence(windows, self._problem.constancy)
+        new = _new(there, windows.scored(flow, sought=sought))
+        new &= evidence.better(there[..., :2], flow, window=EVIDENCE, by=CLEARLY)
+        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
+        if not new.any():
+            return None
+        here = search.backward(
+            [self.level],
+            known=[-flow, _turned(there, new)],
+            sought=_landing(there, new),
+            tried=MANY_TRIED,
+        )
+        new = _vouched(new, there, _agreeing(there, here))
+        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
+        if not new.any():
+            return None
+        self._strays = Strays(new, self._problem)
+        return np.where(new[..., None], there[..., :2], flow)
+
+
+def _unexplained(judged: np.ndarray, wanting: np.ndarray) -> np.ndarray:
+    """Return those of the wanting pixels that nothing seems to hide, (h, w) bool.
+
+    They stay in the image, do not go where others go that look alike there, and are not scattered.
+    """
+    row, column, inside = _target(judged)
+    right = inside & (judged[..., 2] < RIGHT)
+    taken = np.zeros(wanting.shape, np.uint8)
+    taken[row[right], column[right]] = 1
+    square = np.ones((3, 3), np.uint8)
+    free = cv2.dilate(taken, square)[row, column] == 0
+    left = (wanting & inside & free).astype(np.uint8)
+    return np.asarray(cv2.morphologyEx(left, cv2.MORPH_OPEN, square)) > 0
+
+
+def _elsewhere(state: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return where a state has another displacement than a flow."""
+    return np.hypot(*cv2.split(state[..., :2] - flow)) > ELSEWHERE
+
+
+def _new(there: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return where a state is another than the one before, and looks more alike."""
+    better = there[..., 2] < np.minimum(before[..., 2] - BETTER, COST)
+    return better & (before[..., 2] < UNSEEN) & _elsewhere(there, before[..., :2])
+
+
+def _strays(
+    new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: float, least: int
+) -> np.ndarray:
+    """Return those of the new pixels that move farther than they are large.
+
+    Each of their areas, connected, has to move against all of the flow around it by more than
+    `farther` times the root of its size, which is `least` px or more.
+    """
+    side = 2 * RADIUS + 1
+    window = np.ones((side, side), np.uint8)
+    beyond = np.maximum(
+        cv2.erode(flow, window) - there[..., :2], there[..., :2] - cv2.dilate(flow, window)
+    )
+    away = np.hypot(*cv2.split(np.maximum(beyond, 0)))
+    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    size = np.bincount(labels.ravel(), minlength=count)
+    mean = np.bincount(labels.ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
+    strays = (mean > farther * np.sqrt(size)) & (size >= least)
+    strays[0] = False
+    return strays[labels]
+
+
+def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+    """Return those of the new pixels that move with as many of their area as are found both ways.
+
+    Parameters
+    ----------
+    new : (h, w) bool
+    there : (h, w, 4) float32
+    agreed : (h, w) bool
+        What is found both ways round.
+    """
+    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    kept = np.zeros_like(new)
+    for label in range(1, count):
+        area = labels == label
+        sure = area & agreed
+        if np.count_nonzero(sure) > VOUCHED * np.count_nonzero(area):
+            away = there[area][:, :2] - np.median(there[sure][:, :2], axis=0)
+            kept[area] = np.hypot(*away.T) < 2 * AGREEMENT
+    return kept
+
+
+def _turned(there: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return the way back, (h, w, 2), of the new pixels, in frame 1; elsewhere 0."""
+    back = np.zeros_like(there[..., :2])
+    row, column, _ = _target(there)
+    back[row[new], column[new]] = -there[new][:, :2]
+    return back
+
+
+def _landing(there: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return where in frame 1 the new pixels go, and what is around, (h, w) bool."""
+    mask = np.zeros(new.shape, bool)
+    row, column, _ = _target(there)
+    mask[row[new], column[new]] = True
+    return _around(mask, AROUND)
+
+
+def _around(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return a mask with the squares of a side, px, around its pixels."""
+    wider = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
+    return np.asarray(wider) > 0
+
+
+def _target(there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nearest row and column that each pixel goes to, and whether there are such."""
+    height, width = there.shape[:2]
+    column = np.rint(there[..., 0] + np.arange(width, dtype=np.float32))
+    row = np.rint(there[..., 1] + np.arange(height, dtype=np.float32)[:, None])
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    column, row = column.clip(0, width - 1), row.clip(0, height - 1)
+    return row.astype(np.intp), column.astype(np.intp), inside
+
+
+def _agreeing(there: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return which displacements are found the other way round too."""
+    row, column, inside = _target(there)
+    back = here[row, column]
+    apart = np.hypot(*cv2.split(there[..., :2] + back[..., :2]))
+    cheap = (there[..., 2] < COST) & (back[..., 2] < UNSEEN) & (back[..., 3] > 0)
+    return np.asarray(inside & cheap & (apart < AGREEMENT))
+
+
+def _without_islands(there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+    """Return those of some pixels that have many neighbours of nearly the same displacement."""
+    for component in cv2.split(there[..., :2]):
+        fixed = SIXTEENTHS * (component - component.min()) + 1
+        fixed = np.where(agreed, fixed, 0).clip(0, np.iinfo(np.int16).max).astype(np.int16)
+        cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
+        agreed = agreed & (fixed > 0)
+    return agreed
+
+
+def _carried(
+    windows: Windows,
+    evidence: Evidence,
+    found: np.ndarray,
+    known: np.ndarray,
+    before: np.ndarray,
+) -> np.ndarray:
+    """Return a flow with what is known carried to where the images bear it out.
+
+    Of what leaves the image they say nothing: there it is enough that they contradict a flow that
+    stays, or that the flow breaks off.
+    """
+    distance = np.where(known, 0, np.float32(found.size)).astype(np.float32)
+    nearest = np.zeros((*windows.shape, 4), np.float32)
+    nearest[..., :2], nearest[..., 3] = found, 1
+    for _ in range(PASSES):
+        carry(windows.levels0, distance, nearest, edge=EDGE * mean_step(windows.levels0))
+    windows.search().score(nearest)
+    cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
+    lower = (nearest[..., 2] < cost - BETTER) & (cost > CARRIED_COST)
+    lower &= evidence.better(nearest[..., :2], found, window=EVIDENCE, by=CARRIED)
+    away = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 3)
+    breaks = np.hypot(*cv2.split(found - nearest[..., :2])) > STEEPEST * away
+    leaves = (breaks | _target(before)[2]) & ~_target(nearest)[2] & (cost > WANTING)
+    return np.where((~known & (lower | leaves))[..., None], nearest[..., :2], found)

@@ -1,0 +1,215 @@
+"""Displacements found by comparing windows of two frames, from coarse to fine, either way round."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.rigid.flow_search import FlowSearch
+from tisfm.kernels.rigid.patch_match import LEVELS
+from tisfm.motion.matched_planes import LEAST_NOISE, QUIETEST, noise_deviation
+from tisfm.solver.image_pyramid import ImagePyramid
+
+FEWEST = 2**12  # pixels of the coarsest level, at least
+SEEN = 1.8  # times the variance of the noise: windows that vary by less are not compared
+ROUNDS = (6, 3, 2)  # of improvement: where all is searched far and wide, and on levels after that
+# The first of these far and wide. Draws in each: if few pixels are sought, as many as keep to a
+# number in all.
+WIDE, DRAWS, MOST_DRAWS, TRIED = 5, 5, 64, 2**14
+NEAR_DRAWS = 3  # and nearby
+REACH = 5  # px: how far away the further neighbours are
+LARGEST = 0.35  # of the longer side: how far is far and wide,
+LEAST = 4.0  # px: and how near
+NEARBY, SHRINKING = 4.0, 0.6  # px: and nearby; less with every round
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """What is compared on one level.
+
+    Attributes
+    ----------
+    levels0, levels1 : (h, w) float32
+        Grey levels of both frames, in [0, 255].
+    noise : float
+        Its standard deviation, levels.
+    """
+
+    levels0: np.ndarray
+    levels1: np.ndarray
+    noise: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, px."""
+        height, width = self.levels0.shape
+        return height, width
+
+    def turned(self) -> "Windows":
+        """Return the same with the frames exchanged."""
+        return Windows(levels0=self.levels1, levels1=self.levels0, noise=self.noise)
+
+    def search(self, *, seen: float = SEEN) -> FlowSearch:
+        """Return a search on this level."""
+        return FlowSearch(self.levels0, self.levels1, noise=self.noise, seen=seen)
+
+    def scored(
+        self, flow: np.ndarray, *, sought: np.ndarray | None = None, seen: float = SEEN
+    ) -> np.ndarray:
+        """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`).
+
+        Parameters
+        ----------
+        flow : (h, w, 2) float32
+            px/frame.
+        sought : (h, w) bool, optional
+            By default every pixel.
+        seen : float
+            Times the variance of the noise: what a window has to vary by.
+        """
+        state = np.zeros((*self.shape, 4), np.float32)
+        state[..., :2] = flow
+        state[..., 3] = True if sought is None else sought
+        self.search(seen=seen).score(state)
+        return state
+
+
+class WindowSearch:
+    """A search on several levels, each about twice as dense as the one before.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    finest : int
+        Level to end on.
+
+    Attributes
+    ----------
+    levels : list of int
+        The coarsest first.
+    """
+
+    def __init__(self, pyramid: ImagePyramid, finest: int) -> None:
+        self._pyramid = pyramid
+        self._windows: dict[int, Windows] = {}
+        step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
+        levels = range(finest, pyramid.levels, step)
+        self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
+        # Of the finest: beyond it there is less noise, and more detail that looks like noise.
+        self._noise = noise_deviation(pyramid.frames0[finest])
+
+    def windows(self, level: int) -> Windows:
+        """Return what is compared on one of the levels."""
+        if level not in self._windows:
+            frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
+            low = min(float(frame.min()) for frame in frames)
+            high = max(float(frame.max()) for frame in frames)
+            gain = LEVELS / max(high - low, LEAST_NOISE)
+            scale = self._pyramid.scales[level] / self._pyramid.scales[self.levels[-1]]
+            levels0, levels1 = (np.float32(gain) * (frame - np.float32(low)) for frame in frames)
+            self._windows[level] = Windows(
+                levels0=levels0, levels1=levels1, noise=max(gain * scale * self._noise, QUIETEST)
+            )
+        return self._windows[level]
+
+    def forward(
+        self,
+        levels: list[int],
+        *,
+        known: Sequence[np.ndarray] = (),
+        sought: np.ndarray | None = None,
+        tried: int = TRIED,
+    ) -> np.ndarray:
+        """Return the state (h, w, 4) of the last of some levels, frame 0 being sought in frame 1.
+
+        Parameters
+        ----------
+        levels : list of int
+        known : sequence of (…, …, 2) float32
+            Flows, px/frame of any level, of which the best is kept where nothing is better. By
+            default it starts from anything.
+        sought : array of bool, optional
+            Where, on any level; by default everywhere.
+        tried : int
+            Draws in each round on the first level, in all, if few pixels are sought.
+        """
+        return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
+
+    def backward(
+        self,
+        levels: list[int],
+        *,
+        known: Sequence[np.ndarray] = (),
+        sought: np.ndarray | None = None,
+        tried: int = TRIED,
+    ) -> np.ndarray:
+        """Return the same with frame 1 being sought in frame 0."""
+        turned = [self.windows(k).turned() for k in levels]
+        return _searched(turned, known, sought, tried, seed=1)
+
+
+def resized(flow: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a flow (h, w, 2) on another level: means over its pixels, or the nearest, px."""
+    height, width = shape
+    ratio = np.float32(width / flow.shape[1])
+    how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
+    return ratio * np.asarray(cv2.resize(flow, (width, height), interpolation=how))
+
+
+def _searched(
+    levels: list[Windows],
+    flows: Sequence[np.ndarray],
+    sought: np.ndarray | None,
+    tried: int,
+    *,
+    seed: int,
+) -> np.ndarray:
+    state: np.ndarray | None = None
+    for k, windows in enumerate(levels):
+        here = None if sought is None else masked(sought, windows.shape)
+        wide = state is None
+        known = [resized(flow, windows.shape) for flow in flows]
+        if state is not None:
+            known.append(resized(state[..., :2], windows.shape))
+        state = _best(
+            [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
+        )
+        search = windows.search()
+        number = windows.levels0.size if here is None else np.count_nonzero(here)
+        for turn in range(ROUNDS[0] if wide else ROUNDS[min(k, 1) + 1]):
+            draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**turn,) * 2
+            if wide and turn < WIDE:
+                draws = max(DRAWS, min(tried // max(number, 1), MOST_DRAWS))
+                spans = LARGEST * max(windows.shape), LEAST
+            search.improve(
+                state,
+                reach=REACH,
+                draws=draws,
+                spans=(spans[0], spans[1]),
+                seed=(seed * len(levels) + k) * max(ROUNDS) + turn,
+            )
+    assert state is not None
+    return state
+
+
+def _best(states: list[np.ndarray]) -> np.ndarray:
+    """Return at every pixel the one that costs least."""
+    best = states[0]
+    for state in states[1:]:
+        best = np.where((state[..., 2] < best[..., 2])[..., None], state, best)
+    return best
+
+
+def masked(sought: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a mask of another level, in the pixels of which there is any of it."""
+    if sought.shape == shape:
+        return sought
+    mask = cv2.resize(sought.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(mask) > 0
+
+
+def _drawn(windows: Windows, seed: int) -> np.ndarray:
+    """Return a flow (h, w, 2) float32 drawn at random, px/frame."""
+    random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
+    return (2 * random - 1) * np.float32(LARGEST * max(windows.shape))
