@@ -1,7 +1,7 @@
 """PatchMatch for motions that are free: at every pixel the shift by which frame 1 looks most alike.
 
 A hypothesis is a displacement (u, v) of the whole window, and costs 1 − c, c being the correlation
-of `tisfm.kernels.rigid.patch_match`. Good ones are handed on from pixel to pixel, and others are
+of `tisfm.kernels.rigid.windows`. Good ones are handed on from pixel to pixel, and others are
 drawn around them.
 
 The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNSEEN` where the window shows no
@@ -18,18 +18,18 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import CHUNK, check_array
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.rigid.patch_match import (
-    _ACROSS,
-    _DOWN,
+from tisfm.kernels.rigid.windows import (
+    ACROSS,
+    DOWN,
     MOST_PIXELS,
     NOWHERE,
     UNSEEN,
-    _hash,
-    _sum,
-    _there,
-    _unit,
-    _window,
+    correlation_cost,
+    mixed,
     packed,
+    sampled,
+    unit,
+    window,
     with_margin,
 )
 
@@ -47,13 +47,9 @@ class FlowSearch:
         Grey levels of both frames, in [0, 255].
     noise : float
         Standard deviation of the noise of a frame, levels; above 0.
-    seen : float
-        Times the variance of the noise: what a window has to vary by to be compared.
     """
 
-    def __init__(
-        self, levels0: np.ndarray, levels1: np.ndarray, *, noise: float, seen: float
-    ) -> None:
+    def __init__(self, levels0: np.ndarray, levels1: np.ndarray, *, noise: float) -> None:
         self._shape = levels0.shape
         for name, levels in (("levels0", levels0), ("levels1", levels1)):
             check_array(levels, self._shape, name, aligned=False)
@@ -62,12 +58,21 @@ class FlowSearch:
         if not noise > 0:
             raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
         self._images = with_margin(levels0), packed(levels1)
-        self._noise, self._seen = float(noise) ** 2, float(seen)
+        self._noise = float(noise) ** 2
 
-    def score(self, state: np.ndarray) -> None:
-        """Compute the costs of the displacements of a state, (H, W, 4) float32, in place."""
+    def score(self, state: np.ndarray, *, seen: float) -> None:
+        """Compute the costs of the displacements of a state, in place.
+
+        Parameters
+        ----------
+        state : (H, W, 4) float32
+        seen : float
+            Times the variance of the noise: what a window has to vary by to be compared.
+        """
         self._check(state)
-        _score(*self._images, self._noise, self._seen, state)
+        sought = _sought(state)
+        if sought.size:
+            _score(*self._images, self._noise, seen, sought, state)
 
     def improve(
         self, state: np.ndarray, *, reach: int, draws: int, spans: tuple[float, float], seed: int
@@ -94,10 +99,12 @@ class FlowSearch:
         self._check(state)
         if reach % 2 != 1:
             raise ValueError(f"reach is {reach}: expected an odd number of pixels")
+        sought, width = _sought(state), self._shape[1]
+        black = (sought // width + sought) % 2 if width % 2 == 0 else sought % 2
         for color in range(2):
-            _improve(
-                *self._images, self._noise, color, reach, draws, *spans, 2 * seed + color, state
-            )
+            pixels, turn = sought[black == color], 2 * seed + color
+            if pixels.size:
+                _improve(*self._images, self._noise, reach, draws, *spans, turn, pixels, state)
 
     def _check(self, state: np.ndarray) -> None:
         check_array(state, (*self._shape, 4), "state", aligned=False)
@@ -129,26 +136,32 @@ def carry(guide: np.ndarray, distance: np.ndarray, state: np.ndarray, *, edge: f
         _carry(guide, 1 / edge, across, distance, state)
 
 
+def _sought(state: np.ndarray) -> np.ndarray:
+    """Return the pixels that are sought for, (N,) int32, counted along rows."""
+    return np.flatnonzero(state[..., 3] > 0).astype(np.int32)
+
+
 @Kernel
 def _score(
     levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
     packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
     noise: ti.f32,
     seen: ti.f32,
+    pixels: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (N,)
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
 ):
     height, width = state.shape[0], state.shape[1]
-    for y, x in ti.ndrange(height, width):
+    for n in range(pixels.shape[0]):
+        y, x = pixels[n] // width, pixels[n] % width
         best = state[y, x]
-        if best[3] > 0.0:
-            weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
-            best[2] = UNSEEN
-            if variance > seen * noise:
-                best[2] = _cost(
-                    packed1, height, width, noise,
-                    weight0, weight1, weighted0, weighted1, variance, centre, y, x, best,
-                )  # fmt: skip
-            state[y, x] = best
+        weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
+        best[2] = UNSEEN
+        if variance > seen * noise:
+            best[2] = _cost(
+                packed1, height, width, noise,
+                weight0, weight1, weighted0, weighted1, variance, centre, y, x, best,
+            )  # fmt: skip
+        state[y, x] = best
 
 
 @Kernel
@@ -156,41 +169,40 @@ def _improve(
     levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
     packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
     noise: ti.f32,
-    color: ti.i32,
     reach: ti.i32,
     draws: ti.i32,
     span: ti.f32,
     least: ti.f32,
     seed: ti.i32,
+    pixels: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (N,), all red or all black
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
 ):
     height, width = state.shape[0], state.shape[1]
-    for y, pair in ti.ndrange(height, (width + 1) // 2):
-        x = 2 * pair + (y + color) % 2
-        if x < width:
-            best = state[y, x]
-            if best[3] > 0.0 and best[2] < UNSEEN:
-                weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
-                random = ti.cast(2 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
-                random = _hash(random + _hash(ti.cast(seed, ti.u32)))
-                away = span
-                for n in range(8 + draws):  # 8 neighbours, and those drawn
-                    other = best
-                    if n < 8:
-                        other = _neighbour(state, y, x, n, reach, best)
-                    else:
-                        other[0] += away * (2.0 * _unit(random) - 1.0)
-                        other[1] += away * (2.0 * _unit(random + ti.u32(1)) - 1.0)
-                        random += ti.u32(2)
-                        away = ti.select(away > least, 0.5 * away, span)
-                    if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > ALIKE:
-                        other[2] = _cost(
-                            packed1, height, width, noise,
-                            weight0, weight1, weighted0, weighted1, variance, centre, y, x, other,
-                        )  # fmt: skip
-                        if other[2] < best[2]:
-                            best = other
-                state[y, x] = best
+    for k in range(pixels.shape[0]):
+        y, x = pixels[k] // width, pixels[k] % width
+        best = state[y, x]
+        if best[2] < UNSEEN:
+            weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
+            random = ti.cast(2 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
+            random = mixed(random + mixed(ti.cast(seed, ti.u32)))
+            away = span
+            for n in range(8 + draws):  # 8 neighbours, and those drawn
+                other = best
+                if n < 8:
+                    other = _neighbour(state, y, x, n, reach, best)
+                else:
+                    other[0] += away * (2.0 * unit(random) - 1.0)
+                    other[1] += away * (2.0 * unit(random + ti.u32(1)) - 1.0)
+                    random += ti.u32(2)
+                    away = ti.select(away > least, 0.5 * away, span)
+                if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > ALIKE:
+                    other[2] = _cost(
+                        packed1, height, width, noise,
+                        weight0, weight1, weighted0, weighted1, variance, centre, y, x, other,
+                    )  # fmt: skip
+                    if other[2] < best[2]:
+                        best = other
+            state[y, x] = best
 
 
 @ti.func
@@ -226,14 +238,13 @@ def _cost(
     u, v = x + hypothesis[0], y + hypothesis[1]
     cost = NOWHERE
     if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
-        across0, down0 = ti.Vector(_ACROSS[0]), ti.Vector(_DOWN[0])
-        across1, down1 = ti.Vector(_ACROSS[1]), ti.Vector(_DOWN[1])
-        grey0 = _there(packed1, height, width, u + across0, v + down0) - centre
-        grey1 = _there(packed1, height, width, u + across1, v + down1) - centre
-        mean = _sum(weight0 * grey0 + weight1 * grey1)
-        square = _sum(weight0 * grey0 * grey0 + weight1 * grey1 * grey1) - mean * mean
-        product = _sum(weighted0 * grey0 + weighted1 * grey1)
-        cost = 1.0 - product / ti.sqrt((variance + noise) * (ti.max(square, 0.0) + noise))
+        across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
+        across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
+        grey0 = sampled(packed1, height, width, u + across0, v + down0)
+        grey1 = sampled(packed1, height, width, u + across1, v + down1)
+        cost = correlation_cost(
+            weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1
+        )
     return cost
 
 

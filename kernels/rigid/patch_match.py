@@ -1,11 +1,9 @@
 """PatchMatch: at every pixel the plane by which frame 1 looks most like frame 0.
 
 A hypothesis is an inverse depth and its slopes: a surface that is flat within a window, whose
-inverse depth is then linear in the image. It costs 1 − c, c being the correlation of the window of
-frame 0 with where frame 1 would show it, normalised, weighted by how much a pixel looks like the
-window's centre, and with the variance of the noise added to both variances, so that noise alone
-correlates with nothing. Good hypotheses are handed on from pixel to pixel, as planes, and others
-are drawn at random.
+inverse depth is then linear in the image. It costs what `tisfm.kernels.rigid.windows` says of the
+window of frame 0 and of where frame 1 would show it. Good hypotheses are handed on from pixel to
+pixel, as planes, and others are drawn at random.
 
 The state is an (H, W, 4) array: D in px/frame, ∂D/∂x and ∂D/∂y, and the cost, `UNSEEN` where the
 window shows no more than noise.
@@ -14,9 +12,9 @@ References
 ----------
 Bleyer, Rhemann, Rother, "PatchMatch stereo: stereo matching with slanted support windows", BMVC
 2011, doi 10.5244/C.25.14. Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis
-by surface normal diffusion", ICCV 2015, doi 10.1109/ICCV.2015.106 (red and black). Schönberger,
-Zheng, Frahm, Pollefeys, "Pixelwise view selection for unstructured multi-view stereo", ECCV 2016,
-doi 10.1007/978-3-319-46487-9_31 (weights).
+by surface normal diffusion", ICCV 2015, doi 10.1109/ICCV.2015.106 (red and black). Xu and Tao,
+"Multi-scale geometric consistency guided multi-view stereo", CVPR 2019,
+doi 10.1109/CVPR.2019.00563 (the cheapest neighbours of each direction).
 """
 
 import numpy as np
@@ -25,50 +23,29 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.rigid.windows import (
+    ACROSS,
+    DOWN,
+    MOST_PIXELS,
+    NOWHERE,
+    RADIUS,
+    UNSEEN,
+    correlation_cost,
+    mixed,
+    packed,
+    sampled,
+    unit,
+    window,
+    with_margin,
+)
 
-RADIUS = 5  # px: the window has 11×11, of which every second one in both directions is compared
-SIDE = range(-RADIUS, RADIUS + 1, 2)
-# Without its corners it fills two vectors.
-WINDOW = [(j, i) for j in SIDE for i in SIDE if abs(i) < RADIUS or abs(j) < RADIUS]
-VECTOR = 16
-UNSEEN = 4.0  # a cost that no hypothesis has: nothing to be compared
+# px: how far away neighbours are, odd, so that red pixels look at black ones alone.
 DISTANCES = (1, 3, 5, 7, 13, 21)
 NONE = -1e30  # a D that no hypothesis has
-NOWHERE = 1.0  # of a hypothesis that takes the pixel out of frame 1: that of noise
-SIMILAR = 20.0  # levels: pixels that differ by so much from the centre weigh 1/e, about
 ALIKE = 0.03  # px: hypotheses that differ by less within the window are taken for the same
 STEEPEST = 3.0  # of random slopes, D over the focal length: a surface at 72° to the image
-MOST_PIXELS = 2**24  # float32 counts no further
-LEVELS = 255  # of frame 1, in bytes
 
-_PADDED = [[float(offset[axis]) for offset in WINDOW] for axis in (1, 0)]
-_ACROSS, _DOWN = ([values[:VECTOR], values[VECTOR:]] for values in _PADDED)
 _Plane = ti.types.vector(4, ti.f32)
-
-
-def packed(levels: np.ndarray) -> np.ndarray:
-    """Return each pixel with its eastern, southern and south-eastern neighbour, a byte each.
-
-    So that one load brings all that an interpolation needs. Beyond its border the image repeats.
-
-    Parameters
-    ----------
-    levels : (H, W) float32
-        In [0, 255]; rounded.
-
-    Returns
-    -------
-    (H·W,) int32
-    """
-    whole = np.clip(np.rint(levels), 0, LEVELS).astype(np.uint32)
-    whole = np.pad(whole, ((0, 1), (0, 1)), "edge")
-    here, east, south, both = whole[:-1, :-1], whole[:-1, 1:], whole[1:, :-1], whole[1:, 1:]
-    return (here | east << 8 | south << 16 | both << 24).view(np.int32).ravel()
-
-
-def with_margin(levels: np.ndarray) -> np.ndarray:
-    """Return (H + 2·RADIUS, W + 2·RADIUS) float32: an image whose border repeats as far."""
-    return np.pad(levels, RADIUS, "edge")
 
 
 class PlaneSearch:
@@ -128,20 +105,18 @@ class PlaneSearch:
         _score(*self._images, self._motion, *self._view, self._noise, self._seen, planes)
 
     def improve(
-        self, planes: np.ndarray, *, reach: int, draws: int, spread: float, tilt: float, seed: int
+        self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
     ) -> None:
         """Replace planes by better ones, in place: red pixels, and then black ones.
 
-        Each compares what it has with the planes of its neighbours 1 and `reach` px away in four
-        directions, with one drawn from all that are possible, and with `draws` drawn nearby, each
-        from half the range of the one before. No cost rises.
+        Each compares what it has with four planes of neighbours, in each direction that which
+        costs least where it is, with one drawn from all that are possible, and with `draws` drawn
+        nearby, each from half the range of the one before. No cost rises.
 
         Parameters
         ----------
         planes : (H, W, 4) float32
             Of `score`.
-        reach : int
-            px, odd, so that red pixels look at black ones alone.
         draws : int
         spread, tilt : float
             How far the first of these may be in D, px/frame, and in its slopes.
@@ -149,8 +124,6 @@ class PlaneSearch:
             Of the random numbers.
         """
         self._check(planes)
-        if reach % 2 != 1:
-            raise ValueError(f"reach is {reach}: expected an odd number of pixels")
         for color in range(2):
             _improve(
                 *self._images,
@@ -159,7 +132,6 @@ class PlaneSearch:
                 self._noise,
                 *self._bounds,
                 color,
-                reach,
                 draws,
                 spread,
                 tilt,
@@ -222,7 +194,7 @@ def _score(
     height, width = planes.shape[0], planes.shape[1]
     for y, x in ti.ndrange(height, width):
         plane = planes[y, x]
-        weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+        weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
         plane[3] = UNSEEN
         if variance > seen * noise:
             plane[3] = _cost(
@@ -244,7 +216,6 @@ def _improve(
     least: ti.f32,
     largest: ti.f32,
     color: ti.i32,
-    reach: ti.i32,
     draws: ti.i32,
     spread: ti.f32,
     tilt: ti.f32,
@@ -257,19 +228,19 @@ def _improve(
         if x < width:
             best = planes[y, x]
             if best[3] < UNSEEN:
-                weight0, weight1, weighted0, weighted1, variance, centre = _window(levels0, y, x)
+                weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
                 random = ti.cast(4 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
-                random = _hash(random + _hash(ti.cast(seed, ti.u32)))
+                random = mixed(random + mixed(ti.cast(seed, ti.u32)))
                 span = 1.0
                 for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
                     plane = best
                     if n < 4:
-                        plane = _neighbour(planes, y, x, n, reach, best)
+                        plane = _neighbour(planes, y, x, n, best)
                     else:
                         a, b, c = (
-                            _unit(random),
-                            _unit(random + ti.u32(1)),
-                            _unit(random + ti.u32(2)),
+                            unit(random),
+                            unit(random + ti.u32(1)),
+                            unit(random + ti.u32(2)),
                         )
                         random += ti.u32(4)
                         if n == 4:
@@ -293,10 +264,10 @@ def _improve(
 
 
 @ti.func
-def _neighbour(planes: ti.template(), y, x, way, reach, best):
-    """Return the cheapest plane of the neighbours on one side that differs, as it is here.
+def _neighbour(planes: ti.template(), y, x, way, best):
+    """Return the plane of the neighbour on one side that costs least, as it is here.
 
-    D is `NONE` if there is none.
+    D is `NONE` if there is none, or it differs by too little to be tried.
     """
     cheapest, away = UNSEEN, 0
     down = ti.select(way == 0, 1, ti.select(way == 1, 0 - 1, 0))
@@ -322,39 +293,6 @@ def _apart(plane, other):
     apart = ti.abs(plane[0] - other[0])
     apart += RADIUS * (ti.abs(plane[1] - other[1]) + ti.abs(plane[2] - other[2]))
     return apart > ALIKE
-
-
-@ti.func
-def _window(levels0: ti.template(), y, x):
-    """Return what a pixel's window of frame 0 is compared by.
-
-    Weights, which add up to 1, and the grey levels less their mean, weighted, in two vectors each;
-    the variance; and the level of the centre.
-    """
-    centre = levels0[y + RADIUS, x + RADIUS]
-    grey0, grey1 = ti.Vector([0.0] * VECTOR), ti.Vector([0.0] * VECTOR)
-    for n in ti.static(range(VECTOR)):
-        row, column = ti.static(WINDOW[n])
-        grey0[n] = levels0[y + RADIUS + row, x + RADIUS + column] - centre
-        row1, column1 = ti.static(WINDOW[VECTOR + n])
-        grey1[n] = levels0[y + RADIUS + row1, x + RADIUS + column1] - centre
-    weight0, weight1 = _likeness(grey0), _likeness(grey1)
-    inverse = 1.0 / _sum(weight0 + weight1)
-    weight0 *= inverse
-    weight1 *= inverse
-    mean = _sum(weight0 * grey0 + weight1 * grey1)
-    grey0 = grey0 - mean
-    grey1 = grey1 - mean
-    weighted0, weighted1 = weight0 * grey0, weight1 * grey1
-    variance = _sum(weighted0 * grey0 + weighted1 * grey1)
-    return weight0, weight1, weighted0, weighted1, variance, centre
-
-
-@ti.func
-def _likeness(apart):
-    """Return a weight for each difference from the centre: e⁻ⁿ, by four terms of eⁿ."""
-    n = ti.max(apart, 0.0 - apart) * (1.0 / SIMILAR)
-    return 1.0 / (1.0 + n * (1.0 + n * (0.5 + n * (1.0 / 6.0))))
 
 
 @ti.func
@@ -394,63 +332,18 @@ def _cost(
     u, v = cx + focal * x_there, cy + focal * y_there
     cost = NOWHERE
     if p3 > NEAREST and u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
-        across0, down0 = ti.Vector(_ACROSS[0]), ti.Vector(_DOWN[0])
-        across1, down1 = ti.Vector(_ACROSS[1]), ti.Vector(_DOWN[1])
-        grey0 = _there(
+        across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
+        across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
+        grey0 = sampled(
             packed1, height, width, u + ux * across0 + uy * down0, v + vx * across0 + vy * down0
         )
-        grey1 = _there(
+        grey1 = sampled(
             packed1, height, width, u + ux * across1 + uy * down1, v + vx * across1 + vy * down1
         )
-        grey0 = grey0 - centre  # squares stay small
-        grey1 = grey1 - centre
-        mean = _sum(weight0 * grey0 + weight1 * grey1)
-        square = _sum(weight0 * grey0 * grey0 + weight1 * grey1 * grey1) - mean * mean
-        product = _sum(weighted0 * grey0 + weighted1 * grey1)
-        cost = 1.0 - product / ti.sqrt((variance + noise) * (ti.max(square, 0.0) + noise))
+        cost = correlation_cost(
+            weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1
+        )
     return cost
-
-
-@ti.func
-def _there(packed1: ti.template(), height, width, u, v):
-    """Return frame 1, interpolated bilinearly, at a vector of places; its border repeats."""
-    u = ti.max(0.0, ti.min(u, width - 1.0))
-    v = ti.max(0.0, ti.min(v, height - 1.0))
-    column, row = ti.floor(u), ti.floor(v)
-    a, b = u - column, v - row
-    # Whole, and below 2²⁴: `PlaneSearch` takes no more pixels.
-    place = row * ti.cast(width, ti.f32) + column
-    here, east, south, both = 0.0 * u, 0.0 * u, 0.0 * u, 0.0 * u
-    for n in ti.static(range(VECTOR)):  # compiled to gathering loads, where a CPU has them
-        found = packed1[ti.cast(place[n], ti.i32)]
-        here[n] = ti.cast(found & LEVELS, ti.f32)
-        east[n] = ti.cast((found >> 8) & LEVELS, ti.f32)
-        south[n] = ti.cast((found >> 16) & LEVELS, ti.f32)
-        both[n] = ti.cast((found >> 24) & LEVELS, ti.f32)
-    above, below = here + a * (east - here), south + a * (both - south)
-    return above + b * (below - above)
-
-
-@ti.func
-def _sum(vector):
-    """Return the sum of the elements of a vector, folded in halves."""
-    half = ti.Vector([vector[n] + vector[n + 8] for n in range(8)])
-    quarter = ti.Vector([half[n] + half[n + 4] for n in range(4)])
-    return (quarter[0] + quarter[2]) + (quarter[1] + quarter[3])
-
-
-@ti.func
-def _hash(value: ti.u32) -> ti.u32:
-    """Return a well-mixed number (Jarzynski, Olano, JCGT 2020: PCG)."""
-    state = value * ti.u32(747796405) + ti.u32(2891336453)
-    word = ((state >> ((state >> ti.u32(28)) + ti.u32(4))) ^ state) * ti.u32(277803737)
-    return (word >> ti.u32(22)) ^ word
-
-
-@ti.func
-def _unit(number: ti.u32) -> ti.f32:
-    """Return a number in [0, 1) that looks random, for each whole number."""
-    return ti.cast(_hash(number) >> ti.u32(8), ti.f32) * (1.0 / 2**24)
 
 
 @Kernel

@@ -19,7 +19,7 @@ def texture(height, width, seed=0):
 def search_in(levels0, levels1):
     from tisfm.kernels.rigid.flow_search import FlowSearch
 
-    return FlowSearch(levels0, levels1, noise=NOISE, seen=1.8)
+    return FlowSearch(levels0, levels1, noise=NOISE)
 
 
 def drawn(shape, seed=0, largest=6.0):
@@ -31,11 +31,11 @@ def drawn(shape, seed=0, largest=6.0):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (12, 1), (13, 17), (24, 31)])
 def test_score_is_that_of_the_reference(size):
-    from tisfm.kernels.rigid.patch_match import NOWHERE, UNSEEN
+    from tisfm.kernels.rigid.windows import NOWHERE, UNSEEN
 
     levels0, levels1 = texture(*size), texture(*size, seed=1)
     state = drawn(size)
-    search_in(levels0, levels1).score(state)
+    search_in(levels0, levels1).score(state, seen=1.8)
     rows, columns = np.mgrid[: size[0], : size[1]]
     place = np.stack([rows + state[..., 1], columns + state[..., 0]])
     limits = np.array(size)[:, None, None] - 0.5
@@ -63,13 +63,13 @@ def test_a_shift_is_found_and_no_cost_rises():
     frame = texture(60, 90)
     search = search_in(frame[:, 12:].copy(), frame[:, :-12].copy())
     state = drawn((60, 78), largest=16.0)
-    search.score(state)
+    search.score(state, seen=1.8)
     for turn in range(6):
         before = state[..., 2].copy()
         search.improve(state, reach=5, draws=7, spans=(16.0, 0.5), seed=turn)
         assert (state[..., 2] <= before).all()
     costs = state.copy()
-    search.score(costs)
+    search.score(costs, seen=1.8)
     np.testing.assert_allclose(costs[..., 2], state[..., 2], atol=1e-6)
     off = np.hypot(state[6:-6, 6:60, 0] - 12, state[6:-6, 6:60, 1])  # beyond, the border repeats
     assert (off < 0.5).mean() > 0.98
@@ -80,7 +80,7 @@ def test_the_same_answer_twice_and_another_for_another_seed():
     found = []
     for seed in (0, 0, 1):
         search, state = search_in(frame0, frame1), drawn((31, 45))
-        search.score(state)
+        search.score(state, seen=1.8)
         search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=seed)
         found.append(state)
     np.testing.assert_array_equal(found[0], found[1])
@@ -94,19 +94,19 @@ def test_what_is_not_sought_stays():
     state[..., 2] = 9
     before = state.copy()
     search = search_in(frame0, frame1)
-    search.score(state)
+    search.score(state, seen=1.8)
     search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=0)
     np.testing.assert_array_equal(state[:, 20:], before[:, 20:])
     assert (state[:, :20, 2] < 9).all()
 
 
 def test_bare_windows_are_not_compared():
-    from tisfm.kernels.rigid.patch_match import RADIUS, UNSEEN
+    from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
 
     frame = texture(40, 60)
     frame[:, 30:] = 77
     state = drawn(frame.shape)
-    search_in(frame, frame).score(state)
+    search_in(frame, frame).score(state, seen=1.8)
     assert (state[:, 30 + RADIUS :, 2] == UNSEEN).all()
     assert (state[:, :25, 2] < UNSEEN).all()
 
@@ -157,12 +157,12 @@ def test_errors_name_the_argument():
 
     frame = texture(9, 11)
     with pytest.raises(ValueError, match="noise is 0"):
-        FlowSearch(frame, frame, noise=0, seen=1.8)
+        FlowSearch(frame, frame, noise=0)
     with pytest.raises(ValueError, match="levels1"):
-        FlowSearch(frame, frame[:-1].copy(), noise=1, seen=1.8)
+        FlowSearch(frame, frame[:-1].copy(), noise=1)
     search = search_in(frame, frame)
     with pytest.raises(ValueError, match="state"):
-        search.score(np.zeros((9, 11, 3), np.float32))
+        search.score(np.zeros((9, 11, 3), np.float32), seen=1.8)
     with pytest.raises(ValueError, match="reach is 4"):
         search.improve(drawn((9, 11)), reach=4, draws=1, spans=(1.0, 1.0), seed=0)
     with pytest.raises(ValueError, match="edge is 0"):

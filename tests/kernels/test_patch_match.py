@@ -63,7 +63,7 @@ class Slanted:
         planes = drawn(self.frame0.shape, seed)
         search.score(planes)
         for turn in range(rounds):
-            search.improve(planes, reach=5, draws=2, spread=2.0, tilt=0.05, seed=turn)
+            search.improve(planes, draws=2, spread=2.0, tilt=0.05, seed=turn)
         return planes
 
 
@@ -75,7 +75,7 @@ def test_score_is_that_of_the_reference(size):
     planes = drawn(size, largest=6.0)
     search = search_in(levels0, levels1, camera, np.column_stack([rotation, translation]))
     search.score(planes)
-    from tisfm.kernels.rigid.patch_match import NOWHERE, UNSEEN
+    from tisfm.kernels.rigid.windows import NOWHERE, UNSEEN
 
     inside = reference.displacement(planes[..., 0].astype(float), camera, rotation, translation)
     rows, columns = np.mgrid[: size[0], : size[1]]
@@ -102,7 +102,7 @@ def test_score_is_that_of_the_reference(size):
 
 
 def test_windows_without_contrast_are_not_compared():
-    from tisfm.kernels.rigid.patch_match import RADIUS, UNSEEN
+    from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
 
     frame = texture(40, 60)
     frame[:, 30:] = 77  # bare
@@ -113,7 +113,7 @@ def test_windows_without_contrast_are_not_compared():
     assert (bare == UNSEEN).all()
     assert (planes[:, :25, 3] < UNSEEN).all()
     before = planes[:, 30 + RADIUS :].copy()
-    search.improve(planes, reach=5, draws=2, spread=2.0, tilt=0.05, seed=0)
+    search.improve(planes, draws=2, spread=2.0, tilt=0.05, seed=0)
     np.testing.assert_array_equal(planes[:, 30 + RADIUS :], before)
 
 
@@ -124,7 +124,7 @@ def test_no_cost_rises_and_costs_are_those_of_the_planes():
     search.score(planes)
     for turn in range(3):
         before = planes[..., 3].copy()
-        search.improve(planes, reach=5, draws=3, spread=2.0, tilt=0.05, seed=turn)
+        search.improve(planes, draws=3, spread=2.0, tilt=0.05, seed=turn)
         assert (planes[..., 3] <= before).all()
         assert (planes[..., 3] < before).mean() > 0.2
     kept = planes.copy()
@@ -155,12 +155,12 @@ def test_noise_correlates_with_nothing():
     search = search_in(*frames, Camera(focal=60.0), np.eye(3, 4))
     search.score(planes)
     for turn in range(4):
-        search.improve(planes, reach=5, draws=2, spread=2.0, tilt=0.05, seed=turn)
+        search.improve(planes, draws=2, spread=2.0, tilt=0.05, seed=turn)
     assert (planes[..., 3] > 0.35).mean() > 0.999
 
 
 def test_packed_has_each_pixel_with_three_neighbours():
-    from tisfm.kernels.rigid.patch_match import packed
+    from tisfm.kernels.rigid.windows import packed
 
     levels = np.array([[1, 2, 3], [4, 5, 255]], np.float32)
     quads = packed(levels).view(np.uint8).reshape(2, 3, 4)
@@ -215,12 +215,3 @@ def test_bad_arguments(change, problem):
     }  # fmt: skip
     with pytest.raises(ValueError, match=problem):
         PlaneSearch(**{**arguments, **change})
-
-
-def test_an_even_reach_is_refused():
-    frame = texture(8, 9)
-    planes = drawn(frame.shape)
-    search = search_in(frame, frame, Camera(focal=9.0), np.eye(3, 4))
-    search.score(planes)
-    with pytest.raises(ValueError, match="reach is 4"):
-        search.improve(planes, reach=4, draws=2, spread=1.0, tilt=0.1, seed=0)

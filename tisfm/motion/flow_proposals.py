@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.flow_search import carry
-from tisfm.kernels.rigid.patch_match import RADIUS, UNSEEN
+from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
 from tisfm.motion.evidence import Evidence
-from tisfm.motion.matched_windows import FEWEST, Windows, WindowSearch, masked, resized
+from tisfm.motion.matched_windows import FEWEST, SEEN, Windows, WindowSearch, masked, resized
 from tisfm.motion.strays import Strays
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -37,6 +37,7 @@ ENOUGH = 0.2
 # px of the level judged, and of the one amended: the least area of what moves farther than it is
 # large
 STRAY, STRAY_AMENDED = 24, 50
+BORNE = 10  # pixels of such an area, of the level judged, that the images clearly bear out
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
@@ -137,9 +138,14 @@ class Proposals:
         if not sought.any():
             return None
         search = self._search
-        coarse = judged[..., :2]
+        windows, coarse = search.windows(self._judged), judged[..., :2]
         there = search.forward([self._judged], known=[coarse], sought=sought)
         new = _strays(_new(there, judged), there, coarse, farther=0.5, least=STRAY)
+        if not new.any():
+            return None
+        evidence = Evidence(windows, self._problem.constancy)
+        borne = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
+        new = _borne_out(new, borne)
         if not new.any():
             return None
         # There may be some. They are looked for again where more can be seen, with more draws.
@@ -216,6 +222,14 @@ def _strays(
     strays = (mean > farther * np.sqrt(size)) & (size >= least)
     strays[0] = False
     return strays[labels]
+
+
+def _borne_out(new: np.ndarray, borne: np.ndarray) -> np.ndarray:
+    """Return the connected areas of the new pixels that hold enough of those borne out."""
+    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    enough = np.bincount(labels[new & borne], minlength=count) >= BORNE
+    enough[0] = False
+    return enough[labels]
 
 
 def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
@@ -307,7 +321,7 @@ def _carried(
     nearest[..., :2], nearest[..., 3] = found, 1
     for _ in range(PASSES):
         carry(windows.levels0, distance, nearest, edge=EDGE * mean_step(windows.levels0))
-    windows.search().score(nearest)
+    windows.search.score(nearest, seen=SEEN)
     cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
     lower = (nearest[..., 2] < cost - BETTER) & (cost > CARRIED_COST)
     lower &= evidence.better(nearest[..., :2], found, window=EVIDENCE, by=CARRIED)

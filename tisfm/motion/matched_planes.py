@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.rigid.patch_match import LEVELS, STEEPEST, PlaneSearch, disagreement
+from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
+from tisfm.kernels.rigid.windows import LEVELS
 from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.solver.image_pyramid import ImagePyramid
 
 MOST = 2**19  # pixels of the finest level that is searched: a coarser one serves larger frames
 FEWEST = 2**14  # pixels of the coarsest, at least
 ROUNDS = (3, 2, 1)  # of improvement: on the coarsest level, on the next, and on all others
-REACH = 5  # px: how far away the further neighbours are
 DRAWS = 2  # of planes that are nearly a pixel's own
 SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest level and others; of slopes
 SHRINKING = 0.6  # of both, with every round
@@ -140,7 +140,6 @@ class _Search:
                 narrower = SHRINKING**turn
                 search.improve(
                     planes,
-                    reach=REACH,
                     draws=DRAWS,
                     spread=SPREAD[min(k, 1)] * narrower,
                     tilt=TILT * narrower,

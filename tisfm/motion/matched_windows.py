@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
-from tisfm.kernels.rigid.patch_match import LEVELS
+from tisfm.kernels.rigid.windows import LEVELS
 from tisfm.motion.matched_planes import LEAST_NOISE, QUIETEST, noise_deviation
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -50,9 +51,10 @@ class Windows:
         """Return the same with the frames exchanged."""
         return Windows(levels0=self.levels1, levels1=self.levels0, noise=self.noise)
 
-    def search(self, *, seen: float = SEEN) -> FlowSearch:
-        """Return a search on this level."""
-        return FlowSearch(self.levels0, self.levels1, noise=self.noise, seen=seen)
+    @cached_property
+    def search(self) -> FlowSearch:
+        """A search on this level."""
+        return FlowSearch(self.levels0, self.levels1, noise=self.noise)
 
     def scored(
         self, flow: np.ndarray, *, sought: np.ndarray | None = None, seen: float = SEEN
@@ -71,7 +73,7 @@ class Windows:
         state = np.zeros((*self.shape, 4), np.float32)
         state[..., :2] = flow
         state[..., 3] = True if sought is None else sought
-        self.search(seen=seen).score(state)
+        self.search.score(state, seen=seen)
         return state
 
 
@@ -175,7 +177,7 @@ def _searched(
         state = _best(
             [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
         )
-        search = windows.search()
+        search = windows.search
         number = windows.levels0.size if here is None else np.count_nonzero(here)
         for turn in range(ROUNDS[0] if wide else ROUNDS[min(k, 1) + 1]):
             draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**turn,) * 2
