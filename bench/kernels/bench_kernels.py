@@ -1,6 +1,6 @@
 """Every kernel, and the step of the NumPy reference that it replaces."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,12 +10,14 @@ from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferenc
 from bench.kernels.operations import FieldOperations
 from bench.kernels.references import FieldReferences
 from bench.kernels.rigid_steps import DepthOperations, DepthReferences
+from bench.kernels.second_order_steps import SecondOrderOperations, SecondOrderReferences
 from bench.kernels.traffic import TRAFFIC
 from bench.shared.agreement import check
 from bench.shared.problems import ALPHA, RELAXATION, Problem
 from tisfm import reference, runtime
 
 MODELS = {6: "rigid", 3: "translation"}
+SECOND_ORDER = "second_order"
 DEPTH = 1  # unknown per pixel, along an epipolar line
 SOLVERS = ("cholesky", "closed_form")
 EDGES = ("separate", "joint")  # for each component, or for all
@@ -39,16 +41,26 @@ TOLERANCES = {
 
 @dataclass(frozen=True)
 class Case:
-    """A kernel in one of its variants."""
+    """A kernel in one of its variants.
 
+    `module` is where the kernel is: below `tisfm.kernels`, or with its whole path.
+    """
+
+    module: str
     kernel: str
     components: int = 0  # unknowns per pixel; 0 where they do not matter
     scheme: str = ""
     solver: str = ""
 
     @property
+    def step(self) -> str:
+        """Name of the method of both sides."""
+        second = f".{SECOND_ORDER}." in self.module
+        return f"{SECOND_ORDER}_{self.kernel}" if second else self.kernel
+
+    @property
     def name(self) -> str:
-        return f"{self.kernel} {self.scheme}".strip()
+        return f"{self.step} {self.scheme}".strip()
 
     @property
     def model(self) -> str:
@@ -60,11 +72,11 @@ class Case:
         return self.kernel not in WITHOUT_LANES
 
     def __str__(self) -> str:
-        return "-".join(filter(None, (self.kernel, self.scheme, self.model, self.solver)))
+        return "-".join(filter(None, (self.step, self.scheme, self.model, self.solver)))
 
     def without_solver(self) -> "Case":
         """Return the case of the reference, which has one solver."""
-        return Case(self.kernel, self.components, self.scheme)
+        return replace(self, solver="")
 
     def tolerance(self, problem: Problem) -> float:
         if self.kernel in AT_PLACES:
@@ -92,57 +104,80 @@ WITHOUT_LANES = (
     "cheapest",
     "rigid_fields",
 )
-PLAIN = (
-    "image_to_lanes",
-    "warp",
-    "constancy_constraints",
-    "image_edges",
-    "multiply",
-    "share_of_data",
-    "splat",
-    "defeated",
-    "displacement",
-    "along",
-    "motion_system",
-    "matching_cost",
-    "aggregate",
-    "cheapest",
-    "rigid_fields",
-)
-PER_MODEL = ("lanes_to_images", "motion_fields", "flow", "prolong", "data_precision")
-MULTIGRID = ("relayout", "correct", "descend")
-MULTIGRID_PER_EDGES = ("coarsen_system", "restrict_residual", "plane")
+# Of every module.
+PLAIN = {
+    "layout.images": ("image_to_lanes", "multiply"),
+    "data.warp": ("warp",),
+    "data.constraints": ("constancy_constraints",),
+    "data.image_edges": ("image_edges",),
+    "data.forward_splatting": ("splat", "defeated"),
+    "solve.data_precision": ("share_of_data",),
+    "solve.second_order.relaxation": ("sweep",),
+    "solve.second_order.weight_update": ("update",),
+    "solve.second_order.coarsening": ("coarsen_system", "restrict_residual", "correct"),
+    "solve.second_order.line_search": ("plane",),
+    "rigid.epipolar": ("displacement", "along"),
+    "rigid.motion_system": ("motion_system",),
+    "rigid.plane_sweep": ("matching_cost",),
+    "rigid.semi_global": ("aggregate", "cheapest"),
+    "model.readout": ("rigid_fields",),
+}
+PER_MODEL = {
+    "layout.images": "lanes_to_images",
+    "model.readout": "motion_fields",
+    "model.flow": "flow",
+    "solve.prolongation": "prolong",
+    "solve.data_precision": "data_precision",
+}
+MULTIGRID = {"solve.coarsening": ("relayout", "correct"), "solve.line_search": ("descend",)}
+MULTIGRID_PER_EDGES = {
+    "solve.coarsening": ("coarsen_system", "restrict_residual"),
+    "solve.line_search": ("plane",),
+}
 CASES = [
-    *(Case(kernel) for kernel in PLAIN),
-    *(Case("derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),
-    *(Case(kernel, components) for kernel in PER_MODEL for components in MODELS),
+    *(Case(module, kernel) for module, kernels in PLAIN.items() for kernel in kernels),
+    *(Case("data.derivatives", "derivatives", scheme=scheme) for scheme in ("cube", "five_tap")),
     *(
-        Case("sweep", components, scheme=scheme, solver=solver)
+        Case(module, kernel, components)
+        for module, kernel in PER_MODEL.items()
+        for components in MODELS
+    ),
+    *(
+        Case("solve.relaxation", "sweep", components, scheme=scheme, solver=solver)
         for components in MODELS
         for scheme in EDGES
         for solver in SOLVERS
     ),
-    Case("sweep", DEPTH, scheme="line", solver="closed_form"),
-    Case("sweep_unfused", 6, scheme="joint", solver="closed_form"),
-    *(Case("update", components, scheme=scheme) for components in MODELS for scheme in EDGES),
-    Case("update", DEPTH, scheme="line"),
-    *(Case(kernel, 6) for kernel in MULTIGRID),
-    *(Case(kernel, 6, scheme=scheme) for kernel in MULTIGRID_PER_EDGES for scheme in EDGES),
+    Case("solve.relaxation", "sweep", DEPTH, scheme="line", solver="closed_form"),
+    Case("bench.kernels.unfused", "sweep_unfused", 6, scheme="joint", solver="closed_form"),
+    *(
+        Case("solve.weight_update", "update", components, scheme=scheme)
+        for components in MODELS
+        for scheme in EDGES
+    ),
+    Case("solve.weight_update", "update", DEPTH, scheme="line"),
+    *(Case(module, kernel, 6) for module, kernels in MULTIGRID.items() for kernel in kernels),
+    *(
+        Case(module, kernel, 6, scheme=scheme)
+        for module, kernels in MULTIGRID_PER_EDGES.items()
+        for kernel in kernels
+        for scheme in EDGES
+    ),
 ]
 REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
 
 
-class Operations(FieldOperations, MultigridOperations, DepthOperations):
+class Operations(FieldOperations, MultigridOperations, DepthOperations, SecondOrderOperations):
     """All kernels."""
 
 
-class References(FieldReferences, MultigridReferences, DepthReferences):
+class References(FieldReferences, MultigridReferences, DepthReferences, SecondOrderReferences):
     """What they stand beside."""
 
 
 def reference_run(problem, case):
     """Return the reference's call; its first answer is kept for the checks of the kernels."""
-    run = getattr(References(problem, case.components or 6, case.scheme), case.kernel)()
+    run = getattr(References(problem, case.components or 6, case.scheme), case.step)()
     if case not in problem.expected:
         problem.expected[case] = np.array(run())
     return run
@@ -167,7 +202,7 @@ def bench_taichi(problem, case, lanes, measure, pytestconfig):
         solver=case.solver,
         on_device=runtime.on_gpu(),
     )
-    run, read = getattr(operations, case.kernel)()
+    run, read = getattr(operations, case.step)()
     reference_case = case.without_solver()
     if reference_case not in problem.expected:
         reference_run(problem, reference_case)

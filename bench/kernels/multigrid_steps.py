@@ -5,7 +5,7 @@ import numpy as np
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import ALPHA, STEPS
 from tisfm import reference
-from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
+from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve import coarsening, line_search
 
 
@@ -14,24 +14,24 @@ class MultigridOperations(TaichiSide):
 
     def coarsen_system(self) -> Timed:
         system = self.system()
-        out = [self._halved(array.shape[0]) for array in (system.tensor, system.weights)]
+        out = [self.halved(array.shape[0]) for array in (system.tensor, system.weights)]
         return (
             lambda: system.coarsen(*out),
-            lambda _: np.concatenate([self._read_halved(array) for array in out]),
+            lambda _: np.concatenate([self.read_halved(array) for array in out]),
         )
 
     def restrict_residual(self) -> Timed:
-        system, rho, out = self.system(), self.unknowns.rho, self._halved(self.n)
-        return lambda: system.restrict(rho, out), lambda _: self._read_halved(out)
+        system, rho, out = self.system(), self.unknowns.rho, self.halved(self.n)
+        return lambda: system.restrict(rho, out), lambda _: self.read_halved(out)
 
     def relayout(self) -> Timed:
         coarse = coarsening.coarse_grid(self.grid)
-        array, out = self._lay_halved(self.problem.parents[: self.n]), coarse.allocate(self.n)
-        return lambda: coarsening.relayout(coarse, array, out), lambda _: self._read_halved(out)
+        array, out = self.lay_halved(self.problem.parents[: self.n]), coarse.allocate(self.n)
+        return lambda: coarsening.relayout(coarse, array, out), lambda _: self.read_halved(out)
 
     def correct(self) -> Timed:
         grid, rho = self.grid, self.unknowns.rho
-        coarse = self._lay_halved(self.problem.parents[: self.n])
+        coarse = self.lay_halved(self.problem.parents[: self.n])
         across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
         return lambda: coarsening.correct(grid, coarse, across, rho), lambda _: self.read(rho)
 
@@ -54,15 +54,6 @@ class MultigridOperations(TaichiSide):
         correction = self.lay(p.rho[: self.n] - p.previous[: self.n])
         return correction, self.lay(p.previous[: self.n]), self.lay(p.step[: self.n])
 
-    def _halved(self, components: int) -> LaneData:
-        return self.grid.place(aligned_zeros(coarsening.halved_shape(self.grid, components)))
-
-    def _lay_halved(self, stack: np.ndarray) -> LaneData:
-        return self.lay(stack, strip=self.grid.strip // 2)
-
-    def _read_halved(self, array: LaneData) -> np.ndarray:
-        return self.read(array, width=coarsening.coarse_grid(self.grid).width)
-
 
 class MultigridReferences(NumpySide):
     """The same in plain NumPy; that of `relayout` is a copy."""
@@ -74,10 +65,10 @@ class MultigridReferences(NumpySide):
             east, south = east[:1], south[:1]
 
         def run() -> np.ndarray:
-            right, lower = _children(east), _children(south)
+            right, lower = children(east), children(south)
             return np.concatenate(
                 [
-                    _children(tensor).sum(axis=(0, 1)),
+                    children(tensor).sum(axis=(0, 1)),
                     0.5 * right[:, 1].sum(axis=0),
                     0.5 * lower[1].sum(axis=0),
                 ]
@@ -97,7 +88,7 @@ class MultigridReferences(NumpySide):
             residual[:, 1:] -= south[:, :-1]
             for row, slope in zip(motion, _slope(tensor, motion, self.rho), strict=True):
                 residual -= row * slope
-            return _children(residual).sum(axis=(0, 1))
+            return children(residual).sum(axis=(0, 1))
 
         return run
 
@@ -151,7 +142,7 @@ class MultigridReferences(NumpySide):
         return run
 
 
-def _children(stack: np.ndarray) -> np.ndarray:
+def children(stack: np.ndarray) -> np.ndarray:
     """Return the children of every coarse pixel, 0 where there is none, (2, 2, k, h, w)."""
     k, height, width = stack.shape
     padded = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2)))
@@ -166,9 +157,14 @@ def _slope(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarra
     return np.stack([j11 * u + j12 * v + j1, j12 * u + j22 * v + j2])
 
 
-def _interpolated(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
-    """Return ¾ of every fine pixel's parent and ¼ of its neighbour, along an axis."""
+def neighbours(size: int, coarse_size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parent of every fine pixel and the parent's neighbour on that side, or itself."""
     fine = np.arange(size)
     parent = fine // 2
-    neighbour = np.clip(parent + 2 * (fine % 2) - 1, 0, coarse.shape[axis] - 1)
-    return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(neighbour, axis)
+    return parent, np.clip(parent + 2 * (fine % 2) - 1, 0, coarse_size - 1)
+
+
+def _interpolated(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
+    """Return ¾ of every fine pixel's parent and ¼ of its neighbour, along an axis."""
+    parent, beside = neighbours(size, coarse.shape[axis])
+    return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(beside, axis)

@@ -7,6 +7,7 @@ import numpy as np
 
 from bench.shared.problems import ALPHA, Problem
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros, on_host
+from tisfm.kernels.solve.coarsening import coarse_grid, halved_shape
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
@@ -92,6 +93,18 @@ class TaichiSide:
         lane = np.clip(x // strip, 0, lanes - 1)
         rows = array if halo else array[:, 1:-1]
         return (rows if lanes > 1 else rows[..., None])[:, :, x - lane * strip + around, lane]
+
+    def halved(self, components: int) -> LaneData:
+        """Return zeros of half the density, in the layout of this grid."""
+        return self.grid.place(aligned_zeros(halved_shape(self.grid, components)))
+
+    def lay_halved(self, stack: np.ndarray) -> LaneData:
+        """Lay (k, ⌈H/2⌉, ⌈W/2⌉) into such an array."""
+        return self.lay(stack, strip=self.grid.strip // 2)
+
+    def read_halved(self, array: LaneData) -> np.ndarray:
+        """Return such an array as (k, ⌈H/2⌉, ⌈W/2⌉)."""
+        return self.read(array, width=coarse_grid(self.grid).width)
 
 
 class NumpySide:

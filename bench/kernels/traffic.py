@@ -73,6 +73,15 @@ TRAFFIC = {
     "plane separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, before, step
     "plane joint": Traffic(read=(7, 3), written=(0, 0)),
     "descend": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
+    # Second order, D and two slopes: tensor without C, six weights, ρ | ρ
+    "second_order_sweep": Traffic(read=(11, 0), written=(3, 0)),
+    # p and c of 3 constraints, anchors, g, tensor, weights, ρ, previous | tensor, weights, previous
+    "second_order_update": Traffic(read=(23, 0), written=(10, 0)),
+    "second_order_coarsen_system": Traffic(read=(9, 0), written=(2.25, 0)),  # tensor, weights
+    "second_order_restrict_residual": Traffic(read=(11, 0), written=(0.75, 0)),  # as a sweep
+    "second_order_correct": Traffic(read=(3.75, 0), written=(3, 0)),  # correction, ρ | ρ
+    # Tensor without C, weights, ρ, before, step
+    "second_order_plane": Traffic(read=(17, 0), written=(0, 0)),
     "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
     "along": Traffic(read=(14, 0), written=(9, 0)),  # constraints, flow, direction, D | constraints
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b

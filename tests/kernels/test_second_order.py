@@ -53,7 +53,7 @@ class Field:
         return SecondOrderSystem(**values | changes)
 
     def residual(self, source=None):
-        """Return the right-hand side less the left one, (3, H, W)."""
+        """Return the right-hand side less the left one, by the matrix, (3, H, W)."""
         matrix, right = reference.second_order_system(
             self.tensor, self.weights, self.smoothness.spacing
         )
@@ -91,6 +91,24 @@ def make(make_problem):
         return Field(problem, smoothness, before, rho, anchors, tensor, weights)
 
     return made
+
+
+@pairwise(size=SIZES, spacing=SPACINGS, sourced=[False, True])
+def test_the_reference_without_its_matrix(size, spacing, sourced, make):
+    """What its sweep is made of, against the matrix of all pixels."""
+    field = make(*size, 1, spacing=spacing)
+    source = np.random.default_rng(1).normal(size=field.rho.shape) if sourced else None
+    found = reference.second_order_residual(
+        field.tensor, field.weights, field.rho, spacing=spacing, source=source
+    )
+    expected = field.residual(source)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    matrix, _ = reference.second_order_system(field.tensor, field.weights, spacing)
+    count = size[0] * size[1]
+    own = matrix.reshape(3, count, 3, count)[:, range(count), :, range(count)]
+    found = reference.second_order_matrices(field.tensor, field.weights, spacing)
+    found = np.moveaxis(found.reshape(3, 3, count), 2, 0)
+    np.testing.assert_allclose(found, own, rtol=1e-12, atol=1e-12 * np.abs(own).max())
 
 
 @pairwise(

@@ -10,6 +10,9 @@ import numpy as np
 
 from tisfm.reference.smoothness import aubert
 
+# The pixels at the near and at the far end of eastern edges, and of southern ones.
+_ENDS = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))
+
 
 @dataclass(frozen=True, kw_only=True)
 class SecondOrder:
@@ -47,8 +50,8 @@ class SecondOrder:
 def second_order_measures(rho: np.ndarray, spacing: float) -> np.ndarray:
     """Return r, |Δv| and ΔD of the eastern and southern edges, (3, 2, H, W), 0 at the border."""
     measures = np.zeros((3, 2, *rho.shape[1:]))
-    measures[:, 0, :, :-1] = _of_edges(rho[:, :, :-1], rho[:, :, 1:], 1, spacing)
-    measures[:, 1, :-1] = _of_edges(rho[:, :-1], rho[:, 1:], 2, spacing)
+    for side, (near, far) in enumerate(_ENDS):
+        measures[:, side][near] = _of_edges(rho[near], rho[far], 1 + side, spacing)
     return measures
 
 
@@ -150,6 +153,53 @@ def second_order_system(
     return matrix, right
 
 
+def second_order_residual(
+    tensor: np.ndarray,
+    weights: np.ndarray,
+    rho: np.ndarray,
+    *,
+    spacing: float,
+    source: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the right-hand side of the system less its left one, (3, H, W), without its matrix.
+
+    `source`, (3, H, W), is the right-hand side in place of (−B, 0, 0).
+    """
+    residual = np.zeros_like(rho) if source is None else source.astype(rho.dtype)
+    if source is None:
+        residual[0] -= tensor[1]
+    residual[0] -= tensor[0] * rho[0]
+    for side, (near, far) in enumerate(_ENDS):
+        a, b, c = weights[:, side][near]
+        step, first, second = rho[far] - rho[near]
+        slope = 1 + side
+        bend = a * (step - spacing / 2 * (rho[near][slope] + rho[far][slope]))
+        pull = np.stack([bend + c * step, b * first, b * second])
+        residual[near] += pull
+        residual[far] -= pull
+        for end in (near, far):
+            residual[end][slope] += spacing / 2 * bend
+    return residual
+
+
+def second_order_matrices(tensor: np.ndarray, weights: np.ndarray, spacing: float) -> np.ndarray:
+    """Return the 3×3 matrix of every pixel, its neighbours fixed: (3, 3, H, W)."""
+    matrices = np.zeros((3, 3, *tensor.shape[1:]))
+    matrices[0, 0] = tensor[0]
+    for side, ends in enumerate(_ENDS):
+        a, b, c = weights[:, side][ends[0]]
+        slope = 1 + side
+        for end, sign in zip(ends, (1, -1), strict=True):
+            own = matrices[end]
+            own[0, 0] += a + c
+            own[1, 1] += b
+            own[2, 2] += b
+            own[slope, slope] += a * spacing**2 / 4
+            own[0, slope] += sign * a * spacing / 2
+            own[slope, 0] += sign * a * spacing / 2
+    return matrices
+
+
 def second_order_sweep(
     tensor: np.ndarray,
     weights: np.ndarray,
@@ -163,19 +213,13 @@ def second_order_sweep(
 
     `source`, (3, H, W), is the right-hand side in place of (−B, 0, 0).
     """
-    matrix, right = second_order_system(tensor, weights, spacing)
-    if source is not None:
-        right = source.ravel()
-    _, height, width = rho.shape
-    rows, columns = np.indices((height, width))
-    values = rho.reshape(3, -1)
+    matrices = np.moveaxis(second_order_matrices(tensor, weights, spacing), (0, 1), (2, 3))
+    rows, columns = np.indices(rho.shape[1:])
     for color in (0, 1):
-        residual = (right - matrix @ values.ravel()).reshape(3, -1)
-        for pixel in np.flatnonzero((rows + columns) % 2 == color):
-            own = pixel + np.arange(3) * height * width
-            values[:, pixel] += relaxation * np.linalg.solve(
-                matrix[np.ix_(own, own)], residual[:, pixel]
-            )
+        own = (rows + columns) % 2 == color
+        residual = second_order_residual(tensor, weights, rho, spacing=spacing, source=source)
+        step = np.linalg.solve(matrices[own], residual[:, own].T[..., None])
+        rho[:, own] += relaxation * step[..., 0].T
 
 
 def minimise_second_order(
