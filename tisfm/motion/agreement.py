@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.estimate import Estimate
+from tisfm.motion.windows import window_variance
 from tisfm.outcome import Status
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
@@ -324,4 +325,4 @@ def _mean(image: np.ndarray) -> np.ndarray:
 
 
 def _variance(image: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    return np.maximum(_mean(image * image) - mean * mean, 0)
+    return window_variance(image, CONFIDENCE_WINDOW, mean)

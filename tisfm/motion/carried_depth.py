@@ -17,6 +17,7 @@ from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.motion.matched_planes import MOST, MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.motion.windows import window_variance
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
 from tisfm.solver.half_quadratic import Iteration
@@ -69,7 +70,7 @@ class CarriedSolution(RigidSolution):
 def bare_share(frame: np.ndarray) -> float:
     """Return which share of the windows of a frame, (H, W) float32, shows no more than noise."""
     noise = noise_deviation(frame)
-    return float((_variance(frame) < SHOWN * noise**2).mean())
+    return float((window_variance(frame, WINDOW) < SHOWN * noise**2).mean())
 
 
 def carried_depth(
@@ -207,14 +208,5 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
 def _texture(frame: np.ndarray) -> np.ndarray:
     """Return how much more than noise a window shows, (H, W) float32, from 0 to 1."""
     noise = noise_deviation(frame)
-    variance = _variance(frame)
+    variance = window_variance(frame, WINDOW)
     return variance / (variance + np.float32(TEXTURE * noise**2))
-
-
-def _variance(frame: np.ndarray) -> np.ndarray:
-    """Return the variance of a window around every pixel."""
-    window = (WINDOW, WINDOW)
-    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
-        frame = frame - frame.mean()
-        mean = cv2.blur(frame, window)
-        return np.maximum(cv2.blur(frame * frame, window) - mean * mean, 0)

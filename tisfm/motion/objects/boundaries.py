@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.min_sum import MinSum
+from tisfm.motion.windows import window_variance
 from tisfm.solver.sampling import sample
 from tisfm.visibility.occlusion import leaves_image
 
@@ -111,10 +112,7 @@ def _costs(
 
 def _variance(frame: np.ndarray) -> np.ndarray:
     """Return the variance of the least varied of the windows that a pixel lies in."""
-    window = (VARIED, VARIED)
-    frame = frame - frame.mean()
-    variance = cv2.blur(frame * frame, window) - cv2.blur(frame, window) ** 2
-    return cv2.erode(np.maximum(variance, 0), np.ones(window, np.uint8))
+    return cv2.erode(window_variance(frame, VARIED), np.ones((VARIED, VARIED), np.uint8))
 
 
 def _with_hidden(
