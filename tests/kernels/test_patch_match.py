@@ -77,28 +77,24 @@ def test_score_is_that_of_the_reference(size):
     search.score(planes)
     from tisfm.kernels.rigid.windows import NOWHERE, UNSEEN
 
-    inside = reference.displacement(planes[..., 0].astype(float), camera, rotation, translation)
+    flow = reference.displacement(planes[..., 0].astype(float), camera, rotation, translation)
     rows, columns = np.mgrid[: size[0], : size[1]]
-    place = np.stack([columns + inside[0], rows + inside[1]])
+    place = np.stack([columns + flow[0], rows + flow[1]])
     limits = np.array([size[1], size[0]])[:, None, None] - 0.5
     within = ((place > -0.5) & (place < limits)).all(axis=0)
     surely = ((place > -0.49) & (place < limits - 0.01)).all(axis=0)
-    compared = 0
-    for row, column in np.ndindex(*size):
-        cost = planes[row, column, 3]
-        if cost == UNSEEN:
-            continue
-        if not within[row, column]:
-            assert cost == NOWHERE
-        elif surely[row, column]:
-            compared += 1
-            expected = reference.plane_cost(
-                levels0, levels1, planes[row, column, :3], (row, column), camera, rotation,
-                translation, noise=NOISE**2,
-            )  # fmt: skip
-            # The kernel's homography is linear within the window.
-            assert cost == pytest.approx(expected, abs=0.02)
-    assert compared > 0.3 * rows.size or min(size) == 1
+    expected, variance = reference.plane_cost(
+        levels0, levels1, np.moveaxis(planes[..., :3], -1, 0).astype(float), camera, rotation,
+        translation, noise=NOISE**2,
+    )  # fmt: skip
+    cost = planes[..., 3]
+    seen = cost < UNSEEN
+    np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
+    assert (cost[seen & ~within] == NOWHERE).all()
+    compared = seen & surely
+    # The kernel's homography is linear within the window.
+    np.testing.assert_allclose(cost[compared], expected[compared], rtol=0, atol=0.02)
+    assert compared.mean() > 0.3 or min(size) == 1
 
 
 def test_windows_without_contrast_are_not_compared():
@@ -194,6 +190,13 @@ def test_disagreement():
     values = apart[known]
     assert ((values < 1e-4) | (np.abs(values - 0.7) < 1e-4)).all()
     assert 0.2 < (values > 0.5).mean() < 0.8
+    seen = np.where(here[..., 3] < UNSEEN, here[..., 0], np.inf)
+    expected = reference.plane_disagreement(
+        np.moveaxis(there[..., :3], -1, 0), np.stack([seen, here[..., 1], here[..., 2]]),
+        scene.camera, rotation, translation,
+    )  # fmt: skip
+    # D of about 10, in float32.
+    np.testing.assert_allclose(apart, expected, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize(

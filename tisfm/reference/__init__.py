@@ -53,7 +53,7 @@ from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
 )
-from tisfm.reference.patch_match import plane_cost
+from tisfm.reference.patch_match import plane_cost, plane_disagreement
 from tisfm.reference.plane_sweep import aggregate, matching_cost
 from tisfm.reference.pyramid import (
     coarse_to_fine,
@@ -115,6 +115,7 @@ __all__ = [
     "motion_matrix",
     "motion_system",
     "plane_cost",
+    "plane_disagreement",
     "prolong",
     "residual",
     "robust_energy",
