@@ -8,6 +8,7 @@ import taichi as ti
 
 from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
 from bench.kernels.operations import FieldOperations
+from bench.kernels.plane_steps import PlaneOperations, PlaneReferences
 from bench.kernels.references import FieldReferences
 from bench.kernels.rigid_steps import DepthOperations, DepthReferences
 from bench.kernels.second_order_steps import SecondOrderOperations, SecondOrderReferences
@@ -36,6 +37,7 @@ TOLERANCES = {
     "update": 1e-4,
     "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,
+    "improve": 1e-4,  # of quantiles of costs
 }
 
 
@@ -93,7 +95,7 @@ class Case:
 
 
 # Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
-AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4}
+AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4, "score": 4}
 # On plain images, or vectors of their own.
 WITHOUT_LANES = (
     "splat",
@@ -103,6 +105,9 @@ WITHOUT_LANES = (
     "matching_cost",
     "cheapest",
     "rigid_fields",
+    "score",
+    "improve",
+    "disagreement",
 )
 # Of every module.
 PLAIN = {
@@ -119,6 +124,7 @@ PLAIN = {
     "rigid.epipolar": ("displacement", "along"),
     "rigid.motion_system": ("motion_system",),
     "rigid.plane_sweep": ("matching_cost",),
+    "rigid.patch_match": ("score", "improve", "disagreement"),
     "rigid.semi_global": ("aggregate", "cheapest"),
     "model.readout": ("rigid_fields",),
 }
@@ -167,11 +173,15 @@ CASES = [
 REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
 
 
-class Operations(FieldOperations, MultigridOperations, DepthOperations, SecondOrderOperations):
+class Operations(
+    FieldOperations, MultigridOperations, DepthOperations, SecondOrderOperations, PlaneOperations
+):
     """All kernels."""
 
 
-class References(FieldReferences, MultigridReferences, DepthReferences, SecondOrderReferences):
+class References(
+    FieldReferences, MultigridReferences, DepthReferences, SecondOrderReferences, PlaneReferences
+):
     """What they stand beside."""
 
 

@@ -87,6 +87,9 @@ TRAFFIC = {
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
+    "score": Traffic(read=(6, 0), written=(4, 0)),  # levels, packed levels, planes | planes
+    "improve": Traffic(read=(6, 0), written=(4, 0)),
+    "disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out
     "cheapest": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
     "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂
     "aggregate": Traffic(read=(1 + len(HYPOTHESES), 0), written=(len(HYPOTHESES), 0)),

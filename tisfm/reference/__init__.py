@@ -53,7 +53,7 @@ from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
 )
-from tisfm.reference.patch_match import plane_cost, plane_disagreement
+from tisfm.reference.patch_match import improved_planes, plane_cost, plane_disagreement
 from tisfm.reference.plane_sweep import aggregate, matching_cost
 from tisfm.reference.pyramid import (
     coarse_to_fine,
@@ -106,6 +106,7 @@ __all__ = [
     "flow",
     "half_quadratic_energy",
     "image_edges",
+    "improved_planes",
     "line_tensor",
     "local_matrices",
     "local_right_sides",

@@ -1,10 +1,16 @@
-"""Costs of planes: how a window of frame 0 correlates with where frame 1 would show it."""
+"""PatchMatch: what planes cost, how better ones are found, and whether two frames agree."""
+
+from collections.abc import Callable
 
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reference.epipolar import displacement
 
 RADIUS, SIMILAR = 5, 20.0  # px; grey levels
+UNSEEN, NONE = 4.0, -1e30  # a cost and a D that no plane has
+ALIKE = 0.03  # px: planes that differ by less are not compared
+DISTANCES = (1, 3, 5, 7, 13, 21)  # px, to neighbours
 
 
 def plane_cost(
@@ -36,7 +42,7 @@ def plane_cost(
     Returns
     -------
     cost, variance : (H, W)
-        1 − c, and the variance of the window of frame 0.
+        1 − c, or 1 where the pixel leaves frame 1, and the variance of the window of frame 0.
     """
     height, width = levels0.shape
     cx, cy = camera.center_for(height, width)
@@ -61,7 +67,94 @@ def plane_cost(
     mean0, mean1, square0, square1, product = sums / total
     variance0, variance1 = square0 - mean0**2, square1 - mean1**2
     correlation = (product - mean0 * mean1) / np.sqrt((variance0 + noise) * (variance1 + noise))
-    return 1 - correlation, variance0
+    u, v = displacement(planes[0], camera, rotation, translation)
+    return np.where(_inside(columns + u, rows + v), 1 - correlation, 1.0), variance0
+
+
+def improved_planes(
+    state: np.ndarray,
+    cost: Callable[[np.ndarray], np.ndarray],
+    *,
+    color: int,
+    draws: int,
+    spread: float,
+    tilt: float,
+    steepest: float,
+    bounds: tuple[float, float],
+    seed: int,
+) -> np.ndarray:
+    """Return the planes after those of one color took better ones.
+
+    Each compares its own with the cheapest of its neighbours on four sides, one that is drawn from
+    all, and `draws` drawn nearby, each from half the range of the one before.
+
+    Parameters
+    ----------
+    state : (4, H, W)
+        D, px/frame, its slopes, and the cost; `UNSEEN` where there is nothing to compare.
+    cost : callable
+        Takes planes (3, H, W), returns their cost (H, W).
+    color : int
+        0 for red, 1 for black.
+    spread, tilt : float
+        How far what is drawn nearby may be, in D and in its slopes.
+    steepest : float
+        Slopes of what is drawn from all, over D.
+    bounds : (float, float)
+        Of D.
+    seed : int
+
+    Returns
+    -------
+    (4, H, W)
+    """
+    rows, columns = np.indices(state.shape[1:])
+    number = 4 * (rows * state.shape[2] + columns) * (draws + 1)
+    random = _hash(number.astype(np.uint32) + _hash(np.array([seed], np.uint32)))
+    changing = ((rows + columns) % 2 == color) & (state[3] < UNSEEN)
+    best = state.copy()
+    for turn in range(5 + draws):
+        plane = best[:3]
+        if turn < 4:
+            plane = _neighbours(state, *((1, 0), (-1, 0), (0, 1), (0, -1))[turn])
+        else:
+            drawn = np.stack([_hash(random + np.uint32(k)) >> 8 for k in range(3)]) / 2**24
+            random = random + np.uint32(4)
+            if turn == 4:
+                depth = bounds[0] + (bounds[1] - bounds[0]) * drawn[0]
+                plane = np.stack([depth, *(steepest * depth.clip(0) * (2 * drawn[1:] - 1))])
+            else:
+                reach = np.array([spread, tilt, tilt])[:, None, None] / 2 ** (turn - 5)
+                plane = plane + reach * (2 * drawn - 1)
+        apart = np.abs(plane - best[:3])
+        tried = changing & (plane[0] > bounds[0]) & (plane[0] < bounds[1])
+        tried &= apart[0] + RADIUS * (apart[1] + apart[2]) > ALIKE
+        found = np.concatenate([plane, cost(plane)[None]])
+        best = np.where(tried & (found[3] < best[3]), found, best)
+    return best
+
+
+def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
+    """Return the cheapest plane on one side of every pixel, as it is there; D is `NONE` without."""
+    _, height, width = state.shape
+    rows, columns = np.indices((height, width))
+    best = np.zeros_like(state)
+    best[0], best[3] = NONE, UNSEEN
+    for distance in DISTANCES:
+        row, column = rows + distance * down, columns + distance * across
+        within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        there = state[:, row.clip(0, height - 1), column.clip(0, width - 1)]
+        there[0] -= distance * (across * there[1] + down * there[2])
+        best = np.where(within & (there[3] < best[3]), there, best)
+    return best[:3]
+
+
+def _hash(value: np.ndarray) -> np.ndarray:
+    """Return a well-mixed number for each, uint32 (Jarzynski, Olano, JCGT 2020: PCG)."""
+    state = value * np.uint32(747796405) + np.uint32(2891336453)
+    word = ((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737)
+    mixed: np.ndarray = (word >> np.uint32(22)) ^ word
+    return mixed
 
 
 def plane_disagreement(
@@ -93,10 +186,16 @@ def plane_disagreement(
     moved += translation[:, None, None] * planes0[0] / camera.focal
     u, v = cx + camera.focal * moved[0] / moved[2], cy + camera.focal * moved[1] / moved[2]
     column, row = np.floor(u + 0.5).astype(int), np.floor(v + 0.5).astype(int)
-    inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     depth, east, south = planes1[:, row.clip(0, height - 1), column.clip(0, width - 1)]
     back = depth + east * (u - column) + south * (v - row)
-    return np.where(inside, np.abs(back - planes0[0] / moved[2]), np.inf)
+    return np.where(_inside(u, v), np.abs(back - planes0[0] / moved[2]), np.inf)
+
+
+def _inside(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return which places, (H, W), are in an image of that size."""
+    height, width = u.shape
+    inside: np.ndarray = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+    return inside
 
 
 def _bilinear(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -25,10 +25,6 @@ def test_every_kernel_has_its_traffic():
         assert callable(getattr(side, case.step))
 
 
-# Their reference takes a pixel at a time; the rooms of bench.depth time them with all around them.
-AS_A_WHOLE = {"tisfm.kernels.rigid.patch_match"}
-
-
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}
 
 
@@ -47,9 +43,8 @@ def test_every_public_kernel_is_timed():
             and any(getattr(d, "id", "") in ("lane_kernel", "Kernel") for d in node.decorator_list)
         }
         variants = {name for name in decorated if name.endswith(("_sites", "_by_pixel", "_order"))}
-        if info.name not in AS_A_WHOLE:
-            module = info.name.removeprefix("tisfm.kernels.")
-            found |= {(module, name) for name in decorated - variants}
+        module = info.name.removeprefix("tisfm.kernels.")
+        found |= {(module, name) for name in decorated - variants}
     assert found - PARTS - timed == set()
     assert found >= PARTS
 

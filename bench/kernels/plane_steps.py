@@ -1,0 +1,142 @@
+"""Both sides of the kernels of planes matched by the correlation of windows."""
+
+from functools import cached_property
+
+import numpy as np
+
+from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
+from bench.shared.problems import BORDER, Problem, single
+from tisfm import reference
+from tisfm.kernels.rigid.patch_match import LEVELS, STEEPEST, UNSEEN, PlaneSearch, disagreement
+
+NOISE, SEEN = 1.5, 1.8  # grey levels, and of its square
+BOUNDS = 0.01, 10.0  # px/frame, of what is searched
+SPREAD, TILT = 0.5, 0.02  # px/frame, and its slopes
+DRAWS = 2
+REACH = 5  # px
+PLANE = (0.03, -0.02)  # slopes of the one plane that frame 1 has
+
+
+class Planes:
+    """Planes near the true ones, and the frames as bytes.
+
+    In frame 1 there is one plane, so that it does not matter from which pixel it is read.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        rng, size = np.random.default_rng(6), (problem.height, problem.width)
+        self.levels = [np.rint(np.clip(frame, 0, LEVELS)) for frame in problem.frames]
+        slopes = 0.02 * rng.normal(size=(2, *size))
+        self.own = single(np.concatenate([problem.inverse_depth, slopes]))
+        rows, columns = np.indices(size)
+        depth = self.own[0].mean() + PLANE[0] * columns + PLANE[1] * rows
+        self.there = single(np.stack(np.broadcast_arrays(depth, *PLANE)))
+        self.camera, motion = problem.camera, problem.motions[0]
+        self.pose = motion[:, :3], motion[:, 3]
+        u, v = reference.displacement(self.own[0], self.camera, *self.pose)
+        x, y = columns + u, rows + v
+        away = [x, x + 1 - problem.width, y, y + 1 - problem.height]
+        # Whether a pixel lies well inside or outside: elsewhere rounding decides.
+        self.decided = (np.abs(np.abs(away) - 0.5) > BORDER).all(axis=0)
+
+    def cost(self, planes: np.ndarray) -> np.ndarray:
+        """Return the cost of planes, (3, H, W), `UNSEEN` where there is nothing to compare."""
+        cost, variance = reference.plane_cost(
+            *self.levels, planes, self.camera, *self.pose, noise=NOISE**2
+        )
+        return np.where(variance > SEEN * NOISE**2, cost, UNSEEN)
+
+
+class PlaneOperations(TaichiSide):
+    """The kernels, by their wrappers."""
+
+    @cached_property
+    def planes(self) -> Planes:
+        return Planes(self.problem)
+
+    def score(self) -> Timed:
+        state = _interleaved(self.planes.own)
+        search = self._search()
+        return lambda: search.score(state), lambda _: (state[..., 3] * self.planes.decided)[None]
+
+    def improve(self) -> Timed:
+        state, search = _interleaved(self.planes.own), self._search()
+        search.score(state)
+        options = {"reach": REACH, "draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
+        return lambda: search.improve(state, **options), lambda _: _summary(state[..., 3])
+
+    def disagreement(self) -> Timed:
+        p, planes = self.problem, self.planes
+        arrays = [_interleaved(array) for array in (planes.own, planes.there)]
+        out = np.empty((p.height, p.width), np.float32)
+        options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
+        return (
+            lambda: disagreement(*arrays, p.motions[0], out, **options),
+            lambda _: _known(out, planes.decided),
+        )
+
+    def _search(self) -> PlaneSearch:
+        p, planes = self.problem, self.planes
+        return PlaneSearch(
+            *(levels.astype(np.float32) for levels in planes.levels),
+            p.motions[0],
+            center=p.camera.center_for(p.height, p.width),
+            focal=p.camera.focal,
+            noise=NOISE,
+            seen=SEEN,
+            least=BOUNDS[0],
+            largest=BOUNDS[1],
+        )
+
+
+class PlaneReferences(NumpySide):
+    """The same by `tisfm.reference`."""
+
+    @cached_property
+    def planes(self) -> Planes:
+        return Planes(self.problem)
+
+    def score(self) -> Run:
+        planes = self.planes
+        return lambda: (planes.cost(planes.own) * planes.decided)[None]
+
+    def improve(self) -> Run:
+        planes = self.planes
+        state = np.concatenate([planes.own, planes.cost(planes.own)[None]])
+        options = {"spread": SPREAD, "tilt": TILT, "steepest": STEEPEST / planes.camera.focal}
+
+        def run() -> np.ndarray:
+            nonlocal state
+            for color in range(2):
+                state = reference.improved_planes(
+                    state, planes.cost, color=color, draws=DRAWS, bounds=BOUNDS, seed=color,
+                    **options,
+                )  # fmt: skip
+            return _summary(state[3])
+
+        return run
+
+    def disagreement(self) -> Run:
+        planes = self.planes
+        arguments = planes.own, planes.there, planes.camera, *planes.pose
+        return lambda: _known(reference.plane_disagreement(*arguments), planes.decided)
+
+
+def _interleaved(planes: np.ndarray) -> np.ndarray:
+    """Return planes, (3, H, W), as the kernels take them, without a cost: (H, W, 4) float32."""
+    state = np.zeros((*planes.shape[1:], 4), np.float32)
+    state[..., :3] = np.moveaxis(planes, 0, -1)
+    return state
+
+
+def _known(apart: np.ndarray, decided: np.ndarray) -> np.ndarray:
+    """Return a disagreement, -1 where it is infinite, of the pixels that are decided, (1, H, W)."""
+    return np.where(np.isfinite(apart), apart, -1)[None] * decided
+
+
+def _summary(cost: np.ndarray) -> np.ndarray:
+    """Return the quartiles of costs, (3, 1).
+
+    A pixel where rounding decides between two planes hands on another one: that moves them little.
+    """
+    return np.quantile(cost, [0.25, 0.5, 0.75])[:, None]
