@@ -22,6 +22,7 @@ SECOND_ORDER = "second_order"
 DEPTH = 1  # unknown per pixel, along an epipolar line
 SOLVERS = ("cholesky", "closed_form")
 EDGES = ("separate", "joint")  # for each component, or for all
+SLOW, LARGEST_OF_SLOW = ("improve",), (480, 640)  # a dozen costs of planes of the reference
 LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image takes its time
 
 # Of the largest value of a component. A few roundings; more where B has condition numbers of some
@@ -193,14 +194,23 @@ def reference_run(problem, case):
     return run
 
 
+def skip_minutes(problem, case, full_reference):
+    """Skip a case whose reference takes minutes."""
+    large = problem.height * problem.width > np.prod(LARGEST_OF_SLOW)
+    if case.kernel in SLOW and large and not full_reference:
+        pytest.skip("the reference takes minutes at this size: --full-reference runs it")
+
+
 @pytest.mark.parametrize("case", REFERENCE_CASES, ids=str)
-def bench_numpy(problem, case, measure):
+def bench_numpy(problem, case, measure, full_reference):
+    skip_minutes(problem, case, full_reference)
     run = reference_run(problem, case)
     measure(run, implementation="numpy", **case.label(problem))
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def bench_taichi(problem, case, lanes, measure, pytestconfig):
+def bench_taichi(problem, case, lanes, measure, pytestconfig, full_reference):
+    skip_minutes(problem, case, full_reference)
     if not case.in_lanes and str(lanes) != pytestconfig.getoption("lanes").split(",")[0]:
         pytest.skip("it is the same kernel for every lane count")
     components = case.components or 6

@@ -47,6 +47,13 @@ def plane_cost(
     height, width = levels0.shape
     cx, cy = camera.center_for(height, width)
     rows, columns = np.indices(levels0.shape)
+    # Where a pixel lies from frame 1, and how that changes along its plane: times f.
+    ray = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
+    place = np.einsum("ij,jyx->iyx", rotation, ray) + np.multiply.outer(translation, planes[0])
+    east, south = (
+        rotation[:, axis, None, None] + np.multiply.outer(translation, planes[1 + axis])
+        for axis in (0, 1)
+    )
     padded = np.pad(levels0, RADIUS, "edge")
     total, sums = 0.0, np.zeros((5, height, width))
     offsets = range(-RADIUS, RADIUS + 1, 2)
@@ -54,14 +61,10 @@ def plane_cost(
         window = padded[RADIUS + down :, RADIUS + across :][:height, :width]
         grey0 = window - levels0
         apart = np.abs(grey0) / SIMILAR
-        weight = 1 / (1 + apart + apart**2 / 2 + apart**3 / 6)
-        x, y = columns + across - cx, rows + down - cy
-        ray = np.stack([x / camera.focal, y / camera.focal, np.ones_like(x)])
-        inverse_depth = (planes[0] + planes[1] * across + planes[2] * down) / camera.focal
-        moved = np.einsum("ij,jyx->iyx", rotation, ray)
-        moved += translation[:, None, None] * inverse_depth
-        there = camera.focal * moved[:2] / moved[2]
-        grey1 = _bilinear(levels1, cy + there[1], cx + there[0]) - levels0
+        weight = 1 / (1 + apart * (1 + apart * (1 / 2 + apart / 6)))
+        x, y, z = place + across * east + down * south
+        nearness = camera.focal / z
+        grey1 = _bilinear(levels1, cy + y * nearness, cx + x * nearness) - levels0
         total = total + weight
         sums += weight * np.stack([grey0, grey1, grey0**2, grey1**2, grey0 * grey1])
     mean0, mean1, square0, square1, product = sums / total
