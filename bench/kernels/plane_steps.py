@@ -7,13 +7,13 @@ import numpy as np
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import BORDER, Problem, single
 from tisfm import reference
-from tisfm.kernels.rigid.patch_match import LEVELS, STEEPEST, UNSEEN, PlaneSearch, disagreement
+from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
+from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 
 NOISE, SEEN = 1.5, 1.8  # grey levels, and of its square
 BOUNDS = 0.01, 10.0  # px/frame, of what is searched
 SPREAD, TILT = 0.5, 0.02  # px/frame, and its slopes
 DRAWS = 2
-REACH = 5  # px
 PLANE = (0.03, -0.02)  # slopes of the one plane that frame 1 has
 
 
@@ -62,7 +62,7 @@ class PlaneOperations(TaichiSide):
     def improve(self) -> Timed:
         state, search = _interleaved(self.planes.own), self._search()
         search.score(state)
-        options = {"reach": REACH, "draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
+        options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
         return lambda: search.improve(state, **options), lambda _: _summary(state[..., 3])
 
     def disagreement(self) -> Timed:

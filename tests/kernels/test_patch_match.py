@@ -105,7 +105,7 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
     planes = drawn(size, largest=largest)
     search.score(planes)
     state = np.moveaxis(planes, -1, 0).astype(float)
-    search.improve(planes, reach=5, draws=draws, spread=2.0, tilt=0.05, seed=3)
+    search.improve(planes, draws=draws, spread=2.0, tilt=0.05, seed=3)
 
     def cost(found):
         return reference.plane_cost(*levels, found, camera, *pose, noise=NOISE**2)[0]

@@ -53,7 +53,12 @@ from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
 )
-from tisfm.reference.patch_match import improved_planes, plane_cost, plane_disagreement
+from tisfm.reference.patch_match import (
+    improved_planes,
+    plane_cost,
+    plane_disagreement,
+    window_cost,
+)
 from tisfm.reference.plane_sweep import aggregate, matching_cost
 from tisfm.reference.pyramid import (
     coarse_to_fine,
@@ -135,4 +140,5 @@ __all__ = [
     "sweep_red_black",
     "tensors_of",
     "warp",
+    "window_cost",
 ]

@@ -5,12 +5,63 @@ from collections.abc import Callable
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reference.epipolar import displacement
 
 RADIUS, SIMILAR = 5, 20.0  # px; grey levels
 UNSEEN, NONE = 4.0, -1e30  # a cost and a D that no plane has
 ALIKE = 0.03  # px: planes that differ by less are not compared
 DISTANCES = (1, 3, 5, 7, 13, 21)  # px, to neighbours
+_EAST, _SOUTH = np.eye(3)[:2, :, None, None]
+
+
+def window_cost(
+    levels0: np.ndarray,
+    levels1: np.ndarray,
+    place: np.ndarray,
+    east: np.ndarray,
+    south: np.ndarray,
+    *,
+    noise: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return 1 − c at every pixel, c the weighted correlation of its window with a homography's.
+
+    The window has every second pixel of 11×11, without corners; beyond both images their borders
+    repeat. A pixel that differs from the centre by n·`SIMILAR` levels weighs
+    1/(1 + n + n²/2 + n³/6).
+
+    Parameters
+    ----------
+    levels0, levels1 : (H, W)
+        Grey levels.
+    place : (3, H, W)
+        Where each pixel goes in frame 1: column and row, px, homogeneous.
+    east, south : (3, H, W), or (3, 1, 1)
+        What the pixel next to it, in its window, adds to that.
+    noise : float
+        Variance that is added to those of both windows.
+
+    Returns
+    -------
+    cost, variance : (H, W)
+        1 − c, or 1 where the pixel leaves frame 1, and the variance of the window of frame 0.
+    """
+    height, width = levels0.shape
+    padded = np.pad(levels0, RADIUS, "edge")
+    total, sums = 0.0, np.zeros((5, height, width))
+    offsets = range(-RADIUS, RADIUS + 1, 2)
+    for down, across in ((j, i) for j in offsets for i in offsets if abs(i * j) < RADIUS**2):
+        window = padded[RADIUS + down :, RADIUS + across :][:height, :width]
+        grey0 = window - levels0
+        apart = np.abs(grey0) / SIMILAR
+        weight = 1 / (1 + apart * (1 + apart * (1 / 2 + apart / 6)))
+        x, y, z = place + across * east + down * south
+        grey1 = _bilinear(levels1, y / z, x / z) - levels0
+        total = total + weight
+        sums += weight * np.stack([grey0, grey1, grey0**2, grey1**2, grey0 * grey1])
+    mean0, mean1, square0, square1, product = sums / total
+    variance0, variance1 = square0 - mean0**2, square1 - mean1**2
+    correlation = (product - mean0 * mean1) / np.sqrt((variance0 + noise) * (variance1 + noise))
+    u, v = place[:2] / place[2]
+    return np.where(_inside(u, v), 1 - correlation, 1.0), variance0
 
 
 def plane_cost(
@@ -23,11 +74,7 @@ def plane_cost(
     *,
     noise: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return 1 − c of a plane at every pixel, c the weighted correlation of its window.
-
-    The window has every second pixel of 11×11, without corners; beyond both images their borders
-    repeat. A pixel that differs from the centre by n·`SIMILAR` levels weighs
-    1/(1 + n + n²/2 + n³/6).
+    """Return `window_cost` of a plane at every pixel, and the variance of its window.
 
     Parameters
     ----------
@@ -37,41 +84,18 @@ def plane_cost(
         D, px/frame, and its slopes.
     rotation, translation : (3, 3) and (3,)
     noise : float
-        Variance that is added to those of both windows.
-
-    Returns
-    -------
-    cost, variance : (H, W)
-        1 − c, or 1 where the pixel leaves frame 1, and the variance of the window of frame 0.
+        Of `window_cost`.
     """
-    height, width = levels0.shape
-    cx, cy = camera.center_for(height, width)
+    cx, cy = camera.center_for(*levels0.shape)
     rows, columns = np.indices(levels0.shape)
-    # Where a pixel lies from frame 1, and how that changes along its plane: times f.
     ray = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
-    place = np.einsum("ij,jyx->iyx", rotation, ray) + np.multiply.outer(translation, planes[0])
-    east, south = (
-        rotation[:, axis, None, None] + np.multiply.outer(translation, planes[1 + axis])
-        for axis in (0, 1)
+    to_pixels = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+    turned, shift = to_pixels @ rotation, to_pixels @ translation
+    place, east, south = (
+        np.einsum("ij,jyx->iyx", turned, way) + np.multiply.outer(shift, change)
+        for way, change in zip((ray, _EAST, _SOUTH), planes, strict=True)
     )
-    padded = np.pad(levels0, RADIUS, "edge")
-    total, sums = 0.0, np.zeros((5, height, width))
-    offsets = range(-RADIUS, RADIUS + 1, 2)
-    for down, across in ((j, i) for j in offsets for i in offsets if abs(i * j) < RADIUS**2):
-        window = padded[RADIUS + down :, RADIUS + across :][:height, :width]
-        grey0 = window - levels0
-        apart = np.abs(grey0) / SIMILAR
-        weight = 1 / (1 + apart * (1 + apart * (1 / 2 + apart / 6)))
-        x, y, z = place + across * east + down * south
-        nearness = camera.focal / z
-        grey1 = _bilinear(levels1, cy + y * nearness, cx + x * nearness) - levels0
-        total = total + weight
-        sums += weight * np.stack([grey0, grey1, grey0**2, grey1**2, grey0 * grey1])
-    mean0, mean1, square0, square1, product = sums / total
-    variance0, variance1 = square0 - mean0**2, square1 - mean1**2
-    correlation = (product - mean0 * mean1) / np.sqrt((variance0 + noise) * (variance1 + noise))
-    u, v = displacement(planes[0], camera, rotation, translation)
-    return np.where(_inside(columns + u, rows + v), 1 - correlation, 1.0), variance0
+    return window_cost(levels0, levels1, place, east, south, noise=noise)
 
 
 def improved_planes(
