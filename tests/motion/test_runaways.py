@@ -56,7 +56,8 @@ def estimated(scene):
     def finish(solution):
         return with_depth(solution, labels, scene.camera, SETTINGS)
 
-    return steady_depth(pyramid, SETTINGS, motions, labels, expected, finish), labels, motions
+    _, estimate = steady_depth(pyramid, SETTINGS, motions, labels, expected, finish)
+    return estimate, labels, motions
 
 
 def error(estimate, scene, mask):
@@ -145,7 +146,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
         expected[:, labels == 1] = np.nan
     motion = np.column_stack(rigid_motion(scene.motions[0]))
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
-    estimate = steady_depth(
+    _, estimate = steady_depth(
         pyramid_of(*frames, scene.camera, SETTINGS),
         SETTINGS,
         np.stack([motion, motion]),

@@ -6,7 +6,7 @@ it to the rest (`tisfm.solver.second_order`), and the constraints of the images 
 as far as windows vary by more than noise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -74,7 +74,11 @@ def bare_share(frame: np.ndarray) -> float:
 
 
 def carried_depth(
-    pyramid: ImagePyramid, settings: Settings, motion: np.ndarray
+    pyramid: ImagePyramid,
+    settings: Settings,
+    motion: np.ndarray,
+    *,
+    support: np.ndarray | None = None,
 ) -> CarriedSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
@@ -84,6 +88,8 @@ def carried_depth(
     settings : Settings
     motion : (3, 4) array
         R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+    support : (H, W) bool array, optional
+        Where matches and constraints count, by default everywhere; elsewhere depth is carried.
 
     Returns
     -------
@@ -93,10 +99,15 @@ def carried_depth(
     if pyramid.frames0[-1].size > MOST:
         return None
     planes = matched_planes(pyramid, motion)
-    if planes.believed.mean() < FEWEST:
+    counted = np.ones(planes.believed.shape, bool)
+    if support is not None:
+        size = counted.shape[::-1]
+        counted = cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        planes = replace(planes, believed=planes.believed & counted)
+    if planes.believed.sum() < max(1, FEWEST * counted.sum()):
         return None
     level = planes.level
-    state = _Level(pyramid, settings, motion, planes)
+    state = _Level(pyramid, settings, motion, planes, counted)
     history: Records = []
     converged = False
     for warp in range(WARPS):
@@ -121,7 +132,12 @@ class _Level:
     """The level that planes were matched on: depth, its slopes, and data."""
 
     def __init__(
-        self, pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, planes: MatchedPlanes
+        self,
+        pyramid: ImagePyramid,
+        settings: Settings,
+        motion: np.ndarray,
+        planes: MatchedPlanes,
+        counted: np.ndarray,
     ) -> None:
         level, target = planes.level, planes.inverse_depth
         frame, focal = pyramid.frames0[level], pyramid.cameras[level].focal
@@ -144,7 +160,8 @@ class _Level:
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-        image_to_lanes(grid, np.float32(DATA**0.5) * _texture(frame), weight)  # of what is squared
+        share = np.float32(DATA**0.5) * _texture(frame) * counted  # of what is squared
+        image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
         self._linearise = in_turn(

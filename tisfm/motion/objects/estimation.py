@@ -7,11 +7,13 @@ import numpy as np
 from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import first_motion
+from tisfm.motion.objects.background import with_carried_background
 from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, without_specks
 from tisfm.motion.objects.runaways import steady_depth
+from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.rigid_estimate import with_depth
 from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -32,7 +34,7 @@ def objects_estimate(
     boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
     is added (`floating`), and boundaries are made sharp (`boundaries`). Depth and motions then are
     estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), but for what runs away
-    (`runaways`).
+    (`runaways`). Where much of the frame is bare, the background's is carried (`background`).
 
     Parameters
     ----------
@@ -84,7 +86,11 @@ def objects_estimate(
     expected = np.take_along_axis(layers.flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
     unseen = int(rank[0]) if start.status and areas[0] else None
-    estimate = steady_depth(
+
+    def finish(solution: RigidSolution) -> Estimate:
+        return with_depth(solution, labels, camera, settings, unseen=unseen)
+
+    solution, estimate = steady_depth(
         pyramid,
         replace(
             settings,
@@ -93,7 +99,10 @@ def objects_estimate(
         np.stack([motions[k] for k in order]),
         labels,
         expected,
-        lambda solution: with_depth(solution, labels, camera, settings, unseen=unseen),
+        finish,
     )
+    if unseen != 0:
+        carried = with_carried_background(pyramid, settings, solution, labels, motions[order[0]])
+        estimate = estimate if carried is None else finish(carried)
     estimate = replace(estimate, history=start.history + estimate.history)
     return aligned(estimate, hidden) if settings.align_scales else estimate

@@ -30,7 +30,7 @@ def steady_depth(
     labels: np.ndarray,
     expected: np.ndarray,
     finish: Callable[[RigidSolution], Estimate],
-) -> Estimate:
+) -> tuple[RigidSolution, Estimate]:
     """Estimate motions and depth of several labels, and leave out what runs away.
 
     A label other than the largest whose flow runs away keeps the motion and the depth of its layer.
@@ -48,6 +48,11 @@ def steady_depth(
         The flow of the layers.
     finish : callable
         Makes an estimate of a solution.
+
+    Returns
+    -------
+    RigidSolution, Estimate
+        The second is made of the first.
     """
     side = max(labels.shape)
     solution = rigid_depth(pyramid, settings, motions, labels)
@@ -64,12 +69,13 @@ def steady_depth(
         away = _away(estimate, expected)
     far = away > PIXEL_AWAY * side
     if not 0 < far.mean() <= FEW:
-        return estimate
+        return solution, estimate
     depth = solution.inverse_depth.copy()
     for label in np.unique(labels[far]):
         mine, near = labels == label, (labels == label) & ~far
         depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
-    return finish(replace(solution, inverse_depth=depth))
+    solution = replace(solution, inverse_depth=depth)
+    return solution, finish(solution)
 
 
 def _with_layers(

@@ -1,0 +1,171 @@
+"""motion="objects" where the background is partly bare: its depth is carried around things."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.rendered import room, two_blocks
+from tisfm.motion.carried_depth import carried_depth
+from tisfm.motion.objects import background, estimation
+from tisfm.motion.objects.background import RIM, with_carried_background
+from tisfm.motion.problems import pyramid_of
+from tisfm.motion.rigid_depth import rigid_depth, scaled_translations
+from tisfm.rigid import rigid_motion
+
+BALANCED = tisfm.Settings.preset("balanced", motion="objects")
+SIZE = (240, 320)
+THING = (slice(110, 180), slice(120, 210))  # in frame 0
+MOVED = (-6, 5)  # px/frame: to the right, down
+CAMERA_MOTION = (0.18, 0.0, 0.12, 0.003, 0.01, 0.006)
+
+
+def pasted(frame, thing, move, rng):
+    """Return a frame with a noisy thing before it."""
+    rows, columns = (slice(s.start + by, s.stop + by) for s, by in zip(THING, move, strict=True))
+    frame = frame.astype(np.float32)
+    frame[rows, columns] = thing + 1.5 * rng.standard_normal(thing.shape)
+    return np.rint(frame.clip(0, 255)).astype(np.uint8)
+
+
+def with_thing(move):
+    """Return a bare room with a textured thing before it, which moves by itself."""
+    bare = room(*SIZE, seed=5, camera_motion=CAMERA_MOTION)
+    rng = np.random.default_rng(0)
+    texture = cv2.GaussianBlur(rng.standard_normal((70, 90)), (0, 0), 1.5)
+    thing = 120 + 35 * texture / texture.std()
+    labels = np.zeros(SIZE, np.int32)
+    labels[THING] = 1
+    return replace(
+        bare,
+        frame0=pasted(bare.frame0, thing, (0, 0), rng),
+        frame1=pasted(bare.frame1, thing, move[::-1], rng),
+        labels=labels,
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return with_thing(MOVED)
+
+
+def interpreted(scene, settings=BALANCED):
+    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def carried(scene):
+    return interpreted(scene)
+
+
+@pytest.fixture(scope="module")
+def uncarried(scene):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(background, "BARE", 2.0)  # never
+        return interpreted(scene)
+
+
+def background_error(result, scene):
+    """Return the mean of |s·Z − true|/true over the background, s the median of their ratio."""
+    mine = (result.labels == 0) & (scene.labels == 0)
+    depth, true = 1 / np.maximum(result.inverse_depth[mine], 1e-9), scene.depth[mine]
+    return np.mean(np.abs(depth * np.median(true / depth) - true) / true)
+
+
+def test_depth_of_the_background(carried, uncarried, scene):
+    assert carried.status == "converged"
+    assert background_error(carried, scene) < 0.055
+    assert background_error(carried, scene) < 0.8 * background_error(uncarried, scene)
+
+
+def test_the_thing_keeps_its_label_and_depth(carried, uncarried, scene):
+    np.testing.assert_array_equal(carried.labels, uncarried.labels)
+    thing = carried.labels == carried.labels[145, 165]
+    assert not (thing & (carried.labels == 0)).any()
+    assert thing[THING].mean() > 0.95
+    mine = carried.labels > 0
+    np.testing.assert_array_equal(carried.inverse_depth[mine], uncarried.inverse_depth[mine])
+    np.testing.assert_array_equal(carried.flow[mine], uncarried.flow[mine])
+    np.testing.assert_array_equal(carried.motions[1:], uncarried.motions[1:])
+    moved = np.median(carried.flow[scene.labels == 1], axis=0)
+    np.testing.assert_allclose(moved, MOVED, atol=0.2)
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced"])
+def test_deviation_and_confidence_tell_what_was_carried(scene, carried, preset):
+    """Of `fast`, depth is carried on a coarser level than that of the labels."""
+    settings = tisfm.Settings.preset(preset, motion="objects")
+    result = carried if preset == "balanced" else interpreted(scene, settings)
+    mine = (result.labels == 0) & (scene.labels == 0) & ~result.occlusion
+    inverse = scene.depth[mine] * result.inverse_depth[mine]
+    wrong = np.abs(inverse / np.median(inverse) - 1)
+    relative = (result.inverse_depth_std / result.inverse_depth)[mine]
+    assert np.isfinite(relative).all() and (relative > 0).all()
+    surest = relative <= np.quantile(relative, 0.4)
+    assert wrong[surest].mean() < 0.9 * wrong.mean()
+    confident = result.confidence[mine] > 0.5
+    assert 0.1 < confident.mean() < 0.9
+    assert wrong[confident].mean() < wrong.mean()
+
+
+def test_textured_scenes_go_another_way(monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("nothing is to be carried")
+
+    scene = two_blocks(*SIZE, seed=6)
+    monkeypatch.setattr(background, "carried_depth", never)
+    result = interpreted(scene)
+    monkeypatch.setattr(estimation, "with_carried_background", lambda *_: None)
+    without = interpreted(scene)
+    np.testing.assert_array_equal(result.inverse_depth, without.inverse_depth)
+    np.testing.assert_array_equal(result.labels, without.labels)
+
+
+def solved(scene, labels):
+    """Return what carrying is given: pyramid, settings, solution, labels and motion."""
+    frames = (frame.astype(np.float32) for frame in (scene.frame0, scene.frame1))
+    pyramid = pyramid_of(*frames, scene.camera, BALANCED)
+    motion = np.column_stack(rigid_motion(scene.motions[0]))
+    motions = scaled_translations(np.stack([motion, motion]), labels, scene.camera)
+    return pyramid, BALANCED, rigid_depth(pyramid, BALANCED, motions, labels), labels, motion
+
+
+def test_a_thing_has_no_say_in_the_background():
+    """This one moves along the background's epipolar lines, and looks like one that is near."""
+    scene = with_thing((-20, 0))
+    labels = scene.labels
+    thing, near, close = (
+        cv2.dilate(labels.astype(np.uint8), np.ones((window, window), np.uint8)) > 0
+        for window in (1, 51, RIM)
+    )
+    beside = near & ~close
+    pyramid, settings, _, _, motion = solved(scene, labels)
+    motion = scaled_translations(motion[None], np.zeros_like(labels), scene.camera)[0]
+
+    def off(support, where):
+        found = carried_depth(pyramid, settings, motion, support=support)
+        ratio = found.inverse_depth * scene.depth
+        return np.abs(ratio / np.median(ratio[~near]) - 1)[where].mean()
+
+    assert off(~close, beside) < min(0.05, 0.8 * off(None, beside))
+    assert off(~close, thing) < 0.4 * off(None, thing)  # behind it
+
+
+def test_iterations_that_did_not_end_are_told(scene):
+    pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
+    limited = replace(solution, converged=False)
+    found = with_carried_background(pyramid, settings, limited, labels, motion)
+    assert found is not None
+    assert not found.converged and found.adjustable
+    assert found.history[-1] == solution.history[-1]
+    found = with_carried_background(pyramid, settings, solution, labels, motion)
+    assert found.converged and found.history[0] == solution.history[0]
+    assert len(found.history) > len(solution.history)
+
+
+def test_with_too_little_parallax_nothing_is_carried(scene):
+    pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
+    flat = replace(solution, inverse_depth=np.full(SIZE, 3, np.float32))
+    assert with_carried_background(pyramid, settings, flat, labels, motion) is None

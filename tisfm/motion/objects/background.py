@@ -1,0 +1,84 @@
+"""Inverse depth of a background that is partly bare: carried across, around things before it."""
+
+import cv2
+import numpy as np
+
+from tisfm.motion.camera import CARRIED_RANGE
+from tisfm.motion.carried_depth import BARE, CarriedSolution, bare_share, carried_depth
+from tisfm.motion.plane_sweep import COMMON
+from tisfm.motion.rigid_depth import RigidSolution, scaled_translations
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+
+RIM = 7  # px: a window that reaches beyond the background's boundary is of no use
+
+
+def with_carried_background(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    solution: RigidSolution,
+    labels: np.ndarray,
+    motion: np.ndarray,
+) -> CarriedSolution | None:
+    """Return a solution whose background, where it is partly bare, has depth that is carried.
+
+    What has another label is neither matched nor constrained under the background's motion, and
+    keeps its motion and depth.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    solution : RigidSolution
+    labels : (H, W) int32
+        0 for the background.
+    motion : (3, 4) array
+        R and t of the background as its layer has them: depth that bare surfaces lead astray
+        refines them for the worse.
+
+    Returns
+    -------
+    CarriedSolution or None
+        None if little of the frame is bare, if the background shows too little parallax between
+        near and far, or if too little of it could be matched.
+    """
+    if bare_share(pyramid.frames0[pyramid.last]) < BARE:
+        return None
+    background = labels == 0
+    low, high = np.percentile(solution.inverse_depth[background], COMMON)
+    if not high - low >= CARRIED_RANGE * max(labels.shape):
+        return None
+    core = cv2.erode(background.astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
+    motions = solution.motions.copy()
+    motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
+    carried = carried_depth(pyramid, settings, motions[0], support=core)
+    if carried is None:
+        return None
+    size = solution.precision.shape[:0:-1]
+    mine = cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    ends: list[RigidSolution] = [solution, carried]
+    if labels.any() and not solution.converged:
+        ends.reverse()  # the last says how the iterations ended
+    first, last = ends
+    return CarriedSolution(
+        motions=motions,
+        inverse_depth=np.where(background, carried.inverse_depth, solution.inverse_depth),
+        precision=np.where(mine, _on_level(carried, solution), solution.precision),
+        level=solution.level,
+        density=solution.density,
+        history=first.history + last.history,
+        converged=last.converged,
+        adjustable=last.adjustable,
+        carried_deviation=np.where(background, carried.deviation(), solution.deviation()),
+    )
+
+
+def _on_level(carried: CarriedSolution, other: RigidSolution) -> np.ndarray:
+    """Return the precision of one solution on the level of another, (7, h, w) float32."""
+    if carried.level == other.level:
+        return carried.precision
+    size = other.precision.shape[:0:-1]
+    area = np.float32((carried.density / other.density) ** 2)  # of a pixel there, px² of its own
+    units = (area, area, area, 1 / area, 1 / area, 1 / area, 1 / area)
+    channels = zip(carried.precision, units, strict=True)
+    return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
