@@ -33,7 +33,9 @@ _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained",
 )  # fmt: skip
-_WITHOUT_DEPTH = ("no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated")
+_WITHOUT_DEPTH = (
+    "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
+)  # fmt: skip
 _WITHOUT_MOTION = ("no_motion", "no_texture")  # and so without depth; of a field as well
 _WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
 

@@ -22,7 +22,7 @@ class Status(str):
     image's longer side, or more than half of the pixels leave the image (the whole side, and 80 %,
     where matched points or a 4×4 pose vouch for a large motion); ``"unrelated"``, the frames have
     nothing in common; ``"aperture"``, they vary along one direction only, so that motion along
-    their stripes cannot be seen, and there is no depth unless a 4×4 pose is given. With
+    their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
     ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
     camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth.
     With ``motion="camera"`` also ``"two_motions"``: frames of one plane, or far apart, leave two

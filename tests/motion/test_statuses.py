@@ -116,16 +116,24 @@ def test_stripes_are_told_at_any_brightness(scene, scale):
         assert one_direction(np.float32(scale) * frame.astype(np.float32)) == found
 
 
-@pytest.mark.parametrize("size", [(4, 90), (8, 8), (9, 200)])
+@pytest.mark.parametrize("size", [(4, 90), (8, 8), (9, 200), (4, 70000)])
 def test_frames_of_any_size_are_judged(size):
     noise = np.random.default_rng(0).normal(size=size).astype(np.float32)
     assert one_direction(noise) is None
 
 
+@pytest.mark.parametrize("side", [10, 13, 16, 20, 24])
+def test_blurred_noise_has_no_direction(side):
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(size=(side, side + 3))
+        smooth = cv2.GaussianBlur(noise, (0, 0), 1.5).astype(np.float32)
+        assert one_direction(smooth) is None
+
+
 # Depth that does not explain the frames.
 
 
-def judged(scene, *, inverse_depth=None, flow=None, matched=False):
+def judged(scene, *, inverse_depth=None, flow=None, matched=False, deviation=1e-3):
     """The status of an estimate made by hand, from the truth where nothing else is said."""
     grey = grey_pair(scene.frame0, scene.frame1)
     pyramid = pyramid_of(*grey, scene.camera, CAMERA)
@@ -134,7 +142,7 @@ def judged(scene, *, inverse_depth=None, flow=None, matched=False):
     estimate = SimpleNamespace(
         inverse_depth=inverse_depth.astype(np.float32),
         widening=1.0,
-        inverse_depth_std=np.full(SIZE, 1e-3, np.float32),
+        inverse_depth_std=np.full(SIZE, deviation, np.float32),
         flow=np.ascontiguousarray(np.moveaxis(truth if flow is None else flow, -1, 0)),
         free_flow=truth,
         free_level=0,
@@ -152,14 +160,19 @@ def test_a_scene_that_lies_partly_behind_the_camera(scene, factor, code):
     assert found == code and (code is None or "behind the camera" in found.message)
 
 
-@pytest.mark.parametrize("distance", [2e-3, 0.02])
-def test_noise_around_zero_lies_not_behind_the_camera(scene, distance):
-    """Neither what is within three deviations, nor what is next to nothing beside the rest."""
+@pytest.mark.parametrize(
+    ("distance", "deviation", "code"),
+    [(0.05, 1e-3, None), (0.5, 0.2, None), (0.5, 0.1, "behind_camera")],
+)
+def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation, code):
+    """Neither what is within three deviations, nor what is next to nothing beside the rest.
+
+    Both are shares of the usual inverse depth.
+    """
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
-    assert 3e-3 > 2e-3 and 0.05 * usual < 0.1 * usual
-    inverse_depth[:40] = -min(distance, 0.05 * usual)
-    assert judged(scene, inverse_depth=inverse_depth) is None
+    inverse_depth[:40] = -distance * usual
+    assert judged(scene, inverse_depth=inverse_depth, deviation=deviation * usual) == code
 
 
 @pytest.mark.parametrize("matched", [False, True])
@@ -201,6 +214,18 @@ def test_a_pose_of_frames_far_apart_gives_depth():
         ),
     )  # fmt: skip
     assert result.status == "unrelated"
+
+
+def test_a_wrong_pose_of_frames_far_apart_is_told():
+    turned = (0.5, 0, 0.2, 0.03, 0.19, 0)
+    far = three_blocks(240, 320, camera_motion=turned, block_motions=np.zeros((3, 6)))
+    pose = pose_matrix(far.motions[0])
+    off = pose_matrix([0, 0, 0, 0, np.radians(3), 0]) @ pose
+    for wrong in (off, np.linalg.inv(pose)):
+        assert interpreted(far, pose=wrong).status == "pose_mismatch"
+    right = interpreted(far, pose=pose)
+    error = np.abs(right.inverse_depth - 1 / far.depth)[far.visible]
+    assert 0.4 < (error <= right.inverse_depth_std[far.visible]).mean() < 0.95
 
 
 def test_a_rotation_that_only_the_finer_flow_field_doubts():

@@ -234,9 +234,9 @@ def one_direction(frame: np.ndarray) -> Status | None:
     and Ullman, "Directional selectivity and its use in early visual processing", Proc. R. Soc.
     Lond. B 211 (1981), doi 10.1098/rspb.1981.0001 (aperture problem).
     """
-    while frame.size >= 4 * JUDGED:
+    while frame.size >= 4 * JUDGED and min(frame.shape) > 4 * BORDER:
         frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    if min(frame.shape) <= 2 * BORDER:
+    if min(frame.shape) < 2 * BORDER + CONFIDENCE_WINDOW:  # too few windows to tell
         return None
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright

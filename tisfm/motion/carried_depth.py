@@ -34,7 +34,7 @@ SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.0
 FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
 # Windows of the finest level that are compared with noise. Frames are bare if this share of them
 # shows no more.
-WINDOW, BARE = 11, 0.02
+WINDOW, BARE = 11, 0.04
 SHOWN = 1.8  # times the variance of the noise: what a window varies by that shows more
 DATA = 0.5  # weight of the constraints against that of a matched pixel
 TEXTURE = 100.0  # times the variance of the noise: of a window whose constraints weigh half

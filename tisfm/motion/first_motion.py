@@ -130,16 +130,20 @@ def first_motion(
             return _far_apart(start, far)
     if matches and apart is not None and given.translation is not None:
         length = float(np.linalg.norm(given.translation))
-        posed = posed_start(pyramid, start.level, (given.rotation, given.translation / length))
+        unit = given.rotation, given.translation / length
+        posed, doubt = posed_start(pyramid, start.level, unit)
         if posed is not None and posed.apart is None:
             # The images agree with the pose, by what no flow field shows.
             return replace(
                 start,
-                residual=SMALLEST_RESIDUAL / scale,
+                residual=posed.motion.residual,
+                doubt=doubt,
                 flow=posed.flow,
                 trust=posed.trust,
                 matched=True,
             )
+        if doubt is not None:
+            return replace(start, status=doubt)
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale
@@ -150,7 +154,7 @@ def first_motion(
         )
         # Along stripes a flow is no reason to doubt a pose.
         doubt = None if stripes else mismatch(off, best, inverse=back)
-        return replace(start, residual=off, doubt=doubt)
+        return replace(start, residual=0.0 if stripes else off, doubt=doubt)
     doubt = None
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)

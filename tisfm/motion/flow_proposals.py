@@ -32,7 +32,8 @@ MANY = 0.08
 AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
 COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
 ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of each other
-# Of the pixels: frames of one scene have 0.6 and more that are found so, others less than 0.05.
+# Of the pixels that are not bare: frames of one scene have 0.6 and more that are found so, others
+# less than 0.05.
 ENOUGH = 0.2
 # px of the level judged, and of the one amended: the least area of what moves farther than it is
 # large
@@ -59,10 +60,10 @@ def proposals(pyramid: ImagePyramid, problem: Problem) -> "Proposals | None":
     problem : Problem
         Of free motion, whose first two unknowns move the image alike everywhere.
     """
-    if pyramid.levels == 1:  # a single scale is what was asked for
+    if pyramid.levels == 1 or pyramid.frames0[-1].size > MOST:  # few scales are what was asked for
         return None
     levels = range(pyramid.last, pyramid.levels)
-    level = next((k for k in levels if pyramid.frames0[k].size <= MOST), levels[-1])
+    level = next(k for k in levels if pyramid.frames0[k].size <= MOST)
     height, width = pyramid.frames0[level].shape
     if height * width < FEWEST or min(height, width) <= 2 * RADIUS or max(pyramid.shape) > LONGEST:
         return None
@@ -119,7 +120,7 @@ class Proposals:
         windows = search.windows(self.level)
         before, there = windows.scored(flow), search.forward(search.levels, known=[flow])
         agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
-        if agreed.mean() < ENOUGH:
+        if np.count_nonzero(agreed) < ENOUGH * np.count_nonzero(before[..., 2] < UNSEEN):
             return None
         evidence = Evidence(windows, self._problem.constancy)
         new = agreed & _new(there, before)

@@ -24,6 +24,9 @@ LEAST = -5.0
 # Grey levels: what rounding, compression and interpolation leave of noise at least, and what is
 # texture rather than noise.
 LEAST_NOISE, MOST_NOISE = 0.7, 15.0
+# Percentiles of the grey levels, of frames of more pixels of every 16th, and how much beyond, of
+# their distance, is told apart.
+RANGE, DENSE, SPARE = (0.1, 99.9), 2**16, 0.05
 QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
 # Of the variance of the noise: windows that vary by less correlate with nothing, or cost too much
 # to be believed.
@@ -70,11 +73,11 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
     first, second = (
         [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
     )
-    low = min(float(first[-1].min()), float(second[-1].min()))
-    high = max(float(first[-1].max()), float(second[-1].max()))
-    gain = LEVELS / max(high - low, LEAST_NOISE)
+    low, gain = grey_scale(first[-1], second[-1])
     noise = gain * max(noise_deviation(frames[-1]) for frames in (first, second))
-    first, second = ([gain * (frame - low) for frame in frames] for frames in (first, second))
+    first, second = (
+        [np.clip(gain * (frame - low), 0, LEVELS) for frame in frames] for frames in (first, second)
+    )
     scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
     search = _Search(
         cameras=[pyramid.cameras[level] for level in levels], scales=scales, noise=noise
@@ -180,6 +183,22 @@ def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
     fixed = fixed.astype(np.int16)
     cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
     return fixed > 0
+
+
+def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.float32]:
+    """Return (low, gain) such that gain · (frame − low) of all but stray pixels is in [0, 255].
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) float32
+        Grey levels.
+    """
+    step = 4 if frame0.size > DENSE else 1
+    values = np.concatenate([frame[::step, ::step].ravel() for frame in (frame0, frame1)])
+    low, high = np.percentile(values, RANGE)
+    margin = SPARE * (high - low)
+    low, high = low - margin, high + margin
+    return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
 
 
 def noise_deviation(frame: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
 from tisfm.kernels.rigid.windows import LEVELS
-from tisfm.motion.matched_planes import LEAST_NOISE, QUIETEST, noise_deviation
+from tisfm.motion.matched_planes import QUIETEST, grey_scale, noise_deviation
 from tisfm.solver.image_pyramid import ImagePyramid
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
@@ -105,11 +105,9 @@ class WindowSearch:
         """Return what is compared on one of the levels."""
         if level not in self._windows:
             frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
-            low = min(float(frame.min()) for frame in frames)
-            high = max(float(frame.max()) for frame in frames)
-            gain = LEVELS / max(high - low, LEAST_NOISE)
+            low, gain = grey_scale(*frames)
             scale = self._pyramid.scales[level] / self._pyramid.scales[self.levels[-1]]
-            levels0, levels1 = (np.float32(gain) * (frame - np.float32(low)) for frame in frames)
+            levels0, levels1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
             self._windows[level] = Windows(
                 levels0=levels0, levels1=levels1, noise=max(gain * scale * self._noise, QUIETEST)
             )

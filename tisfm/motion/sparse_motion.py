@@ -170,6 +170,18 @@ def posed_motion(
     return _described(judge, (*pose, residual), "depth", camera, shape)
 
 
+def posed_residual(rays: Rays, pose: Pose) -> float:
+    """Return the robust deviation of rays from where a motion can take points, px."""
+    nearest = nearest_points(rays, *pose)
+    # What would lie behind the camera comes no nearer than the point at infinity.
+    distance = np.where(
+        nearest.inverse_depth > 0,
+        np.abs(nearest.distance),
+        rays.focal * length(beyond(rays, pose[0])),
+    )
+    return robust_deviation(distance, rays.trust)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Judge:
     """Matches as evidence for any motion.

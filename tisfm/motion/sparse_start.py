@@ -6,17 +6,19 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
-from tisfm.motion.agreement import correlation, texture, unrelated
+from tisfm.motion.agreement import correlation, mismatch, texture, unrelated
 from tisfm.motion.epipolar_fit import Pose, nearest_points
 from tisfm.motion.one_plane import TWO_MOTIONS
 from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
 from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
 from tisfm.motion.sparse_motion import (
+    SMALLEST_RESIDUAL,
     TIED,
     SparseMotion,
     angle,
     posed_motion,
+    posed_residual,
     sparse_motions,
 )
 from tisfm.outcome import Status
@@ -84,8 +86,13 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
     return chosen.start(1 / pyramid.scales[finest], doubt)
 
 
-def posed_start(pyramid: ImagePyramid, level: int, pose: Pose) -> SparseStart | None:
-    """Return what a known motion makes of a level, None where too few matches agree with it.
+def posed_start(
+    pyramid: ImagePyramid, level: int, pose: Pose
+) -> tuple[SparseStart | None, Status | None]:
+    """Return what a known motion makes of a level, and why it is wrong.
+
+    The former is None where too few matches agree with it, the latter where they agree with no
+    other motion by far better.
 
     Parameters
     ----------
@@ -95,11 +102,22 @@ def posed_start(pyramid: ImagePyramid, level: int, pose: Pose) -> SparseStart | 
         ‖t‖ = 1.
     """
     finest, matches = _matches(pyramid)
-    shape = pyramid.frames0[finest].shape
-    motion = posed_motion(matches, pyramid.cameras[finest], shape, pose)
+    camera, shape = pyramid.cameras[finest], pyramid.frames0[finest].shape
+    length = 1 / pyramid.scales[finest]
+    motions, _ = sparse_motions(matches, camera, shape)
+    doubt = None
+    if motions and _View(pyramid, level, motions[0]).apart is None:
+        rotation, translation = pose
+        off, back = (
+            length * posed_residual(motions[0].rays, way)
+            for way in (pose, (rotation.T, -rotation.T @ translation))
+        )
+        best = length * max(motions[0].residual, SMALLEST_RESIDUAL)
+        doubt = mismatch(off, best, inverse=back)
+    motion = posed_motion(matches, camera, shape, pose)
     if motion is None:
-        return None
-    return _View(pyramid, level, motion).start(1 / pyramid.scales[finest], None)
+        return None, doubt
+    return _View(pyramid, level, motion).start(length, doubt), doubt
 
 
 def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:

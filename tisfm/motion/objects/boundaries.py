@@ -19,6 +19,7 @@ LEAST_NOISE, NOISE, SLIP = 3.0, 1.5, 0.4
 # In nats, against 0 for a grey level that is met:
 MISSED = 3.2  # one that is another's,
 LEAST_HIDDEN, HIDDEN = 0.6, 1.7  # of a pixel that is hidden in frame 1, by how varied it is around,
+MOST = 50.0  # of anything, so that its logarithm is finite,
 NEVER = 1e3  # of a label that may not be here,
 LENGTH, IMAGE_EDGES = 5.0, 0.5  # per px of a boundary in uniform frames; and its κ
 VARIED = 5  # px, over which frame 0 is alike or varied
@@ -143,7 +144,7 @@ def _with_hidden(
             np.maximum(share[behind], _read(cover, mine[behind]), out=share[behind])
             # Were it here, what is seen behind would be hidden.
             unary[front] += _read(before * seen[behind], mine[front])
-    return -np.log((1 - share) * np.exp(-unary) + share * np.exp(-hidden[free]))
+    return -np.log((1 - share) * np.exp(-np.minimum(unary, MOST)) + share * np.exp(-hidden[free]))
 
 
 def _before(taken: np.ndarray, missed: np.ndarray) -> np.ndarray:

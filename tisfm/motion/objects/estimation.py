@@ -105,4 +105,6 @@ def objects_estimate(
         carried = with_carried_background(pyramid, settings, solution, labels, motions[order[0]])
         estimate = estimate if carried is None else finish(carried)
     estimate = replace(estimate, history=start.history + estimate.history)
+    if len(order) == 1 and start.doubt is not None:
+        estimate = replace(estimate, status=start.doubt)
     return aligned(estimate, hidden) if settings.align_scales else estimate
