@@ -305,7 +305,7 @@ def test_markup_in_names_is_printed_as_it_is(tisfm_run, frames, place):
 def test_a_run_tells_what_to_try(tisfm_run, frames):
     """The advice of every status but "converged", once."""
     code, _, err = tisfm_run(
-        "run", "frames", "-o", "out", "--no-figures", "--outer-iterations", "1", "--sweeps", "1"
+        "run", "frames", "-o", "out", "--no-figures", "--outer-iterations", "1", "--sweeps", "2"
     )
     lines = err.strip().splitlines()
     assert code == 0

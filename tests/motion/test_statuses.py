@@ -220,7 +220,7 @@ def test_a_wrong_pose_of_frames_far_apart_is_told():
     turned = (0.5, 0, 0.2, 0.03, 0.19, 0)
     far = three_blocks(240, 320, camera_motion=turned, block_motions=np.zeros((3, 6)))
     pose = pose_matrix(far.motions[0])
-    off = pose_matrix([0, 0, 0, 0, np.radians(3), 0]) @ pose
+    off = pose_matrix([0, 0, 0, 0, 0, np.radians(3)]) @ pose
     for wrong in (off, np.linalg.inv(pose)):
         assert interpreted(far, pose=wrong).status == "pose_mismatch"
     right = interpreted(far, pose=pose)
