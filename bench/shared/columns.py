@@ -38,6 +38,8 @@ COLUMNS = (
     Column("Yosemite with clouds AAE, °", "yosemite_clouds", "aae"),
     Column("Yosemite AAE, °", "yosemite_cloudless", "aae"),
     Column("alley EPE, px", "sintel_alley", "epe"),
+    Column("cave clean EPE, px", "sintel_cave, clean", "epe"),
+    Column("cave final EPE, px", "sintel_cave, final", "epe"),
     Column("stereo outliers, %", "stereo", "outliers"),
     Column("KITTI outliers, %", "kitti", "outliers"),
     Column("scenes EPE, px", "scenes", "epe"),

@@ -152,6 +152,16 @@ SOURCES: dict[str, Source] = {
         name="frame_0002",
         note="alley_1, clean, frames 2 and 3; occluded pixels count, invalid ones do not",
     ),
+    **{
+        f"cave, {kind}": Source(
+            folder=f"sintel_cave/{kind}",
+            layout="sintel",
+            group=f"sintel_cave, {kind}",
+            name="frame_0002",
+            note="cave_2, frames 2 and 3: motions up to 46 px; occluded pixels count",
+        )
+        for kind in ("clean", "final")
+    },
     "motorcycle": Source(
         folder="stereo", layout="stereo", group="stereo", name="motorcycle", note=_STEREO_NOTE
     ),

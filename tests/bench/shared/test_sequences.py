@@ -10,7 +10,7 @@ from bench.shared.sequences import data_folder, find_pairs
 def test_all_pairs_are_found(shared_data):
     found, missing = find_pairs(shared_data)
     assert not missing
-    assert len(found) == 10
+    assert len(found) == 12
     for pair in found:
         assert pair.frame0.shape[:2] == pair.frame1.shape[:2] == pair.size
         assert pair.frame0.dtype == pair.frame1.dtype == np.uint8
