@@ -69,7 +69,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     if far_apart and bare_share(pyramid.frames0[level]) >= BARE:
         surer = motions
         if refine != "none" and not start.matched:
-            surer, doubt = _finer(pyramid, settings, motions, pose)
+            surer, doubt = _finer(pyramid, settings, start, pose)
             start = replace(start, doubt=start.doubt or doubt)
         solution = carried_depth(pyramid, settings, surer[0])
     if solution is None:
@@ -89,18 +89,18 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
 
 
 def _finer(
-    pyramid: ImagePyramid, settings: Settings, motions: np.ndarray, pose: KnownPose | None
+    pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
 ) -> tuple[np.ndarray, Status | None]:
     """Return the motion of the flow field of the last level, if it shows one, and why to doubt it.
 
     Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
-    start = first_motion(pyramid, settings, pose=pose, pixels=pixels)
-    if start.status is not None:
-        return motions, start.doubt
+    near = start.rotation, start.translation
+    found = first_motion(pyramid, settings, pose=pose, pixels=pixels, near=near)
+    matrix = start.matrix if found.status is not None else found.matrix
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(start.matrix[None], labels, pyramid.cameras[0]), start.doubt
+    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), found.doubt
 
 
 def only_turned(

@@ -69,6 +69,7 @@ def camera_motion(
     *,
     rotation: np.ndarray | None = None,
     near: np.ndarray | None = None,
+    start: Pose | None = None,
 ) -> CameraMotion:
     """Fit one rigid motion to a flow field in which other things may move as well.
 
@@ -91,6 +92,8 @@ def camera_motion(
     near : (3, 3) array, optional
         A rotation that R is likely to be near to, for parts of an image that alone show too
         little to tell rotation from translation.
+    start : (rotation, translation), optional
+        A motion near to the one sought, ‖t‖ = 1: it is refined, and no other start is tried.
 
     Returns
     -------
@@ -115,15 +118,9 @@ def camera_motion(
         confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
     )
     rays = correspondences(flow, confidence, camera)
-    few = rays.every(max(1, rays.trust.size // FEW))
-    if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
-        few = rays
     free = Free(unknowns=6 if rotation is None else 3, near=near)
-    starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
-    candidates = [refine(few, start, free, iterations=STARTING) for start in starts]
-    scale = min(candidate[2] for candidate in candidates)
-    best = min(candidates, key=lambda pose: cost(few, pose[:2], scale))
-    turn, translation, scale = refine(rays, best[:2], free, iterations=ITERATIONS)
+    best = start or _best_start(rays, rotation, free)
+    turn, translation, scale = refine(rays, best, free, iterations=ITERATIONS)
     nearest = nearest_points(rays, turn, translation)
     distance = np.abs(nearest.distance)
     if rays.trust @ np.sign(nearest.inverse_depth) < 0:
@@ -220,6 +217,20 @@ def correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) ->
         trust=trust[taken],
         focal=camera.focal,
     )
+
+
+def _best_start(rays: Rays, rotation: np.ndarray | None, free: Free) -> Pose:
+    """Return the motion of several starts, each refined a little, that costs a part of them least.
+
+    The rotation of all is `rotation` if that is known.
+    """
+    few = rays.every(max(1, rays.trust.size // FEW))
+    if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
+        few = rays
+    starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
+    candidates = [refine(few, start, free, iterations=STARTING) for start in starts]
+    scale = min(candidate[2] for candidate in candidates)
+    return min(candidates, key=lambda pose: cost(few, pose[:2], scale))[:2]
 
 
 def _starts(rays: Rays) -> list[Pose]:

@@ -89,6 +89,7 @@ def first_motion(
     pose: KnownPose | None = None,
     pixels: float = math.inf,
     matches: bool = False,
+    near: Pose | None = None,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
@@ -105,6 +106,8 @@ def first_motion(
     matches : bool
         Whether points are matched where the flow field is found wanting and no pose is known, or
         where it leaves the frames unlike and a pose with translation is known.
+    near : (rotation, translation), optional
+        The motion of a coarser level, ‖t‖ = 1: it is refined, and no other is tried.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
@@ -116,7 +119,7 @@ def first_motion(
     if stripes is not None and given.translation is None:
         return replace(start, status=stripes)
     try:
-        found = camera_motion(start.flow, start.trust, camera)
+        found = camera_motion(start.flow, start.trust, camera, start=near)
     except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(start, status=Status("no_texture", message))

@@ -29,7 +29,8 @@ DRAWS = 10_000  # at most: half of the matches may be wrong
 # px: matches within take part in the refinement, one time after the other. Near ones alone miss
 # the least cost from a poor start; far ones lead away from a good one.
 REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
-SETTLED = 1e-5  # rad, and of ‖t‖ = 1: a step that is as good as none
+# rad, and of ‖t‖ = 1: a step that is as good as none. Farther matches only lead to the nearer.
+SETTLED, NEARLY_SETTLED = 1e-5, 1e-3
 ALIKE = 1e-3  # in every entry of R and t: motions that differ by less need no refinement each
 EXPLAINED = 3.0  # px
 ITERATIONS = 30
@@ -257,12 +258,13 @@ def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> lis
     free = Free(unknowns=6, near=None)
     poses: list[Pose] = starts
     found: list[_Motion] = []
-    for reach in reaches:
+    for k, reach in enumerate(reaches):
+        settled = NEARLY_SETTLED if k + 1 < len(reaches) else SETTLED
         found = []
         for pose in poses:
             near = rays.where(_explained(rays, pose, reach))
             if near.trust.size >= FEWEST:
-                found.append(refine(near, pose, free, iterations=ITERATIONS, settled=SETTLED))
+                found.append(refine(near, pose, free, iterations=ITERATIONS, settled=settled))
         found = _distinct(found)
         poses = [(rotation, translation) for rotation, translation, _ in found]
     return [
