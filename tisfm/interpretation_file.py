@@ -31,7 +31,7 @@ _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message")
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
-    "unexplained",
+    "unexplained", "uncertain",
 )  # fmt: skip
 _WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",

@@ -7,7 +7,7 @@ import numpy as np
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
     "little_parallax", "unrelated", "pose_mismatch", "two_motions", "aperture", "behind_camera",
-    "unexplained",
+    "unexplained", "uncertain",
 )  # fmt: skip
 """Codes of `Status`."""
 
@@ -28,8 +28,10 @@ class Status(str):
     With ``motion="camera"`` also ``"two_motions"``: frames of one plane, or far apart, leave two
     motions that explain them alike, and depth follows from one of them; ``"behind_camera"``, much
     of the scene would lie behind the camera; and ``"unexplained"``, much of the texture is not
-    alike where motion and depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``:
-    it contradicts the images, and the depth is what follows from it all the same.
+    alike where motion and depth lead: depth is wrong there; and ``"uncertain"``, there is little
+    parallax, or the deviation of much of the depth is large. With a pose given,
+    ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all the
+    same.
     """
 
     message: str

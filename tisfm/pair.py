@@ -156,7 +156,7 @@ def interpret_pair(
             or diverged(flow, leaves, vouched=estimate.matched or posed)
             or (status if counted else UNCOUNTED)
         )
-    if status in ("converged", "iteration_limit"):
+    if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
             status = field_doubt(pyramid, flow, trust) or status
         elif estimate.free_flow is not None:

@@ -7,6 +7,7 @@ import pytest
 import tisfm
 from tests.motion.one_motion import CAMERA, FAST, SIZE, errors
 from tests.rendered import static_scene, two_blocks
+from tisfm.metrics import depth_errors
 from tisfm.motion.agreement import unrelated
 from tisfm.rigid import pose_matrix, rigid_motion
 
@@ -65,19 +66,34 @@ def test_noise_alone_is_no_motion(small):
     assert not result.motions.any()
 
 
-def test_too_little_parallax_is_said():
-    """A rotation of pixels and a translation of hundredths of one, under noise."""
+def of_noisy_frames(translation):
+    """The result of a rotation of pixels and a translation to the side, under noise; the scene."""
     rng = np.random.default_rng(1)
-    motion = np.array([-0.008, 0, 0, 0.004, -0.008, 0.003])
-    scene = moved_scene(motion)
+    scene = moved_scene(np.array([-translation, 0, 0, 0.004, -0.008, 0.003]))
     frames = [
         np.clip(f + rng.normal(scale=4, size=f.shape), 0, 255).astype(np.uint8)
         for f in (scene.frame0, scene.frame1)
     ]
-    result = tisfm.interpret(*frames, camera=scene.camera, settings=CAMERA)
+    return tisfm.interpret(*frames, camera=scene.camera, settings=CAMERA), scene
+
+
+def test_too_little_parallax_is_said():
+    """A translation of hundredths of a pixel."""
+    result, scene = of_noisy_frames(0.008)
     assert result.status in ("little_parallax", "pure_rotation") and no_depth(result)
     assert "too little parallax" in result.status.message
     assert errors(result, scene).rotation < 0.1
+
+
+@pytest.mark.parametrize("translation", [0.012, 0.02])
+def test_rough_depth_is_said_to_be_uncertain(translation):
+    """It is far better than the same depth everywhere, all the same."""
+    result, scene = of_noisy_frames(translation)
+    assert result.status == "uncertain"
+    assert "there is little parallax, so depth is rough" in result.status.message
+    middle = np.median(scene.depth)
+    constant = np.abs(middle - scene.depth).mean() / middle
+    assert depth_errors(result.depth, scene.depth).abs_rel < constant / 2
 
 
 def moved_scene(motion):

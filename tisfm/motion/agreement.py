@@ -29,6 +29,9 @@ UNEXPLAINED, BETTER = 0.15, 0.1
 # a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
 # where it is off by more than half.
 BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
+# Of the pixels that are seen: those whose inverse depth has a deviation of more than half of itself,
+# and of what is usual. At most 0.03 where depth is off by less than 0.15.
+UNSURE, UNCERTAIN = 0.5, 0.05
 # Stripes: in all but this share of the windows, no more than this share of the variation is along
 # them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
 VARIED, ALONG = 0.01, 0.25
@@ -152,7 +155,8 @@ def unexplained(
 
     Depth is wrong where much of it lies behind the camera, and where much of the texture is more
     alike where the flow field leads that the motion was first fitted to. Where that is not known,
-    because points were matched instead, frames have to be alike where the depth leads.
+    because points were matched instead, frames have to be alike where the depth leads. It is
+    uncertain where its own deviation says so.
 
     Parameters
     ----------
@@ -162,7 +166,11 @@ def unexplained(
     unseen : (H, W) bool
         Pixels that are not visible in frame 1.
     """
-    return _behind(estimate, ~unseen) or _worse_than_flow(pyramid, estimate, unseen)
+    return (
+        _behind(estimate, ~unseen)
+        or _worse_than_flow(pyramid, estimate, unseen)
+        or _unsure(estimate, ~unseen)
+    )
 
 
 def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
@@ -185,6 +193,27 @@ def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
         f"{100 * share:.0f}% of the pixels that are seen would lie behind the camera, so depth is "
         "wrong: check the focal length, the pose if one is given, and that nothing large moves on "
         'its own (motion="objects" allows that), or take frames further apart',
+    )
+
+
+def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
+    """Return the status of depth much of which has a large deviation."""
+    assert estimate.inverse_depth_std is not None
+    sample = np.s_[::SAMPLED, ::SAMPLED]
+    seen = seen[sample]
+    if not seen.any():
+        return None
+    inverse_depth = estimate.inverse_depth[sample][seen]
+    deviation = estimate.inverse_depth_std[sample][seen]
+    usual = median(np.abs(inverse_depth))
+    share = (deviation > np.float32(UNSURE) * np.maximum(inverse_depth, usual)).mean()
+    if share <= UNCERTAIN:
+        return None
+    return Status(
+        "uncertain",
+        f"at {100 * share:.0f}% of the pixels that are seen, inverse depth has a deviation of more "
+        "than half of itself: take frames further apart, or move the camera sideways; "
+        "result.inverse_depth_std says where depth is sure",
     )
 
 

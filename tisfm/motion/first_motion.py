@@ -29,9 +29,10 @@ from tisfm.visibility.occlusion import leaves_image
 
 WARPS = 2  # at least, linearisations on the level of the flow field
 # Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
-# On hand-held sequences depth below the other two was hardly better than a constant: less than a
-# pixel of parallax drowns in what lens and shutter do, which the residual does not show.
-SEEN, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 6.0, 9.0
+# On hand-held sequences depth below the last two was little better than a constant: less than a
+# pixel of parallax drowns in what lens and shutter do, which the residual does not show. From
+# ROUGH on it was better than a constant in most pairs.
+SEEN, ROUGH, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 4.0, 6.0, 9.0
 FINEST = 0.005  # px of the level: no flow is better than that
 # px of the level, of the fit: at most 0.045 on rendered scenes and in a textured studio; in bare
 # rooms and between frames far apart, where directions were off by degrees, from 0.065 on.
@@ -164,6 +165,8 @@ def first_motion(
         doubt = mismatch(found.residual / scale, best)
     moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
     status = _parallax_status(found, scale, moved)
+    if status == "uncertain":
+        status, doubt = None, doubt or status
     known = replace(
         start,
         residual=found.residual / scale,
@@ -175,7 +178,8 @@ def first_motion(
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
     if pose is None and status is None:
-        doubt = plane_doubt(correspondences(start.flow, start.trust, camera), found.residual)
+        plane = plane_doubt(correspondences(start.flow, start.trust, camera), found.residual)
+        doubt = plane or doubt
     return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
 
 
@@ -245,6 +249,12 @@ def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status 
     if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
         return None
     seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
+    if share >= ROUGH:
+        return Status(
+            "uncertain",
+            f"there is little parallax, so depth is rough: {seen}; take frames further apart, or "
+            "move the camera sideways",
+        )
     if share >= SEEN:
         return _hardly_moved(seen)
     if moved < max(STILL, 3 * residual):

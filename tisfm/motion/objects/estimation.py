@@ -85,7 +85,9 @@ def objects_estimate(
     rank[order] = np.arange(len(order))
     expected = np.take_along_axis(layers.flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
-    unseen = int(rank[0]) if start.status and areas[0] else None
+    # Beside things that are seen well, rough depth of the background says nothing.
+    rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
+    unseen = int(rank[0]) if rough and areas[0] else None
 
     def finish(solution: RigidSolution) -> Estimate:
         return with_depth(solution, labels, camera, settings, unseen=unseen)
