@@ -167,9 +167,9 @@ def test_a_single_scale_and_tiny_frames_are_left_alone():
 
 
 def test_outlines_are_those_of_the_images():
+    from tisfm.motion.fast_things import FastThings
     from tisfm.motion.matched_windows import WindowSearch
     from tisfm.motion.problems import flow_problem, pyramid_of
-    from tisfm.motion.strays import Strays
     from tisfm.solver.coarse_to_fine import unknowns_on
 
     frame0, frame1, flow, thing = with_thing(moved(np.eye(2, 3), 97, 151), (40, 11), size=20)
@@ -182,7 +182,7 @@ def test_outlines_are_those_of_the_images():
     rho = np.zeros((3, *thing.shape), np.float32)
     rho[:2] = np.where(rough, np.array([40, 11])[:, None, None], 0)
     unknowns.set_images(rho)
-    Strays(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
+    FastThings(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
     off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
     assert (off > 1).sum() < 30  # of an outline of 80 px
     east, south = unknowns.to_images(unknowns.edges)
