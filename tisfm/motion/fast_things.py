@@ -1,4 +1,4 @@
-"""Things that move farther than they are large, kept apart from what is around them.
+"""Things that move far for their size, kept apart from what is around them.
 
 The smoothness of a flow charges for every step of motion along an outline, without bound, so that
 a small thing that moves far is cheaper moved with its surroundings, whatever the images say. Once

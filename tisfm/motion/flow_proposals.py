@@ -1,10 +1,10 @@
 """Motions that coarse to fine has lost: looked for where the flow is found wanting.
 
-On a coarse level a thing that moves farther than it is large cannot be told from what is around
-it, and finer levels only improve what they start from. So once, on a level where most things can
-be seen, windows of both frames are compared along the flow. Where they do not look alike,
-displacements from all around are tried, both ways round, and the images decide pixel by pixel. The
-minimisation goes on from there.
+On a coarse level a thing that moves far for its size cannot be told from what is around it, and
+finer levels only improve what they start from. So once, on a level where most things can be seen,
+windows of both frames are compared along the flow. Where they do not look alike, displacements
+from all around are tried, both ways round, and the images decide pixel by pixel. The minimisation
+goes on from there.
 """
 
 import cv2
@@ -27,7 +27,7 @@ WANTING = 0.5  # a cost that no right flow has, but where something hides the pi
 RIGHT = 0.3  # a cost that is more than that of most right flows
 PLAIN = 6.0  # times the variance of the noise: windows that vary by more are judged
 # Of the pixels that are wanting: up to 0.06 where motion is found, 0.11 and more where much of it
-# is lost. If fewer are, only what moves farther than it is large is looked for.
+# is lost. If fewer are, only things that move far for their size are looked for.
 MANY = 0.08
 AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
 COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
@@ -35,11 +35,11 @@ ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of eac
 # Of the pixels that are not bare: frames of one scene have 0.6 and more that are found so, others
 # less than 0.05.
 ENOUGH = 0.2
-# px of the level judged, and of the one amended: the least area of what moves farther than it is
-# large
-STRAY, STRAY_AMENDED = 24, 50
+# Of things that move far for their size, on the level judged and on the one amended: the least
+# area, px, and the least way over the root of it. On the first, areas are larger by their windows.
+AREA_SEEMING, AREA = 24, 50
 FARTHER_SEEMING, FARTHER = 0.25, 0.5
-BORNE = 10  # pixels of such an area, of the level judged, that the images clearly bear out
+SUPPORT = 10  # pixels of such an area, of the level judged, that the images clearly bear out
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
 BEYOND = np.float32(LONGEST)  # px: no flow has more
 EVIDENCE = 5  # px: the side of the square whose residuals decide
@@ -97,15 +97,16 @@ class Proposals:
         flow = cv2.merge(list(unknowns.flow()))
         if not np.isfinite(flow).all():
             return False
-        windows = self._search.windows(self._judged)
-        coarse = resized(flow, windows.shape, windows.scale / self._scale)
-        judged = windows.scored(coarse, seen=PLAIN)
-        wanting = (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
+        judged, wanting = self._judge(flow)
+        better = flow
         if wanting.mean() >= MANY:
-            better = self._all_over(flow)
-        else:
-            better = self._with_things(flow, judged, wanting)
-        if better is None:
+            found = self._all_over(flow)
+            if found is None:
+                return False
+            better = found
+            judged, wanting = self._judge(better)
+        better = self._with_things(better, judged, wanting)
+        if better is flow:
             return False
         rho = unknowns.images()
         rho[:2] += cv2.split(better - flow)
@@ -118,8 +119,18 @@ class Proposals:
         if self._things is not None:
             self._things.set_apart(self._search.windows(level), unknowns)
 
+    def _judge(self, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state of a flow on the level judged, and which pixels it leaves wanting."""
+        windows = self._search.windows(self._judged)
+        coarse = resized(flow, windows.shape, windows.scale / self._scale)
+        judged = windows.scored(coarse, seen=PLAIN)
+        return judged, (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
+
     def _all_over(self, flow: np.ndarray) -> np.ndarray | None:
-        """Return a better flow of frames whose motion was missed in large parts, None if none."""
+        """Return a better flow of frames whose motion was missed in large parts.
+
+        None of frames that have too little in common.
+        """
         search = self._search
         windows = search.windows(self.level)
         known = [(flow, windows.scale)]
@@ -131,29 +142,27 @@ class Proposals:
         new = agreed & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
         if not new.any():
-            return None
+            return flow
         found = np.where(new[..., None], there[..., :2], flow)
         known = new | (agreed & ~_elsewhere(there, flow))
         return _carried(windows, evidence, found, known, before)
 
-    def _with_things(
-        self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray
-    ) -> np.ndarray | None:
-        """Return a flow with that of things that move farther than they are large, None if none."""
+    def _with_things(self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray) -> np.ndarray:
+        """Return a flow with that of things that move far for their size."""
         sought = _unexplained(judged, wanting)
         if not sought.any():
-            return None
+            return flow
         search = self._search
         windows, coarse = search.windows(self._judged), judged[..., :2]
         there = search.forward([self._judged], known=[(coarse, windows.scale)], sought=sought)
-        new = _fast(_new(there, judged), there, judged, farther=FARTHER_SEEMING, least=STRAY)
+        new = _fast(_new(there, judged), there, judged, farther=FARTHER_SEEMING, least=AREA_SEEMING)
         if not new.any():
-            return None
+            return flow
         evidence = Evidence(windows, self._problem.constancy)
-        borne = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
-        new = _supported(new, borne)
+        supported = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
+        new = _supported(new, supported)
         if not new.any():
-            return None
+            return flow
         # There may be some. They are looked for again where more can be seen, with more draws.
         found = there[..., :2], windows.scale
         windows, level = search.windows(self.level), [self.level]
@@ -168,9 +177,9 @@ class Proposals:
         before = windows.scored(flow, sought=_around(sought, 2 * RADIUS + 1))
         new = sought & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE, by=CLEARLY)
-        new = _fast(new, there, before, farther=FARTHER, least=STRAY_AMENDED)
+        new = _fast(new, there, before, farther=FARTHER, least=AREA)
         if not new.any():
-            return None
+            return flow
         here = search.backward(
             [self.level],
             known=[(-flow, windows.scale), (_turned(there, new), windows.scale)],
@@ -178,9 +187,9 @@ class Proposals:
             tried=MANY_TRIED,
         )
         new = _vouched(new, there, _agreeing(there, here))
-        new = _fast(new, there, before, farther=FARTHER, least=STRAY_AMENDED)
+        new = _fast(new, there, before, farther=FARTHER, least=AREA)
         if not new.any():
-            return None
+            return flow
         self._things = FastThings(new, self._problem)
         return np.where(new[..., None], there[..., :2], flow)
 
@@ -235,10 +244,10 @@ def _fast(
     return fast[labels]
 
 
-def _supported(new: np.ndarray, borne: np.ndarray) -> np.ndarray:
-    """Return the connected areas of the new pixels that hold enough of those borne out."""
+def _supported(new: np.ndarray, supported: np.ndarray) -> np.ndarray:
+    """Return the connected areas of the new pixels that hold enough of those supported."""
     count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    enough = np.bincount(labels[new & borne], minlength=count) >= BORNE
+    enough = np.bincount(labels[new & supported], minlength=count) >= SUPPORT
     enough[0] = False
     return enough[labels]
 
