@@ -229,19 +229,30 @@ def _fast(
     root of its size, which is `least` px or more: against its own before, and against that around
     it of what looks alike in both frames. On bare surfaces, flow says nothing.
     """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
+    size = boxes[:, cv2.CC_STAT_AREA]
+    large = size >= least
+    large[0] = False
+    if not large.any():
+        return np.zeros_like(new)
+    first, extent = boxes[large, :2], boxes[large, 2:4]
+    left, top = np.maximum(first.min(axis=0) - RADIUS, 0)
+    end, bottom = (first + extent).max(axis=0) + RADIUS
+    part = np.s_[top:bottom, left:end]
+    away = _beyond(there[part], before[part])
+    mean = np.bincount(labels[part].ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
+    return (large & (mean > farther * np.sqrt(size)))[labels]
+
+
+def _beyond(there: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return how far displacements are from those of the flow in the window around, px."""
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
-    flow, right = before[..., :2], (before[..., 2] < WANTING)[..., None]
-    least_around = np.minimum(cv2.erode(np.where(right, flow, BEYOND), window), flow)
-    most_around = np.maximum(cv2.dilate(np.where(right, flow, -BEYOND), window), flow)
-    beyond = np.maximum(least_around - there[..., :2], there[..., :2] - most_around)
-    away = np.hypot(*cv2.split(np.maximum(beyond, 0)))
-    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    size = np.bincount(labels.ravel(), minlength=count)
-    mean = np.bincount(labels.ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
-    fast = (mean > farther * np.sqrt(size)) & (size >= least)
-    fast[0] = False
-    return fast[labels]
+    flow, alike = before[..., :2], (before[..., 2] < WANTING)[..., None]
+    least = np.minimum(cv2.erode(np.where(alike, flow, BEYOND), window), flow)
+    most = np.maximum(cv2.dilate(np.where(alike, flow, -BEYOND), window), flow)
+    beyond = np.maximum(least - there[..., :2], there[..., :2] - most)
+    return np.hypot(*cv2.split(np.maximum(beyond, 0)))
 
 
 def _supported(new: np.ndarray, supported: np.ndarray) -> np.ndarray:
