@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
 from tisfm.kernels.rigid.windows import LEVELS
-from tisfm.motion.matched_planes import QUIETEST, grey_scale, noise_deviation
+from tisfm.motion.matched_planes import DENSE, QUIETEST, grey_scale, noise_deviation
 from tisfm.solver.image_pyramid import ImagePyramid
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
@@ -111,7 +111,8 @@ class WindowSearch:
         # the range of grey levels, however few of those of their type the frames use.
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
-        noise = max(noise_deviation(gain * frame) for frame in frames)
+        every = 2 if frames[0].size > DENSE else 1
+        noise = max(noise_deviation(gain * frame, every=every) for frame in frames)
         self._noise = noise / (gain * pyramid.scales[finest])
 
     def windows(self, level: int) -> Windows:
