@@ -104,7 +104,7 @@ def sampled(packed1: ti.template(), height, width, u, v):
     v = ti.max(0.0, ti.min(v, height - 1.0))
     column, row = ti.floor(u), ti.floor(v)
     a, b = u - column, v - row
-    # Whole, and below 2²⁴: `PlaneSearch` takes no more pixels.
+    # Whole, and below 2²⁴: searches take no more pixels.
     place = row * ti.cast(width, ti.f32) + column
     here, east, south, both = 0.0 * u, 0.0 * u, 0.0 * u, 0.0 * u
     for n in ti.static(range(VECTOR)):  # compiled to gathering loads, where a CPU has them

@@ -1,15 +1,23 @@
 """Motions that coarse to fine loses: large ones, and small things that move far."""
 
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 import tisfm
 from tests.rendered import static_scene, two_blocks
+from tisfm import runtime
 from tisfm.motion import field
 from tisfm.scenes import static_scene as rendered
 
 MARGIN = 200
+ROOT = Path(__file__).parents[2]
 
 
 def texture(height, width, seed):
@@ -104,6 +112,133 @@ def test_without_proposals_both_are_lost(monkeypatch):
     frame0, frame1, flow, thing = with_thing(moved(np.eye(2, 3)), (60, 0))
     result = without_proposals(monkeypatch, frame0, frame1)
     assert error(result, flow)[thing].mean() > 30
+    frame0, frame1, flow, stays = moved(AFAR)
+    result = without_proposals(monkeypatch, frame0, frame1)
+    assert error(result, flow)[stays].mean() > 30
+
+
+def bare(height=240, width=400, grey=110):
+    """Return two frames of a wall without texture, at rest, its flow, and where it is seen."""
+    frame = np.full((height, width), grey, np.uint8)
+    return frame, frame, np.zeros((height, width, 2)), np.ones((height, width), bool)
+
+
+@pytest.mark.parametrize("background", ["textured", "half bare", "bare"])
+@pytest.mark.parametrize(("size", "move"), [(60, (50, 0)), (60, (-30, 32)), (30, (-45, 40))])
+def test_a_thing_that_moves_by_about_its_size_is_found(monkeypatch, background, size, move):
+    ground = bare() if background == "bare" else moved(np.eye(2, 3))
+    if background == "half bare":
+        for frame in ground[:2]:
+            frame[:, :200] = 110
+    frame0, frame1, flow, thing = with_thing(ground, move, size=size)
+    lost = without_proposals(monkeypatch, frame0, frame1)
+    assert np.median(error(lost, flow)[thing]) > 5
+    off = error(tisfm.interpret(frame0, frame1), flow)
+    assert np.median(off[thing]) < 0.5
+    assert off[thing].mean() < 4  # wrong at the outline
+    if background == "textured":
+        assert off[~thing].mean() < 0.6
+
+
+def test_a_hot_pixel_makes_no_thing(monkeypatch):
+    frame0, frame1, flow, _ = moved([[1, 0, 1.5], [0, 1, -0.5]])
+    for frame in (frame0, frame1):  # the sensor's, so that it stays where it is
+        frame[100, 150] = 255
+        frame[60, 300] = 0
+    amended = tisfm.interpret(frame0, frame1)
+    np.testing.assert_array_equal(amended.rho, without_proposals(monkeypatch, frame0, frame1).rho)
+    assert error(amended, flow).mean() < 0.2
+
+
+def test_bare_frames_are_left_alone(monkeypatch):
+    noise = np.random.default_rng(0).normal(0, 1.5, (2, 240, 400))
+    frames = np.rint(110 + noise).astype(np.uint8)
+    amended = tisfm.interpret(*frames)
+    np.testing.assert_array_equal(amended.rho, without_proposals(monkeypatch, *frames).rho)
+    frame0, frame1, _, _ = bare()
+    assert np.abs(tisfm.interpret(frame0, frame1).flow).max() == 0
+
+
+def test_a_half_bare_frame_is_left_alone(monkeypatch):
+    frame0, frame1, flow, _ = moved([[1, 0, 1.5], [0, 1, -0.5]])
+    frame0[:, :200], frame1[:, :200] = 110, 110
+    amended = tisfm.interpret(frame0, frame1)
+    np.testing.assert_array_equal(amended.rho, without_proposals(monkeypatch, frame0, frame1).rho)
+    assert np.median(error(amended, flow)[:, 210:]) < 0.1
+
+
+@pytest.mark.parametrize("scene", ["thing", "background"])
+def test_any_type_of_frames_gives_the_same_flow(scene):
+    """Full range, 12 bits in 16, and [0, 1]."""
+    if scene == "thing":
+        frame0, frame1, flow, judged = with_thing(moved([[1, 0, 3], [0, 1, -1.5]]), (60, 0))
+    else:
+        frame0, frame1, flow, judged = moved(AFAR)
+    expected = tisfm.interpret(frame0, frame1)
+    assert np.median(error(expected, flow)[judged]) < 0.2
+    for change in (
+        lambda frame: frame.astype(np.uint16) * 257,
+        lambda frame: frame.astype(np.uint16) * 16,
+        lambda frame: frame / 255,
+    ):
+        result = tisfm.interpret(change(frame0), change(frame1))
+        off = np.linalg.norm(result.flow - expected.flow, axis=-1)
+        assert off[judged].mean() < 0.01
+        assert off.mean() < 0.1
+
+
+def bits():
+    frame0, frame1, _, _ = with_thing(moved(np.eye(2, 3)), (60, 0))
+    digest = hashlib.sha256(tisfm.interpret(frame0, frame1).rho.tobytes())
+    frame0, frame1, _, _ = moved(AFAR)
+    digest.update(tisfm.interpret(frame0, frame1).rho.tobytes())
+    return digest.hexdigest()
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="there is one core, so one thread for any number")
+def test_same_bits_with_one_thread_and_with_all():
+    """In a process of its own, since the threads are chosen once."""
+    script = (
+        "from tisfm import runtime\n"
+        "runtime.start(threads=1)\n"
+        "from tests.motion.test_flow_proposals import bits\n"
+        "print(bits(), runtime.threads())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [bits(), "1"]
+    assert runtime.threads() > 1
+
+
+@pytest.mark.parametrize(("size", "other"), [((97, 151), (48, 76)), ((75, 113), (53, 79))])
+@pytest.mark.parametrize("back", [False, True])
+def test_a_flow_on_another_level_is_as_long_along_both_axes(size, other, back):
+    """Levels are scaled by their factor exactly, however their sizes are rounded."""
+    from tisfm.motion.matched_windows import resized
+
+    ratio = other[1] / size[1] + 0.003
+    if back:
+        size, other, ratio = other, size, 1 / ratio
+    flow = np.broadcast_to(np.float32([100, -80]), (*size, 2)).copy()
+    found = resized(flow, other, ratio)
+    assert found.shape == (*other, 2)
+    np.testing.assert_allclose(found, np.broadcast_to(flow[0, 0] * ratio, found.shape), rtol=1e-5)
+
+
+def test_the_noise_is_that_of_the_noisier_frame():
+    from tisfm.motion.matched_windows import WindowSearch
+    from tisfm.motion.problems import pyramid_of
+
+    settings = tisfm.Settings(presmoothing=0.0)
+    quiet = texture(200, 300, 0).astype(np.float32)
+    noisy = quiet + np.random.default_rng(1).normal(0, 6, quiet.shape).astype(np.float32)
+
+    def noise(frame0, frame1):
+        pyramid = pyramid_of(frame0, frame1, tisfm.Camera(focal=300.0), settings)
+        return WindowSearch(pyramid, 0).windows(0).noise
+
+    assert noise(quiet, noisy) == noise(noisy, quiet) > 1.5 * noise(quiet, quiet)
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
@@ -167,9 +302,9 @@ def test_a_single_scale_and_tiny_frames_are_left_alone():
 
 
 def test_outlines_are_those_of_the_images():
+    from tisfm.motion.fast_things import FastThings
     from tisfm.motion.matched_windows import WindowSearch
     from tisfm.motion.problems import flow_problem, pyramid_of
-    from tisfm.motion.strays import Strays
     from tisfm.solver.coarse_to_fine import unknowns_on
 
     frame0, frame1, flow, thing = with_thing(moved(np.eye(2, 3), 97, 151), (40, 11), size=20)
@@ -182,7 +317,7 @@ def test_outlines_are_those_of_the_images():
     rho = np.zeros((3, *thing.shape), np.float32)
     rho[:2] = np.where(rough, np.array([40, 11])[:, None, None], 0)
     unknowns.set_images(rho)
-    Strays(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
+    FastThings(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
     off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
     assert (off > 1).sum() < 30  # of an outline of 80 px
     east, south = unknowns.to_images(unknowns.edges)

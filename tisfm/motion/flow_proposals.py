@@ -1,10 +1,10 @@
 """Motions that coarse to fine has lost: looked for where the flow is found wanting.
 
-On a coarse level a thing that moves farther than it is large cannot be told from what is around
-it, and finer levels only improve what they start from. So once, on a level where most things can
-be seen, windows of both frames are compared along the flow. Where they do not look alike,
-displacements from all around are tried, both ways round, and the images decide pixel by pixel. The
-minimisation goes on from there.
+On a coarse level a thing that moves far for its size cannot be told from what is around it, and
+finer levels only improve what they start from. So once, on a level where most things can be seen,
+windows of both frames are compared along the flow. Where they do not look alike, displacements
+from all around are tried, both ways round, and the images decide pixel by pixel. The minimisation
+goes on from there.
 """
 
 import cv2
@@ -13,8 +13,8 @@ import numpy as np
 from tisfm.kernels.rigid.flow_search import carry
 from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
 from tisfm.motion.evidence import Evidence
+from tisfm.motion.fast_things import FastThings
 from tisfm.motion.matched_windows import FEWEST, SEEN, Windows, WindowSearch, masked, resized
-from tisfm.motion.strays import Strays
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
@@ -27,7 +27,7 @@ WANTING = 0.5  # a cost that no right flow has, but where something hides the pi
 RIGHT = 0.3  # a cost that is more than that of most right flows
 PLAIN = 6.0  # times the variance of the noise: windows that vary by more are judged
 # Of the pixels that are wanting: up to 0.06 where motion is found, 0.11 and more where much of it
-# is lost. If fewer are, only what moves farther than it is large is looked for.
+# is lost. If fewer are, only things that move far for their size are looked for.
 MANY = 0.08
 AROUND = 7  # px of the level judged: the side of the window that is searched around such a pixel
 COST, AGREEMENT = 0.5, 2.0  # what is believed costs less, is found as near (px) the other way round
@@ -35,11 +35,13 @@ ISLAND, SIXTEENTHS = 100, 16  # and belongs to as many pixels within 1 px of eac
 # Of the pixels that are not bare: frames of one scene have 0.6 and more that are found so, others
 # less than 0.05.
 ENOUGH = 0.2
-# px of the level judged, and of the one amended: the least area of what moves farther than it is
-# large
-STRAY, STRAY_AMENDED = 24, 50
-BORNE = 10  # pixels of such an area, of the level judged, that the images clearly bear out
+# Of things that move far for their size, on the level judged and on the one amended: the least
+# area, px, and the least way over the root of it. On the first, areas are larger by their windows.
+AREA_SEEMING, AREA = 24, 50
+FARTHER_SEEMING, FARTHER = 0.25, 0.5
+SUPPORT = 10  # pixels of such an area, of the level judged, that the images clearly bear out
 ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement costs that is new
+BEYOND = np.float32(LONGEST)  # px: no flow has more
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
 MANY_TRIED = 2**15  # draws in each round, where something seems to be
@@ -86,22 +88,25 @@ class Proposals:
         self._search = WindowSearch(pyramid, level)
         large = [k for k in self._search.levels if pyramid.frames0[k].size >= JUDGED]
         self._judged = large[0] if large else level
+        self._scale = pyramid.scales[level]
         self._problem = problem
-        self._strays: Strays | None = None
+        self._things: FastThings | None = None
 
     def apply(self, unknowns: Unknowns) -> bool:
         """Put in what is better than ρ̂ on its level, and return whether anything is."""
         flow = cv2.merge(list(unknowns.flow()))
         if not np.isfinite(flow).all():
             return False
-        windows = self._search.windows(self._judged)
-        judged = windows.scored(resized(flow, windows.shape), seen=PLAIN)
-        wanting = (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
+        judged, wanting = self._judge(flow)
+        better = flow
         if wanting.mean() >= MANY:
-            better = self._all_over(flow)
-        else:
-            better = self._with_strays(flow, judged, wanting)
-        if better is None:
+            found = self._all_over(flow)
+            if found is None:
+                return False
+            better = found
+            judged, wanting = self._judge(better)
+        better = self._with_things(better, judged, wanting)
+        if better is flow:
             return False
         rho = unknowns.images()
         rho[:2] += cv2.split(better - flow)
@@ -111,14 +116,25 @@ class Proposals:
 
     def go_on(self, unknowns: Unknowns, level: int) -> None:
         """Keep apart, on the next finer level, what moves on its own."""
-        if self._strays is not None:
-            self._strays.set_apart(self._search.windows(level), unknowns)
+        if self._things is not None:
+            self._things.set_apart(self._search.windows(level), unknowns)
+
+    def _judge(self, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state of a flow on the level judged, and which pixels it leaves wanting."""
+        windows = self._search.windows(self._judged)
+        coarse = resized(flow, windows.shape, windows.scale / self._scale)
+        judged = windows.scored(coarse, seen=PLAIN)
+        return judged, (judged[..., 2] > WANTING) & (judged[..., 2] < UNSEEN)
 
     def _all_over(self, flow: np.ndarray) -> np.ndarray | None:
-        """Return a better flow of frames whose motion was missed in large parts, None if none."""
+        """Return a better flow of frames whose motion was missed in large parts.
+
+        None of frames that have too little in common.
+        """
         search = self._search
         windows = search.windows(self.level)
-        before, there = windows.scored(flow), search.forward(search.levels, known=[flow])
+        known = [(flow, windows.scale)]
+        before, there = windows.scored(flow), search.forward(search.levels, known=known)
         agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
         if np.count_nonzero(agreed) < ENOUGH * np.count_nonzero(before[..., 2] < UNSEEN):
             return None
@@ -126,54 +142,55 @@ class Proposals:
         new = agreed & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
         if not new.any():
-            return None
+            return flow
         found = np.where(new[..., None], there[..., :2], flow)
         known = new | (agreed & ~_elsewhere(there, flow))
         return _carried(windows, evidence, found, known, before)
 
-    def _with_strays(
-        self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray
-    ) -> np.ndarray | None:
-        """Return a flow with that of things that move farther than they are large, None if none."""
+    def _with_things(self, flow: np.ndarray, judged: np.ndarray, wanting: np.ndarray) -> np.ndarray:
+        """Return a flow with that of things that move far for their size."""
         sought = _unexplained(judged, wanting)
         if not sought.any():
-            return None
+            return flow
         search = self._search
         windows, coarse = search.windows(self._judged), judged[..., :2]
-        there = search.forward([self._judged], known=[coarse], sought=sought)
-        new = _strays(_new(there, judged), there, coarse, farther=0.5, least=STRAY)
+        there = search.forward([self._judged], known=[(coarse, windows.scale)], sought=sought)
+        new = _fast(_new(there, judged), there, judged, farther=FARTHER_SEEMING, least=AREA_SEEMING)
         if not new.any():
-            return None
+            return flow
         evidence = Evidence(windows, self._problem.constancy)
-        borne = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
-        new = _borne_out(new, borne)
+        supported = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
+        new = _supported(new, supported)
         if not new.any():
-            return None
+            return flow
         # There may be some. They are looked for again where more can be seen, with more draws.
-        windows = search.windows(self.level)
+        found = there[..., :2], windows.scale
+        windows, level = search.windows(self.level), [self.level]
         sought = masked(_around(new, 3), windows.shape)
         # Draws are made around what is known, and what was found may be wrong: first without it.
-        level, found = [self.level], there[..., :2]
-        there = search.forward(level, known=[flow], sought=sought, tried=MANY_TRIED)
-        known = [there[..., :2], found]
+        there = search.forward(
+            level, known=[(flow, windows.scale)], sought=sought, tried=MANY_TRIED
+        )
+        known = [(there[..., :2], windows.scale), found]
         there = search.forward(level, known=known, sought=sought, tried=0)
         evidence = Evidence(windows, self._problem.constancy)
-        new = _new(there, windows.scored(flow, sought=sought))
+        before = windows.scored(flow, sought=_around(sought, 2 * RADIUS + 1))
+        new = sought & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE, by=CLEARLY)
-        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
+        new = _fast(new, there, before, farther=FARTHER, least=AREA)
         if not new.any():
-            return None
+            return flow
         here = search.backward(
             [self.level],
-            known=[-flow, _turned(there, new)],
+            known=[(-flow, windows.scale), (_turned(there, new), windows.scale)],
             sought=_landing(there, new),
             tried=MANY_TRIED,
         )
         new = _vouched(new, there, _agreeing(there, here))
-        new = _strays(new, there, flow, farther=1.0, least=STRAY_AMENDED)
+        new = _fast(new, there, before, farther=FARTHER, least=AREA)
         if not new.any():
-            return None
-        self._strays = Strays(new, self._problem)
+            return flow
+        self._things = FastThings(new, self._problem)
         return np.where(new[..., None], there[..., :2], flow)
 
 
@@ -203,32 +220,45 @@ def _new(there: np.ndarray, before: np.ndarray) -> np.ndarray:
     return better & (before[..., 2] < UNSEEN) & _elsewhere(there, before[..., :2])
 
 
-def _strays(
-    new: np.ndarray, there: np.ndarray, flow: np.ndarray, *, farther: float, least: int
+def _fast(
+    new: np.ndarray, there: np.ndarray, before: np.ndarray, *, farther: float, least: int
 ) -> np.ndarray:
-    """Return those of the new pixels that move farther than they are large.
+    """Return those of the new pixels that move far for their size.
 
-    Each of their areas, connected, has to move against all of the flow around it by more than
-    `farther` times the root of its size, which is `least` px or more.
+    Each of their areas, connected, has to move against the flow by more than `farther` times the
+    root of its size, which is `least` px or more: against its own before, and against that around
+    it of what looks alike in both frames. On bare surfaces, flow says nothing.
     """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
+    size = boxes[:, cv2.CC_STAT_AREA]
+    large = size >= least
+    large[0] = False
+    if not large.any():
+        return np.zeros_like(new)
+    first, extent = boxes[large, :2], boxes[large, 2:4]
+    left, top = np.maximum(first.min(axis=0) - RADIUS, 0)
+    end, bottom = (first + extent).max(axis=0) + RADIUS
+    part = np.s_[top:bottom, left:end]
+    away = _beyond(there[part], before[part])
+    mean = np.bincount(labels[part].ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
+    return (large & (mean > farther * np.sqrt(size)))[labels]
+
+
+def _beyond(there: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return how far displacements are from those of the flow in the window around, px."""
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
-    beyond = np.maximum(
-        cv2.erode(flow, window) - there[..., :2], there[..., :2] - cv2.dilate(flow, window)
-    )
-    away = np.hypot(*cv2.split(np.maximum(beyond, 0)))
-    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    size = np.bincount(labels.ravel(), minlength=count)
-    mean = np.bincount(labels.ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
-    strays = (mean > farther * np.sqrt(size)) & (size >= least)
-    strays[0] = False
-    return strays[labels]
+    flow, alike = before[..., :2], (before[..., 2] < WANTING)[..., None]
+    least = np.minimum(cv2.erode(np.where(alike, flow, BEYOND), window), flow)
+    most = np.maximum(cv2.dilate(np.where(alike, flow, -BEYOND), window), flow)
+    beyond = np.maximum(least - there[..., :2], there[..., :2] - most)
+    return np.hypot(*cv2.split(np.maximum(beyond, 0)))
 
 
-def _borne_out(new: np.ndarray, borne: np.ndarray) -> np.ndarray:
-    """Return the connected areas of the new pixels that hold enough of those borne out."""
+def _supported(new: np.ndarray, supported: np.ndarray) -> np.ndarray:
+    """Return the connected areas of the new pixels that hold enough of those supported."""
     count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    enough = np.bincount(labels[new & borne], minlength=count) >= BORNE
+    enough = np.bincount(labels[new & supported], minlength=count) >= SUPPORT
     enough[0] = False
     return enough[labels]
 
@@ -243,14 +273,17 @@ def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarr
     agreed : (h, w) bool
         What is found both ways round.
     """
-    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
     kept = np.zeros_like(new)
     for label in range(1, count):
-        area = labels == label
-        sure = area & agreed
-        if np.count_nonzero(sure) > VOUCHED * np.count_nonzero(area):
-            away = there[area][:, :2] - np.median(there[sure][:, :2], axis=0)
-            kept[area] = np.hypot(*away.T) < 2 * AGREEMENT
+        left, top, width, height, size = boxes[label]
+        part = np.s_[top : top + height, left : left + width]
+        area = labels[part] == label
+        sure = area & agreed[part]
+        if np.count_nonzero(sure) > VOUCHED * size:
+            motion = there[part][..., :2]
+            away = motion[area] - np.median(motion[sure], axis=0)
+            kept[part][area] = np.hypot(*away.T) < 2 * AGREEMENT
     return kept
 
 

@@ -201,11 +201,11 @@ def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.f
     return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
 
 
-def noise_deviation(frame: np.ndarray) -> float:
+def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
     That of what a mask leaves which smooth images do not pass, in the quietest blocks; from
-    `LEAST_NOISE` to `MOST_NOISE`.
+    `LEAST_NOISE` to `MOST_NOISE`. Of every so many blocks across and down.
 
     References
     ----------
@@ -217,7 +217,7 @@ def noise_deviation(frame: np.ndarray) -> float:
     if not height * width:
         return _bounded(np.median(left))
     blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
-    return _bounded(np.quantile(np.median(blocks, axis=(1, 3)), QUIET))
+    return _bounded(np.quantile(np.median(blocks[::every, :, ::every], axis=(1, 3)), QUIET))
 
 
 def _bounded(left: float) -> float:

@@ -1,7 +1,7 @@
 """Displacements found by comparing windows of two frames, from coarse to fine, either way round."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
 from tisfm.kernels.rigid.windows import LEVELS
-from tisfm.motion.matched_planes import QUIETEST, grey_scale, noise_deviation
+from tisfm.motion.matched_planes import DENSE, QUIETEST, grey_scale, noise_deviation
 from tisfm.solver.image_pyramid import ImagePyramid
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
@@ -24,6 +24,8 @@ LARGEST = 0.35  # of the longer side: how far is far and wide,
 LEAST = 4.0  # px: and how near
 NEARBY, SHRINKING = 4.0, 0.6  # px: and nearby; less with every round
 
+Known = tuple[np.ndarray, float]  # a flow, and the scale of its level
+
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
@@ -34,12 +36,15 @@ class Windows:
     levels0, levels1 : (h, w) float32
         Grey levels of both frames, in [0, 255].
     noise : float
-        Its standard deviation, levels.
+        Standard deviation of that of the noisier frame, levels.
+    scale : float
+        Sampling density relative to the finest level of the pyramid.
     """
 
     levels0: np.ndarray
     levels1: np.ndarray
     noise: float
+    scale: float
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -49,7 +54,11 @@ class Windows:
 
     def turned(self) -> "Windows":
         """Return the same with the frames exchanged."""
-        return Windows(levels0=self.levels1, levels1=self.levels0, noise=self.noise)
+        return replace(self, levels0=self.levels1, levels1=self.levels0)
+
+    def part(self, part: tuple[slice, slice]) -> "Windows":
+        """Return the same of some rows and columns."""
+        return replace(self, levels0=self.levels0[part], levels1=self.levels1[part])
 
     @cached_property
     def search(self) -> FlowSearch:
@@ -98,26 +107,33 @@ class WindowSearch:
         step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
         levels = range(finest, pyramid.levels, step)
         self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
-        # Of the finest: beyond it there is less noise, and more detail that looks like noise.
-        self._noise = noise_deviation(pyramid.frames0[finest])
+        # Of the finest: beyond it there is less noise, and more detail that looks like noise. Over
+        # the range of grey levels, however few of those of their type the frames use.
+        frames = pyramid.frames0[finest], pyramid.frames1[finest]
+        gain = grey_scale(*frames)[1]
+        every = 2 if frames[0].size > DENSE else 1
+        noise = max(noise_deviation(gain * frame, every=every) for frame in frames)
+        self._noise = noise / (gain * pyramid.scales[finest])
 
     def windows(self, level: int) -> Windows:
-        """Return what is compared on one of the levels."""
-        if level not in self._windows:
-            frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
-            low, gain = grey_scale(*frames)
-            scale = self._pyramid.scales[level] / self._pyramid.scales[self.levels[-1]]
-            levels0, levels1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
-            self._windows[level] = Windows(
-                levels0=levels0, levels1=levels1, noise=max(gain * scale * self._noise, QUIETEST)
-            )
-        return self._windows[level]
+        """Return what is compared on a level; those finer than the last are not kept."""
+        if level in self._windows:
+            return self._windows[level]
+        frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
+        scale = self._pyramid.scales[level]
+        low, gain = grey_scale(*frames)
+        levels0, levels1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
+        noise = max(gain * scale * self._noise, QUIETEST)
+        windows = Windows(levels0=levels0, levels1=levels1, noise=noise, scale=scale)
+        if level >= self.levels[-1]:
+            self._windows[level] = windows
+        return windows
 
     def forward(
         self,
         levels: list[int],
         *,
-        known: Sequence[np.ndarray] = (),
+        known: Sequence[Known] = (),
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
@@ -126,9 +142,9 @@ class WindowSearch:
         Parameters
         ----------
         levels : list of int
-        known : sequence of (…, …, 2) float32
-            Flows, px/frame of any level, of which the best is kept where nothing is better. By
-            default it starts from anything.
+        known : sequence of ((…, …, 2) float32, float)
+            Flows, each in px/frame of a level, and the scale of that level. The best of them is
+            kept where nothing is better. By default it starts from anything.
         sought : array of bool, optional
             Where, on any level; by default everywhere.
         tried : int
@@ -140,7 +156,7 @@ class WindowSearch:
         self,
         levels: list[int],
         *,
-        known: Sequence[np.ndarray] = (),
+        known: Sequence[Known] = (),
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
@@ -149,17 +165,25 @@ class WindowSearch:
         return _searched(turned, known, sought, tried, seed=1)
 
 
-def resized(flow: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a flow (h, w, 2) on another level: means over its pixels, or the nearest, px."""
-    height, width = shape
-    ratio = np.float32(width / flow.shape[1])
+def resized(flow: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
+    """Return a flow (h, w, 2) on another level: means over its pixels, or the nearest.
+
+    Parameters
+    ----------
+    flow : (h', w', 2) float32
+        px/frame.
+    shape : (int, int)
+        Height and width of the other level, px.
+    ratio : float
+        Its sampling density over that of the flow. Sizes are rounded, so theirs may differ.
+    """
     how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
-    return ratio * np.asarray(cv2.resize(flow, (width, height), interpolation=how))
+    return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=how))
 
 
 def _searched(
     levels: list[Windows],
-    flows: Sequence[np.ndarray],
+    flows: Sequence[Known],
     sought: np.ndarray | None,
     tried: int,
     *,
@@ -169,9 +193,10 @@ def _searched(
     for k, windows in enumerate(levels):
         here = None if sought is None else masked(sought, windows.shape)
         wide = state is None
-        known = [resized(flow, windows.shape) for flow in flows]
+        known = [resized(flow, windows.shape, windows.scale / scale) for flow, scale in flows]
         if state is not None:
-            known.append(resized(state[..., :2], windows.shape))
+            ratio = windows.scale / levels[k - 1].scale
+            known.append(resized(state[..., :2], windows.shape, ratio))
         state = _best(
             [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
         )
