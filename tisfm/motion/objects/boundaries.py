@@ -71,8 +71,7 @@ def sharpened(
     leads = [list(_corners(_places(np.nan_to_num(flow))[:, free], *size)) for flow in flows]
     boundaries = MinSum(free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
     for _ in range(ROUNDS):
-        landed = _landed(labels, _places(_own(flows, labels)), own_cost, hidden, len(flows))
-        unary = _with_hidden(costs, hidden[free], landed, leads)
+        unary = _with_hidden(costs, hidden[free], _landed(labels, flows, own_cost, hidden), leads)
         unary[far] = NEVER
         labels = labels.copy()
         labels[free] = boundaries.assign(unary, labels)
@@ -203,7 +202,7 @@ def _places(flow: np.ndarray) -> np.ndarray:
 
 
 def _landed(
-    labels: np.ndarray, places: np.ndarray, own_cost: np.ndarray, hidden: np.ndarray, count: int
+    labels: np.ndarray, flows: np.ndarray, own_cost: np.ndarray, hidden: np.ndarray
 ) -> np.ndarray:
     """Return what comes of the pixels of each label where they go, (3, K, H + 3, W + 3) float32.
 
@@ -211,6 +210,7 @@ def _landed(
     bilinearly, with a margin for what leaves the image.
     """
     height, width = np.add(labels.shape, MARGINS)
+    places, count = _places(_own(flows, labels)), len(flows)
     landed = np.empty((3, count, height * width), np.float32)
     rows = max(1, STRIP // labels.shape[1])
     for label in range(count):
