@@ -21,7 +21,7 @@ MISSED = 3.2  # one that is another's,
 LEAST_HIDDEN, HIDDEN = 0.6, 1.7  # of a pixel that is hidden in frame 1, by how varied it is around,
 MOST = 50.0  # of anything, so that its logarithm is finite,
 NEVER = 1e3  # of a label that may not be here,
-LENGTH, IMAGE_EDGES = 5.0, 0.5  # per px of a boundary in uniform frames; and its κ
+LENGTH, IMAGE_EDGES = 4.0, 0.25  # per px of a boundary in uniform frames; and its κ
 VARIED = 5  # px, over which frame 0 is alike or varied
 ORDER_WINDOW, USUAL_ORDER = 31, 15.0  # px, over which one surface is in front; pixels that order
 # in all of the image counts for, beside those in the window
