@@ -8,11 +8,14 @@ import pytest
 
 import tisfm
 from tests.rendered import room, two_blocks
+from tisfm.formats import read_image
 from tisfm.motion.carried_depth import carried_depth
 from tisfm.motion.objects import background, estimation
 from tisfm.motion.objects.background import RIM, with_carried_background
+from tisfm.motion.objects.layers import PIXEL_GAIN, Layering
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth, scaled_translations
+from tisfm.motion.windows import window_variance
 from tisfm.rigid import rigid_motion
 
 BALANCED = tisfm.Settings.preset("balanced", motion="objects")
@@ -172,3 +175,36 @@ def test_with_too_little_parallax_nothing_is_carried(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     flat = replace(solution, inverse_depth=np.full(SIZE, 3, np.float32))
     assert with_carried_background(pyramid, settings, flat, labels, motion) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("folder", "first"), [("tartanair", 2), ("hololens", 8)])
+def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, first):
+    """There, noise fits one motion and another; edges fit the background's where it is carried."""
+    focal, _, *center = np.loadtxt(shared_data / folder / "camera.txt", skiprows=1)
+    files = sorted((shared_data / folder / "images").iterdir())
+    result = tisfm.interpret(
+        read_image(files[first]),
+        read_image(files[first + 1]),
+        camera=tisfm.Camera(focal=focal, center=tuple(center)),
+        settings=BALANCED,
+    )
+    assert result.status == "converged"
+    assert not result.labels.any()
+
+
+def test_what_bare_windows_gain_counts_little(scene):
+    """A label is borne out by windows that show more than noise."""
+    frames = (frame.astype(np.float32) for frame in (scene.frame0, scene.frame1))
+    pyramid = pyramid_of(*frames, scene.camera, BALANCED)
+    layering = Layering(pyramid, BALANCED, pyramid.frames0[0])
+    varied = window_variance(pyramid.frames0[0], 11)
+    shown = {
+        name: layering._spared(np.ones(SIZE, np.float32), mine)
+        for name, mine in (
+            ("bare", varied < np.quantile(varied, 0.3)),
+            ("thing", scene.labels == 1),
+        )
+    }
+    assert shown["bare"] < 0.1 / PIXEL_GAIN
+    assert 0.8 / PIXEL_GAIN < shown["thing"] <= 1 / PIXEL_GAIN

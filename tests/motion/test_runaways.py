@@ -16,6 +16,7 @@ from tisfm.motion.rigid_estimate import with_depth
 from tisfm.pair import diverged
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.settings import Settings
+from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image
 
 SIZE = (90, 120)
@@ -89,6 +90,35 @@ def test_a_label_that_runs_away_keeps_motion_and_depth(scene, refined):
     assert (own[1] != motions[1, :, :3]).any()  # that of the others is the refined one
     check(estimate)
     assert error(estimate, scene, labels == 2) < 0.2
+
+
+def test_the_images_say_of_a_label_what_it_came_to_be(scene, refined):
+    """Motion and depth that ran away met no data; those of the layer do."""
+
+    def change(solution):
+        motions, precision = solution.motions.copy(), solution.precision.copy()
+        motions[2, :, :3] = SPIN
+        mine = np.maximum(scene.labels - 1, 0) == 2
+        precision[:3, mine], precision[3, mine] = 0, 1e6
+        return replace(solution, motions=motions, precision=precision)
+
+    refined(lambda solution: solution)
+    usual, labels, _ = estimated(scene)
+    refined(change)
+    estimate, _, _ = estimated(scene)
+    mine = labels == 2
+    np.testing.assert_array_equal(estimate.precision[:, ~mine], usual.precision[:, ~mine])
+    trust, own = (
+        confidence(each.precision, leaves_image(each.flow), normalized=each.normalized, freedom=1)[
+            mine
+        ]
+        for each in (estimate, usual)
+    )
+    # Its depth is that of true flow, not of the images.
+    np.testing.assert_allclose(trust.mean(), own.mean(), rtol=0.1)
+    assert np.median(estimate.inverse_depth_std[mine]) < 2 * np.median(
+        usual.inverse_depth_std[mine]
+    )
 
 
 @pytest.mark.parametrize("value", [1e4, np.nan, np.inf])

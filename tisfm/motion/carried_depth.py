@@ -160,7 +160,7 @@ class _Level:
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-        share = np.float32(DATA**0.5) * _texture(frame) * counted  # of what is squared
+        share = np.float32(DATA**0.5) * texture_weight(frame) * counted  # of what is squared
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
@@ -222,7 +222,7 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
     return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
 
 
-def _texture(frame: np.ndarray) -> np.ndarray:
+def texture_weight(frame: np.ndarray) -> np.ndarray:
     """Return how much more than noise a window shows, (H, W) float32, from 0 to 1."""
     noise = noise_deviation(frame)
     variance = window_variance(frame, WINDOW)

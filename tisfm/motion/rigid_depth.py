@@ -206,6 +206,38 @@ def residual_under(
     return residual, state.unknowns.to_images(state.flow)
 
 
+def precision_under(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    inverse_depth: np.ndarray,
+) -> np.ndarray:
+    """Return what data and neighbours say of given motions and depth, (7, H, W) float32.
+
+    It is what `rigid_depth` says of its own, as `RigidSolution.precision`.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    motions : (K, 3, 4) array
+        R and t of each, of the length that `inverse_depth` is for.
+    labels : (H, W) int array
+    inverse_depth : (H, W) float32
+        D.
+    """
+    state = _Level(pyramid, 0, settings, labels, count=len(motions))
+    state.unknowns.set_images(inverse_depth[None])
+    state.linearise(motions)
+    state.minimiser.update()
+    state.minimiser.set_alpha(
+        settings.depth_smoothness * max(1.0, state.noise(motions).max() / QUIET)
+    )
+    state.minimiser.update()
+    return state.unknowns.precision(state.minimiser.system)
+
+
 class _Level:
     """One level of the pyramid: depth, labels and data."""
 

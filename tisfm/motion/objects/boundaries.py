@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.motion.objects.min_sum import MinSum
 from tisfm.motion.windows import window_variance
-from tisfm.solver.sampling import sample
+from tisfm.solver.sampling import sample, spline_taps
 from tisfm.visibility.occlusion import leaves_image
 
 REACH = 4  # px: how far a boundary may move
@@ -21,11 +21,15 @@ MISSED = 3.2  # one that is another's,
 LEAST_HIDDEN, HIDDEN = 0.6, 1.7  # of a pixel that is hidden in frame 1, by how varied it is around,
 MOST = 50.0  # of anything, so that its logarithm is finite,
 NEVER = 1e3  # of a label that may not be here,
-LENGTH, IMAGE_EDGES = 5.0, 0.5  # per px of a boundary in uniform frames; and its κ
+LENGTH, IMAGE_EDGES = 4.0, 0.25  # per px of a boundary in uniform frames; and its κ
 VARIED = 5  # px, over which frame 0 is alike or varied
 ORDER_WINDOW, USUAL_ORDER = 31, 15.0  # px, over which one surface is in front; pixels that order
 # in all of the image counts for, beside those in the window
 BRIGHTNESS_WINDOW = 31  # px, over which brightness changes alike
+MARGINS = 3  # px that images of where pixels go have more than the frames, a side
+STRIP = 2**16  # pixels, about, of the frame that are looked at together, for the memory they take
+
+Corner = tuple[np.ndarray, np.ndarray]  # indices of pixels, and their weights
 
 
 def sharpened(
@@ -61,22 +65,28 @@ def sharpened(
     free = near.sum(axis=0) > 1
     if not free.any():
         return labels
-    flows = np.nan_to_num(flows)
-    costs, hidden = _costs(flows, labels, frame0, frame1)
+    costs, own_cost, hidden = _costs(flows, labels, frame0, frame1, free)
     far = ~(near & reach)[:, free]
+    size = np.add(free.shape, MARGINS)
+    leads = [list(_corners(_places(np.nan_to_num(flow))[:, free], *size)) for flow in flows]
     boundaries = MinSum(free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
     for _ in range(ROUNDS):
-        unary = _with_hidden(costs, hidden, flows, labels, free)
+        unary = _with_hidden(costs, hidden[free], _landed(labels, flows, own_cost, hidden), leads)
         unary[far] = NEVER
         labels = labels.copy()
         labels[free] = boundaries.assign(unary, labels)
+        own_cost[free] = np.take_along_axis(costs, labels[free][None], axis=0)[0]
     return labels
 
 
 def _costs(
-    flows: np.ndarray, labels: np.ndarray, frame0: np.ndarray, frame1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what every label costs at every pixel where it is seen, and where it is hidden.
+    flows: np.ndarray,
+    labels: np.ndarray,
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    free: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what labels cost at free pixels where they are seen, and what a pixel's own costs.
 
     What is seen costs −log of a normal distribution of grey levels over one that is the same
     everywhere, from 0 to `MISSED`; things that are not quite rigid have more noise. Where a label
@@ -85,30 +95,61 @@ def _costs(
 
     Returns
     -------
-    seen : (K, H, W) float32
+    seen : (K, N) float32
+        Of every label at the free pixels.
+    own : (H, W) float32
+        Of the label that a pixel has.
     hidden : (H, W) float32
     """
-    residual = np.stack([sample(frame1, flow) - frame0 for flow in flows])
-    own = np.take_along_axis(residual, labels[None], axis=0)[0]
-    usual = np.median(own)
-    own, residual = own - usual, residual - usual
-    noise = NOISE * float(np.median(np.abs(own)))
+    taps = spline_taps(frame1)
+    flow = _own(flows, labels)
+    change = sample(frame1, flow, taps) - frame0
+    change -= (usual := np.median(change))
+    noise = NOISE * float(np.median(np.abs(change)))
     limit = np.hypot(noise, LEAST_NOISE)
     window = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
-    residual -= cv2.blur(np.clip(own, -limit, limit), window)
+    brightness = cv2.blur(np.clip(change, -limit, limit), window)
+    change -= brightness
     slope = np.hypot(*(cv2.Sobel(frame0, -1, *way, scale=1 / 8) for way in ((1, 0), (0, 1))))
     least = LEAST_NOISE**2 + (SLIP * slope) ** 2
     common = least + noise**2
-    seen = np.empty_like(residual)
-    for label, change in enumerate(residual):
-        mine = np.abs(change[labels == label])
-        variance = least + (NOISE * float(np.median(mine)) if mine.size else noise) ** 2
-        met = np.sqrt(common / variance) * np.exp(-(change**2) / (2 * variance))
-        seen[label] = -np.log(np.minimum(met, 1) + np.exp(-MISSED))
-    gone = np.stack([leaves_image(flow) for flow in flows])
-    known = np.where(gone, np.inf, seen).min(axis=0).clip(None, MISSED)
+    gone = leaves_image(flow)
+    own = np.empty_like(frame0)
+    looked_at = free | gone
+    seen = np.empty((len(flows), np.count_nonzero(looked_at)), np.float32)
+    known = np.full(seen.shape[1], MISSED, np.float32)
+    away = np.empty(seen.shape, bool)
+    for label, flow in enumerate(flows):
+        mine = labels == label
+        found = np.abs(change[mine])
+        deviation = NOISE * float(np.median(found)) if found.size else noise
+        own[mine] = _seen(change[mine], least[mine], common[mine], deviation)
+        flow = np.nan_to_num(flow)
+        there = (sample(frame1, flow, taps) - frame0 - usual - brightness)[looked_at]
+        seen[label] = _seen(there, least[looked_at], common[looked_at], deviation)
+        away[label] = leaves_image(flow)[looked_at]
+        np.minimum(known, seen[label], out=known, where=~away[label])
+    seen = np.where(away, known, seen)
+    own[gone] = known[gone[looked_at]]
     hidden = LEAST_HIDDEN + 0.5 * np.log1p(_variance(frame0) / common)
-    return np.where(gone, known, seen), np.minimum(hidden, HIDDEN)
+    return seen[:, free[looked_at]], own, np.minimum(hidden, HIDDEN)
+
+
+def _seen(
+    change: np.ndarray, least: np.ndarray, common: np.ndarray, deviation: float
+) -> np.ndarray:
+    """Return what grey levels that change by so much cost where a label is seen, (N,) float32."""
+    variance = least + deviation**2
+    met = np.sqrt(common / variance) * np.exp(-(change**2) / (2 * variance))
+    return -np.log(np.minimum(met, 1) + np.exp(-MISSED))
+
+
+def _own(flows: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the flow of the label that a pixel has, (2, H, W) float32."""
+    own = np.empty_like(flows[0])
+    for label, flow in enumerate(flows):
+        np.copyto(own, flow, where=labels == label)
+    return np.nan_to_num(own, copy=False)
 
 
 def _variance(frame: np.ndarray) -> np.ndarray:
@@ -119,32 +160,25 @@ def _variance(frame: np.ndarray) -> np.ndarray:
 def _with_hidden(
     costs: np.ndarray,
     hidden: np.ndarray,
-    flows: np.ndarray,
-    labels: np.ndarray,
-    free: np.ndarray,
+    landed: np.ndarray,
+    leads: list[list[Corner]],
 ) -> np.ndarray:
     """Return the costs of the free pixels, (K, N) float32, where some labels hide others.
 
-    `costs` are those where a label is seen, `hidden` where it is hidden.
+    `costs`, (K, N), are those where a label is seen, `hidden`, (N,), where it is hidden; `leads`
+    says where the pixels go under every label.
     """
-    count = len(costs)
-    own_cost = np.take_along_axis(costs, labels[None], axis=0)[0]
-    places = _places(np.take_along_axis(flows, labels[None, None], axis=0)[0])
-    taken, missed, seen = (
-        _landed(labels, places, values, count)
-        for values in (np.ones_like(own_cost), own_cost, np.maximum(hidden - own_cost, 0))
-    )
-    unary = costs[:, free]
-    mine = [_places(flow)[:, free] for flow in flows]
+    unary = costs.copy()
+    taken, missed, seen = landed
     share = np.zeros_like(unary)
-    for front, behind in permutations(range(count), 2):
+    for front, behind in permutations(range(len(costs)), 2):
         before = _before(taken[[front, behind]], missed[[front, behind]])
         if before.any():
             cover = before * (2 * taken[front] - 1).clip(0, 1)
-            np.maximum(share[behind], _read(cover, mine[behind]), out=share[behind])
+            np.maximum(share[behind], _read(cover, leads[behind]), out=share[behind])
             # Were it here, what is seen behind would be hidden.
-            unary[front] += _read(before * seen[behind], mine[front])
-    return -np.log((1 - share) * np.exp(-np.minimum(unary, MOST)) + share * np.exp(-hidden[free]))
+            unary[front] += _read(before * seen[behind], leads[front])
+    return -np.log((1 - share) * np.exp(-np.minimum(unary, MOST)) + share * np.exp(-hidden))
 
 
 def _before(taken: np.ndarray, missed: np.ndarray) -> np.ndarray:
@@ -161,33 +195,51 @@ def _before(taken: np.ndarray, missed: np.ndarray) -> np.ndarray:
 
 def _places(flow: np.ndarray) -> np.ndarray:
     """Return where pixels go, x and y, (2, H, W) float32."""
-    rows, columns = np.mgrid[: flow.shape[1], : flow.shape[2]].astype(np.float32)
-    return flow + np.stack([columns, rows])
+    places = flow.copy()
+    places[0] += np.arange(flow.shape[2], dtype=np.float32)
+    places[1] += np.arange(flow.shape[1], dtype=np.float32)[:, None]
+    return places
 
 
-def _landed(labels: np.ndarray, places: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return the sums of values, bilinearly, where the pixels of each label go.
+def _landed(
+    labels: np.ndarray, flows: np.ndarray, own_cost: np.ndarray, hidden: np.ndarray
+) -> np.ndarray:
+    """Return what comes of the pixels of each label where they go, (3, K, H + 3, W + 3) float32.
 
-    They are (K, H + 3, W + 3), with a margin for what leaves the image.
+    How many there are, what they cost, and by how much more they would if they were hidden: sums,
+    bilinearly, with a margin for what leaves the image.
     """
-    size = (count, labels.shape[0] + 3, labels.shape[1] + 3)
-    sums = np.zeros(size).ravel()
-    for corner, weight in _corners(places, *size[1:]):
-        index = (labels * size[1] * size[2] + corner).ravel()
-        sums += np.bincount(index, (weight * values).ravel(), len(sums))
-    sums = sums.reshape(size).astype(np.float32)
-    sums[:, (0, -2, -1)] = sums[:, :, (0, -2, -1)] = 0
-    return sums
+    height, width = np.add(labels.shape, MARGINS)
+    places, count = _places(_own(flows, labels)), len(flows)
+    landed = np.empty((3, count, height * width), np.float32)
+    rows = max(1, STRIP // labels.shape[1])
+    for label in range(count):
+        sums = np.zeros((3, height * width))
+        for first in range(0, len(labels), rows):
+            strip = np.s_[first : first + rows]
+            mine = labels[strip] == label
+            if not mine.any():
+                continue
+            cost = own_cost[strip][mine]
+            values = np.ones_like(cost), cost, np.maximum(hidden[strip][mine] - cost, 0)
+            for corner, weight in _corners(places[:, strip][:, mine], height, width):
+                least = int(corner.min())
+                corner -= least
+                for total, value in zip(sums, values, strict=True):
+                    part = np.bincount(corner, weight * value)
+                    total[least : least + len(part)] += part
+        landed[:, label] = sums
+    landed = landed.reshape(3, count, height, width)
+    landed[..., (0, -2, -1), :] = landed[..., (0, -2, -1)] = 0
+    return landed
 
 
-def _read(landed: np.ndarray, places: np.ndarray) -> np.ndarray:
+def _read(landed: np.ndarray, corners: list[Corner]) -> np.ndarray:
     """Return a sum of `_landed`, bilinearly, at places; 0 beyond the image."""
-    return sum(weight * landed.take(corner) for corner, weight in _corners(places, *landed.shape))
+    return sum(weight * landed.take(corner) for corner, weight in corners)
 
 
-def _corners(
-    places: np.ndarray, height: int, width: int
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _corners(places: np.ndarray, height: int, width: int) -> Iterator[Corner]:
     """Yield the four pixels around places, as indices of an image with margins, and weights."""
     x, y = places[0].clip(-1, width - 3) + 1, places[1].clip(-1, height - 3) + 1
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)

@@ -11,6 +11,7 @@ from tisfm.motion.objects.background import with_carried_background
 from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
+from tisfm.motion.objects.far_apart import far_apart
 from tisfm.motion.objects.layers import Layering, without_specks
 from tisfm.motion.objects.runaways import steady_depth
 from tisfm.motion.rigid_depth import RigidSolution
@@ -29,7 +30,8 @@ def objects_estimate(
 ) -> Estimate:
     """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
 
-    The largest motion, the background's, is fitted to the flow field. Others are fitted to what it
+    The largest motion, the background's, is fitted to the flow field; where frames lie too far
+    apart for one, frame 1 is turned back first (`far_apart`). Others are fitted to what it
     leaves unexplained (`candidates`). The images decide which of them are needed, and where their
     boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
     is added (`floating`), and boundaries are made sharp (`boundaries`). Depth and motions then are
@@ -53,11 +55,14 @@ def objects_estimate(
     )
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings)
+    if start.status == "unrelated":
+        start = far_apart(pyramid, settings, grey0, grey1)
     nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
     if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
         return only_turned(pyramid, settings, start, start.status, level=0)
-    hidden = occlusion_in(pyramid, np.moveaxis(start.flow, -1, 0), settings)
+    flow = np.ascontiguousarray(np.moveaxis(start.flow, -1, 0))
+    hidden = occlusion_in(pyramid, flow, settings)
     motions, labels = motion_candidates(
         start.flow,
         np.where(hidden, 0, start.trust),
@@ -106,7 +111,8 @@ def objects_estimate(
     if unseen != 0:
         carried = with_carried_background(pyramid, settings, solution, labels, motions[order[0]])
         estimate = estimate if carried is None else finish(carried)
-    estimate = replace(estimate, history=start.history + estimate.history)
+    history = start.history + estimate.history
+    estimate = replace(estimate, history=history, matched=start.matched)
     if len(order) == 1 and start.doubt is not None:
         estimate = replace(estimate, status=start.doubt)
     return aligned(estimate, hidden) if settings.align_scales else estimate

@@ -9,11 +9,17 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tisfm.motion.carried_depth import BARE, bare_share, carried_depth, texture_weight
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.floating import floating
 from tisfm.motion.objects.potts import Potts
-from tisfm.motion.rigid_depth import RigidSolution, residual_under, rigid_depth
+from tisfm.motion.rigid_depth import (
+    RigidSolution,
+    residual_under,
+    rigid_depth,
+    scaled_translations,
+)
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import QUIET, QUIET_GREY
@@ -41,6 +47,8 @@ class Layers:
         What is not visible in frame 1.
     costs : (K, H, W) float32
         Of each layer, in units.
+    unit : float
+        px².
     flows : (K, 2, H, W) float32
         Of each layer's surface, everywhere.
     reach : (K, H, W) bool
@@ -54,6 +62,7 @@ class Layers:
     labels: np.ndarray
     hidden: np.ndarray
     costs: np.ndarray
+    unit: float
     flows: np.ndarray
     reach: np.ndarray
     floats: np.ndarray
@@ -82,6 +91,9 @@ class Layering:
         self._potts = Potts(grey0)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.smallest = smallest_object(grey0.size)
+        bare = bare_share(pyramid.frames0[pyramid.last]) >= BARE
+        self._weight = texture_weight(grey0) if bare else np.ones_like(grey0)
+        self._bare = bare
 
     def fitted(
         self,
@@ -117,7 +129,8 @@ class Layering:
             flows.reverse()
             stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
             usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
-            costs = np.minimum(stacked / (COST_UNIT * max(usual, self._quiet**2)), TRUNCATED)
+            unit = COST_UNIT * max(usual, self._quiet**2)
+            costs = np.minimum(stacked / unit, TRUNCATED)
             # Where a layer leaves the image, the others have to decide.
             gone = np.stack([leaves_image(flow) for flow in flows])
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
@@ -133,6 +146,7 @@ class Layering:
             labels=labels,
             hidden=hidden,
             costs=costs,
+            unit=unit,
             flows=moved,
             reach=reach,
             floats=self._floating(background) * (labels == 0),
@@ -203,14 +217,40 @@ class Layering:
         """Return what a layer spares on its own pixels, 1 or more if it is needed.
 
         For one added because it floats, the background is not fitted anew where it would have to
-        float: it is continued from around.
+        float: it is continued from around. Where frames are partly bare, what windows spare counts
+        as far as they show more than noise, and the background may have the depth that is matched
+        and carried across.
         """
         mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
-        rival = _own_cost(without)
-        if not layers.reach[label].all():
+        own, rival = _own_cost(layers), _own_cost(without)
+        added = not layers.reach[label].all()
+        if added:
             rival = np.where(without.floats > 0, layers.costs[0], rival)
-        gain = float((rival - _own_cost(layers))[mine].sum())
-        return gain / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+        worth = self._spared(rival - own, mine)
+        if worth < 1 or added or not self._bare:
+            return worth
+        return self._spared(np.minimum(rival, self._carried_cost(without)) - own, mine)
+
+    def _spared(self, gain: np.ndarray, mine: np.ndarray) -> float:
+        """Return what some pixels gain, 1 or more if it is as much as a layer has to be worth."""
+        total = float((self._weight * gain)[mine].sum())
+        return total / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+
+    def _carried_cost(self, layers: Layers) -> np.ndarray:
+        """Return what the background costs, (H, W), with depth carried; inf where it is not."""
+        pyramid = self._pyramid
+        mine = layers.labels == 0
+        everywhere = np.zeros(mine.shape, np.int32)
+        motion = scaled_translations(layers.motions[0][None], everywhere, pyramid.cameras[0])[0]
+        carried = None
+        if motion[:, 3].any():
+            support = _core(mine) & ~layers.hidden
+            carried = carried_depth(pyramid, self._settings, motion, support=support)
+        if carried is None:
+            return np.full(mine.shape, np.inf, np.float32)
+        residual, flow = self._residual(carried)
+        cost = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW)) / np.float32(layers.unit)
+        return np.where(mine & ~leaves_image(flow), np.minimum(cost, TRUNCATED), np.inf)
 
     def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.

@@ -13,7 +13,12 @@ from tisfm.camera import Camera
 from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.layers import nearest_known
-from tisfm.motion.rigid_depth import RigidSolution, rigid_depth, scaled_translations
+from tisfm.motion.rigid_depth import (
+    RigidSolution,
+    precision_under,
+    rigid_depth,
+    scaled_translations,
+)
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -35,7 +40,7 @@ def steady_depth(
 
     A label other than the largest whose flow runs away keeps the motion and the depth of its layer.
     A few pixels that run away take the depth of those of their label that are nearest and do not,
-    or none if there are none.
+    or none if there are none. What the images say of them is that of what they come to be.
 
     Parameters
     ----------
@@ -63,19 +68,36 @@ def steady_depth(
         for label in range(1, len(motions))
         if np.median(away[labels == label]) > LABEL_AWAY * side
     ]
+    brought_back = np.isin(labels, lost)
     if lost:
         solution = _with_layers(solution, motions, labels, expected, lost, pyramid.cameras[0])
-        estimate = finish(solution)
-        away = _away(estimate, expected)
+        away = _away(finish(solution), expected)
     far = away > PIXEL_AWAY * side
-    if not 0 < far.mean() <= FEW:
+    if 0 < far.mean() <= FEW:
+        depth = solution.inverse_depth.copy()
+        for label in np.unique(labels[far]):
+            mine, near = labels == label, (labels == label) & ~far
+            depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
+        solution = replace(solution, inverse_depth=depth)
+        brought_back |= far
+    if not brought_back.any():
         return solution, estimate
-    depth = solution.inverse_depth.copy()
-    for label in np.unique(labels[far]):
-        mine, near = labels == label, (labels == label) & ~far
-        depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
-    solution = replace(solution, inverse_depth=depth)
+    solution = _judged(pyramid, settings, solution, labels, brought_back)
     return solution, finish(solution)
+
+
+def _judged(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    solution: RigidSolution,
+    labels: np.ndarray,
+    where: np.ndarray,
+) -> RigidSolution:
+    """Return a solution with the precision of its motions and depth on a part of the image."""
+    depth = solution.inverse_depth
+    known = np.where(np.isfinite(depth), depth, 0)
+    precision = precision_under(pyramid, settings, solution.motions, labels, known)
+    return replace(solution, precision=np.where(where, precision, solution.precision))
 
 
 def _with_layers(

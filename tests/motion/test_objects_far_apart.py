@@ -1,0 +1,57 @@
+"""motion="objects" where the camera turns by so much that a flow field alone fails."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.rendered import two_blocks
+from tisfm.metrics import pose_errors
+from tisfm.motion.first_motion import first_motion
+from tisfm.motion.objects import estimation
+from tisfm.motion.problems import pyramid_of
+from tisfm.rigid import pose_matrix
+
+SETTINGS = tisfm.Settings.preset("balanced", motion="objects")
+SIZE = (240, 320)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Return two blocks before a background that moves by 89 px."""
+    return two_blocks(*SIZE, camera_motion=(0.3, 0, 0, 0, 0.2, 0))
+
+
+def interpreted(scene):
+    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=SETTINGS)
+
+
+def test_a_background_that_moves_far(scene):
+    frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
+    pyramid = pyramid_of(*frames, scene.camera, SETTINGS)
+    assert first_motion(pyramid, SETTINGS).status == "unrelated"
+    result = interpreted(scene)
+    assert result.status == "converged"
+    errors = pose_errors(pose_matrix(result.motions[0]), pose_matrix(scene.motions[0]))
+    assert errors.direction < 0.5 and errors.rotation < 0.05  # degrees
+    off = np.linalg.norm(result.flow - scene.flow, axis=-1)
+    assert np.median(off[scene.visible]) < 0.1
+    smaller = scene.labels == 3
+    found = result.labels == np.bincount(result.labels[smaller]).argmax()
+    assert not (found & (result.labels == 0)).any()
+    assert (found & smaller).sum() > 0.95 * (found | smaller).sum()
+
+
+def test_points_are_matched_only_where_a_flow_field_fails(monkeypatch):
+    def never(*_):
+        raise AssertionError("no points are to be matched")
+
+    monkeypatch.setattr(estimation, "far_apart", never)
+    assert interpreted(two_blocks(90, 120, seed=1)).status != "unrelated"
+
+
+def test_what_has_nothing_in_common_stays_unrelated(scene):
+    other = two_blocks(*SIZE, seed=9)
+    result = tisfm.interpret(
+        scene.frame0, other.frame1[::-1].copy(), camera=scene.camera, settings=SETTINGS
+    )
+    assert result.status == "unrelated"

@@ -1,0 +1,66 @@
+"""The first motion of frames far apart: frame 1 is turned back by what matched points show."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.first_motion import FirstMotion, first_motion
+from tisfm.motion.problems import pyramid_of
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.visibility.occlusion import leaves_image
+
+
+def far_apart(
+    pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, grey1: np.ndarray
+) -> FirstMotion:
+    """Return a first motion, and the flow of all that moves, where a flow field alone fails.
+
+    Matches show how the camera turned. Seen as by a camera that did not, frame 1 is like frame 0
+    but for parallax and for what moves on its own, which a flow field shows. Where even that fails,
+    there is the motion of the matches, and the flow of what has it.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    settings : Settings
+    grey0, grey1 : (H, W) float32
+        Grey levels of its frames.
+    """
+    matched = first_motion(pyramid, settings, matches=True)
+    if not matched.matched or matched.status == "unrelated":
+        return matched
+    camera = pyramid.cameras[0]
+    turn = _homography(matched.rotation, camera, *grey0.shape)
+    turned = cv2.warpPerspective(
+        grey1,
+        turn,
+        grey0.shape[::-1],
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    found = first_motion(pyramid_of(grey0, turned, camera, settings), settings)
+    if found.status in ("unrelated", "no_texture", "aperture"):
+        return matched
+    height, width = grey0.shape
+    rows, columns = np.mgrid[:height, :width].astype(np.float32)
+    places = np.stack([columns, rows], axis=-1)
+    flow = cv2.perspectiveTransform(places + found.flow, turn) - places
+    return replace(
+        found,
+        rotation=matched.rotation @ found.rotation,
+        translation=matched.rotation @ found.translation,
+        flow=flow,
+        trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, found.trust),
+        history=matched.history + found.history,
+        matched=True,
+    )
+
+
+def _homography(rotation: np.ndarray, camera: Camera, height: int, width: int) -> np.ndarray:
+    """Return where a rotation takes pixels, (3, 3)."""
+    cx, cy = camera.center_for(height, width)
+    matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+    return matrix @ rotation @ np.linalg.inv(matrix)
