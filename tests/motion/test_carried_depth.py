@@ -52,6 +52,18 @@ def test_a_bare_room_without_a_pose(bare_room):
     assert np.median(flow) < 1
 
 
+def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room):
+    """What counts as noise goes with the range of the grey levels."""
+    twelve = [frame.astype(np.uint16) * 16 for frame in (bare_room.frame0, bare_room.frame1)]
+    pose = pose_matrix(bare_room.motions[0])
+    narrow = tisfm.interpret(*twelve, camera=bare_room.camera, settings=BALANCED, pose=pose)
+    off = [
+        relative_errors(result, bare_room).mean()
+        for result in (narrow, interpreted(bare_room, pose=pose))
+    ]
+    assert off[0] < 1.3 * off[1]
+
+
 def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):
     import tisfm.motion.camera
 

@@ -104,5 +104,7 @@ def test_noise_deviation(deviation):
     assert noise_deviation(noisy) == pytest.approx(deviation, rel=0.15)
     assert noise_deviation(noisy[:5, :9]) == pytest.approx(deviation, rel=0.6)
     assert noise_deviation(frame.astype(np.float32)) == LEAST_NOISE
+    narrow = (frame / 16).astype(np.float32)  # 12 bits of 16
+    assert noise_deviation(narrow) < 0.12 < LEAST_NOISE
     texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
     assert noise_deviation(texture) == MOST_NOISE

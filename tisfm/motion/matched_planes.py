@@ -21,9 +21,9 @@ LARGEST = 0.35  # of the longer side: the largest D that is looked for
 # px: the least. What matches best behind the camera is not believed; were it not looked for there,
 # it would be found at infinity.
 LEAST = -5.0
-# Grey levels: what rounding, compression and interpolation leave of noise at least, and what is
-# texture rather than noise.
-LEAST_NOISE, MOST_NOISE = 0.7, 15.0
+# Grey levels: what rounding, compression and interpolation leave of noise at least, but of frames
+# of a narrow range no more than this share of it; and what is texture rather than noise.
+LEAST_NOISE, LEAST_SHARE, MOST_NOISE = 0.7, 1 / 150, 15.0
 # Percentiles of the grey levels, of frames of more pixels of every 16th, and how much beyond, of
 # their distance, is told apart.
 RANGE, DENSE, SPARE = (0.1, 99.9), 2**16, 0.05
@@ -193,9 +193,7 @@ def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.f
     frame0, frame1 : (H, W) float32
         Grey levels.
     """
-    step = 4 if frame0.size > DENSE else 1
-    values = np.concatenate([frame[::step, ::step].ravel() for frame in (frame0, frame1)])
-    low, high = np.percentile(values, RANGE)
+    low, high = np.percentile(np.concatenate([_sampled(frame0), _sampled(frame1)]), RANGE)
     margin = SPARE * (high - low)
     low, high = low - margin, high + margin
     return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
@@ -204,8 +202,8 @@ def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.f
 def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
-    That of what a mask leaves which smooth images do not pass, in the quietest blocks; from
-    `LEAST_NOISE` to `MOST_NOISE`. Of every so many blocks across and down.
+    That of what a mask leaves which smooth images do not pass, in the quietest blocks; within
+    bounds. Of every so many blocks across and down.
 
     References
     ----------
@@ -214,11 +212,18 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
     left = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
     height, width = (side // BLOCK for side in frame.shape)
-    if not height * width:
-        return _bounded(np.median(left))
-    blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
-    return _bounded(np.quantile(np.median(blocks[::every, :, ::every], axis=(1, 3)), QUIET))
+    if height * width:
+        blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
+        left = np.median(blocks[::every, :, ::every], axis=(1, 3))
+        found = float(np.quantile(left, QUIET))
+    else:
+        found = float(np.median(left))
+    low, high = np.percentile(_sampled(frame), RANGE)
+    least = min(LEAST_NOISE, LEAST_SHARE * float(high - low))
+    return min(max(least, MAD_TO_DEVIATION * found), MOST_NOISE)
 
 
-def _bounded(left: float) -> float:
-    return min(max(LEAST_NOISE, MAD_TO_DEVIATION * float(left)), MOST_NOISE)
+def _sampled(frame: np.ndarray) -> np.ndarray:
+    """Return the grey levels of a frame, of a large one those of every 16th pixel."""
+    step = 4 if frame.size > DENSE else 1
+    return frame[::step, ::step].ravel()
