@@ -29,8 +29,8 @@ UNEXPLAINED, BETTER = 0.15, 0.1
 # a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
 # where it is off by more than half.
 BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
-# Of the pixels that are seen: those whose inverse depth has a deviation of more than half of itself,
-# and of what is usual. At most 0.03 where depth is off by less than 0.15.
+# Of the pixels that are seen: those whose inverse depth has a deviation of more than half of
+# itself, and of what is usual. At most 0.03 where depth is off by less than 0.15.
 UNSURE, UNCERTAIN = 0.5, 0.05
 # Stripes: in all but this share of the windows, no more than this share of the variation is along
 # them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.

@@ -70,7 +70,7 @@ class CarriedSolution(RigidSolution):
 def bare_share(frame: np.ndarray) -> float:
     """Return which share of the windows of a frame, (H, W) float32, shows no more than noise."""
     noise = noise_deviation(frame)
-    return float((window_variance(frame, WINDOW) < SHOWN * noise**2).mean())
+    return float((window_variance(frame, WINDOW) <= SHOWN * noise**2).mean())
 
 
 def carried_depth(

@@ -78,17 +78,16 @@ def _described(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points, (N, 2) float64, px, and the roots of their descriptors, (N, 128) float32."""
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
     image = np.rint(frame).astype(np.uint8)
-    found = detector.detect(image, None)
+    # Descriptors of all take less time than a second pyramid for those that are kept.
+    found, descriptors = detector.detectAndCompute(image, None)
     if not found:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    kept = _spread(
-        np.array([point.pt for point in found]),
-        np.array([point.response for point in found]),
-        side=(frame.size / CELLS**2) ** 0.5,
-    )
-    found, descriptors = detector.compute(image, [found[k] for k in kept])
+    points = np.array([point.pt for point in found])
+    strength = np.array([point.response for point in found])
+    kept = _spread(points, strength, side=(frame.size / CELLS**2) ** 0.5)
+    descriptors = descriptors[kept]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # they have no negative entries
-    return np.array([point.pt for point in found]), np.sqrt(descriptors / total)
+    return points[kept], np.sqrt(descriptors / total)
 
 
 def _spread(points: np.ndarray, response: np.ndarray, *, side: float) -> np.ndarray:
