@@ -18,6 +18,9 @@ from tisfm.solver.image_pyramid import ImagePyramid
 # Of the longer side: parallax between near and far from which depth is carried where frames are
 # partly bare. Below, coarse to fine follows weak texture better.
 CARRIED_RANGE = 0.019
+# Of the frame: where less is bare, the images tell the motion better than a flow field does,
+# jointly with depth; where more is, what they tell of it is noise.
+MOSTLY_BARE = 0.15
 START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
 
 
@@ -26,8 +29,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
 
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
     motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). Where much of
-    a frame is bare and parallax is large, depth is matched and carried across instead
-    (`tisfm.motion.carried_depth`).
+    a frame is bare and parallax is large, depth is matched and carried across afterwards
+    (`tisfm.motion.carried_depth`); where most is, motion is that of a finer flow field.
 
     Parameters
     ----------
@@ -62,21 +65,28 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         unit = None if pose.translation is None else float(np.linalg.norm(pose.translation))
     motions = scaled_translations(start.matrix[None], labels, camera)
     sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
-    solution: RigidSolution | None = None
-    misfit = 0.0  # is in the deviation of what is carried
-    low, high = sweep.range
-    far_apart = high - low >= CARRIED_RANGE * max(pyramid.shape)
-    if far_apart and bare_share(pyramid.frames0[level]) >= BARE:
-        surer = motions
-        if refine != "none" and not start.matched:
-            surer, doubt = _finer(pyramid, settings, start, pose)
-            start = replace(start, doubt=start.doubt or doubt)
-        solution = carried_depth(pyramid, settings, surer[0])
-    if solution is None:
-        solution = rigid_depth(
+
+    def joint() -> RigidSolution:
+        return rigid_depth(
             pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
         )
-        misfit = start.residual
+
+    solution: RigidSolution | None = None
+    low, high = sweep.range
+    far_apart = high - low >= CARRIED_RANGE * max(pyramid.shape)
+    bare = bare_share(pyramid.frames0[level]) if far_apart else 0.0
+    if bare >= BARE:
+        surer = motions
+        if refine != "none" and not start.matched:
+            if bare < MOSTLY_BARE:
+                surer = joint().motions
+            else:
+                surer, doubt = _finer(pyramid, settings, start, pose)
+                start = replace(start, doubt=start.doubt or doubt)
+        solution = carried_depth(pyramid, settings, surer[0])
+    misfit = 0.0  # is in the deviation of what is carried
+    if solution is None:
+        solution, misfit = joint(), start.residual
     estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(
         estimate,
