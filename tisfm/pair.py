@@ -160,7 +160,9 @@ def interpret_pair(
         if settings.motion == "field":
             status = field_doubt(pyramid, flow, trust) or status
         elif estimate.free_flow is not None:
-            status = unexplained(pyramid, estimate, unseen) or status
+            doubt = unexplained(pyramid, estimate, unseen)
+            if doubt is not None and doubt != status:  # what was first uncertain has more to say
+                status = doubt
     return Interpretation(
         rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved

@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from tests.motion.one_motion import errors
-from tests.rendered import static_scene
+from tests.rendered import static_scene, three_blocks
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room
 
@@ -62,6 +62,22 @@ def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room):
         for result in (narrow, interpreted(bare_room, pose=pose))
     ]
     assert off[0] < 1.3 * off[1]
+
+
+def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
+    """Jointly where less than 15 % is bare, and from a finer flow field where more is."""
+    import tisfm.motion.camera
+
+    still = np.zeros((3, 6))
+    scene = three_blocks(240, 320, camera_motion=(0.5, 0, 0, 0, 0.02, 0), block_motions=still)
+
+    def motions(bare):
+        monkeypatch.setattr(tisfm.motion.camera, "bare_share", lambda _: bare)
+        return interpreted(scene).motions
+
+    joint = motions(0.0)  # nothing is carried
+    np.testing.assert_array_equal(motions(0.1), joint)
+    assert np.abs(motions(0.2) - joint).max() > 1e-6
 
 
 def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):

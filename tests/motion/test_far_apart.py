@@ -6,7 +6,7 @@ import pytest
 
 import tisfm
 from tests.motion.one_motion import CAMERA, errors, interpreted
-from tests.rendered import room, static_scene, three_blocks
+from tests.rendered import room, static_scene, three_blocks, two_blocks
 from tisfm.camera import Camera
 from tisfm.metrics import depth_errors
 from tisfm.motion import camera as camera_module
@@ -44,6 +44,18 @@ def test_a_turn_between_frames_is_found(far, monkeypatch):
     without_matches(monkeypatch)
     alone = interpreted(far)
     assert alone.status not in ("converged", "iteration_limit") or errors(alone, far).rotation > 2
+
+
+@pytest.mark.parametrize("degrees", [15, 25])
+def test_little_parallax_beside_a_large_turn_gives_rough_depth(degrees):
+    turned = (0.1, 0, 0, 0, np.radians(degrees), 0)
+    pair = two_blocks(*SIZE, seed=0, camera_motion=turned, block_motions=np.zeros((2, 6)))
+    result = interpreted(pair)
+    assert result.status == "uncertain"
+    seen = pair.visible & ~result.occlusion
+    middle = np.median(pair.depth[seen])
+    constant = (np.abs(middle - pair.depth) / pair.depth)[seen].mean()
+    assert depth_errors(result.depth, pair.depth, mask=seen).abs_rel < constant / 2
 
 
 def test_the_same_answer_every_time(far):

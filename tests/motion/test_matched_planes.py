@@ -106,5 +106,9 @@ def test_noise_deviation(deviation):
     assert noise_deviation(frame.astype(np.float32)) == LEAST_NOISE
     narrow = (frame / 16).astype(np.float32)  # 12 bits of 16
     assert noise_deviation(narrow) < 0.12 < LEAST_NOISE
+    assert noise_deviation(np.full((240, 320), 110, np.float32)) > 0
+    striped = noisy.copy()
+    striped[:, 16::32] += 30 * rng.normal(size=striped[:, 16::32].shape)  # in every second block
+    assert noise_deviation(striped, every=2) != noise_deviation(striped)
     texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
     assert noise_deviation(texture) == MOST_NOISE

@@ -13,7 +13,15 @@ from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
-from tisfm.motion.agreement import BEHIND, UNEXPLAINED, one_direction, unexplained, unrelated
+from tisfm.motion.agreement import (
+    BEHIND,
+    UNCERTAIN,
+    UNEXPLAINED,
+    UNSURE,
+    one_direction,
+    unexplained,
+    unrelated,
+)
 from tisfm.motion.problems import pyramid_of
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
@@ -182,6 +190,24 @@ def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
     rows = max(1, round(factor * UNEXPLAINED * SIZE[0]) - CONFIDENCE_WINDOW)  # seen that far away
     flow[40 : 40 + rows] += (0, 9)
     assert judged(scene, flow=flow, matched=matched) == code
+
+
+@pytest.mark.parametrize(("factor", "code"), [(0.5, None), (1.5, "uncertain")])
+def test_a_part_whose_deviation_is_large(scene, factor, code):
+    deviation = np.full(SIZE, 1e-3)
+    rows = round(factor * UNCERTAIN * SIZE[0])
+    deviation[60 : 60 + rows] = UNSURE * 1.1 / scene.depth.min()
+    found = judged(scene, deviation=deviation)
+    assert found == code and (code is None or "inverse_depth_std" in found.message)
+
+
+def test_what_is_far_is_not_uncertain(scene):
+    """A large share of next to nothing is little."""
+    inverse_depth = 1 / scene.depth
+    usual = float(np.median(inverse_depth))
+    inverse_depth[:60] = 0.01 * usual
+    assert judged(scene, inverse_depth=inverse_depth, deviation=0.2 * usual) is None
+    assert judged(scene, inverse_depth=inverse_depth, deviation=0.6 * usual) == "uncertain"
 
 
 def test_the_truth_explains_the_frames(scene):

@@ -151,7 +151,7 @@ def unexplained(
     estimate: Estimate,
     unseen: np.ndarray,
 ) -> Status | None:
-    """Return why the depth of one rigid motion is wrong, None where it explains the images.
+    """Return why the depth of one rigid motion is wrong or uncertain, None where it is neither.
 
     Depth is wrong where much of it lies behind the camera, and where much of the texture is more
     alike where the flow field leads that the motion was first fitted to. Where that is not known,
@@ -212,8 +212,8 @@ def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
     return Status(
         "uncertain",
         f"at {100 * share:.0f}% of the pixels that are seen, inverse depth has a deviation of more "
-        "than half of itself: take frames further apart, or move the camera sideways; "
-        "result.inverse_depth_std says where depth is sure",
+        "than half of itself and of what is usual: take frames further apart, or move the camera "
+        "sideways; result.inverse_depth_std says where depth is sure",
     )
 
 

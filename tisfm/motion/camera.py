@@ -20,7 +20,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 CARRIED_RANGE = 0.019
 # Of the frame: where less is bare, the images tell the motion better than a flow field does,
 # jointly with depth; where more is, what they tell of it is noise.
-MOSTLY_BARE = 0.15
+BARE_FOR_MOTION = 0.15
 START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
 
 
@@ -30,7 +30,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
     motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). Where much of
     a frame is bare and parallax is large, depth is matched and carried across afterwards
-    (`tisfm.motion.carried_depth`); where most is, motion is that of a finer flow field.
+    (`tisfm.motion.carried_depth`); where even more is, motion is that of a finer flow field.
 
     Parameters
     ----------
@@ -73,20 +73,23 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
 
     solution: RigidSolution | None = None
     low, high = sweep.range
-    far_apart = high - low >= CARRIED_RANGE * max(pyramid.shape)
-    bare = bare_share(pyramid.frames0[level]) if far_apart else 0.0
+    deep = high - low >= CARRIED_RANGE * max(pyramid.shape)
+    bare = bare_share(pyramid.frames0[level]) if deep else 0.0
+    refined: RigidSolution | None = None
     if bare >= BARE:
         surer = motions
         if refine != "none" and not start.matched:
-            if bare < MOSTLY_BARE:
-                surer = joint().motions
+            if bare < BARE_FOR_MOTION:
+                refined = joint()
+                surer = refined.motions
             else:
                 surer, doubt = _finer(pyramid, settings, start, pose)
-                start = replace(start, doubt=start.doubt or doubt)
+                known = None if start.doubt == "uncertain" else start.doubt  # the finer one decides
+                start = replace(start, doubt=known or doubt)
         solution = carried_depth(pyramid, settings, surer[0])
     misfit = 0.0  # is in the deviation of what is carried
     if solution is None:
-        solution, misfit = joint(), start.residual
+        solution, misfit = refined or joint(), start.residual
     estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(
         estimate,
@@ -106,8 +109,8 @@ def _finer(
     Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
-    near = start.rotation, start.translation
-    found = first_motion(pyramid, settings, pose=pose, pixels=pixels, near=near)
+    coarser = start.rotation, start.translation
+    found = first_motion(pyramid, settings, pose=pose, pixels=pixels, coarser=coarser)
     matrix = start.matrix if found.status is not None else found.matrix
     labels = np.zeros(pyramid.shape, np.int32)
     return scaled_translations(matrix[None], labels, pyramid.cameras[0]), found.doubt

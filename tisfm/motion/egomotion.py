@@ -69,7 +69,6 @@ def camera_motion(
     *,
     rotation: np.ndarray | None = None,
     near: np.ndarray | None = None,
-    start: Pose | None = None,
 ) -> CameraMotion:
     """Fit one rigid motion to a flow field in which other things may move as well.
 
@@ -92,8 +91,6 @@ def camera_motion(
     near : (3, 3) array, optional
         A rotation that R is likely to be near to, for parts of an image that alone show too
         little to tell rotation from translation.
-    start : (rotation, translation), optional
-        A motion near to the one sought, ‖t‖ = 1: it is refined, and no other start is tried.
 
     Returns
     -------
@@ -119,19 +116,30 @@ def camera_motion(
     )
     rays = correspondences(flow, confidence, camera)
     free = Free(unknowns=6 if rotation is None else 3, near=near)
-    best = start or _best_start(rays, rotation, free)
-    turn, translation, scale = refine(rays, best, free, iterations=ITERATIONS)
+    return _fitted(rays, _best_start(rays, rotation, free), free)
+
+
+def refined_motion(
+    flow: np.ndarray, confidence: np.ndarray, camera: Camera, start: Pose
+) -> CameraMotion:
+    """Do what `camera_motion` does, from one start, ‖t‖ = 1, that is near to the motion sought."""
+    return _fitted(correspondences(flow, confidence, camera), start, Free(unknowns=6, near=None))
+
+
+def _fitted(rays: Rays, start: Pose, free: Free) -> CameraMotion:
+    """Return the motion that a robust fit to rays comes to."""
+    turn, translation, scale = refine(rays, start, free, iterations=ITERATIONS)
     nearest = nearest_points(rays, turn, translation)
     distance = np.abs(nearest.distance)
     if rays.trust @ np.sign(nearest.inverse_depth) < 0:
         translation = -translation
-    alone = rotation_alone(rays) if rotation is None else turn
+    alone = rotation_alone(rays) if free.unknowns == 6 else turn
     return CameraMotion(
         rotation=turn,
         translation=translation,
         rotation_alone=alone,
         residual=robust_deviation(distance, rays.trust),
-        parallax=camera.focal * float(np.median(length(beyond(rays, alone)))),
+        parallax=rays.focal * float(np.median(length(beyond(rays, alone)))),
         inliers=float((distance <= 3 * scale).mean()),
     )
 

@@ -90,9 +90,9 @@ def _enlarged(thing: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _parts(thing: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
-    """Yield the part of the image that each thing is in before and after, and what is its own.
+    """Yield, for each thing, the part of the image it crosses, and the pixels that are its own.
 
-    Its own are the pixels around it, (h, w) bool of that part: no other thing is as near.
+    Its own are the pixels around it, (h, w) bool of that part, to which no other thing is as near.
     """
     around = cv2.dilate(thing.astype(np.uint8), _square(AROUND))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(around, connectivity=8)
@@ -116,7 +116,7 @@ def _reached(first: int, end: int, motion: np.ndarray, length: int) -> slice:
 def _outlined(
     evidence: Evidence, thing: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels are of a thing, from what they seemed to be, and a flow that says so."""
+    """Return which pixels are of a thing, from what they seemed to be, and the flow of that."""
     seeming = thing.astype(np.uint8)
     wide = cv2.dilate(seeming, _square(BEYOND)) > 0
     core = cv2.erode(seeming, _square(WITHIN)) > 0

@@ -12,6 +12,7 @@ from tisfm.motion.egomotion import (
     camera_motion,
     correspondences,
     distance_from_rays,
+    refined_motion,
 )
 from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import unmoved
@@ -54,7 +55,8 @@ class FirstMotion:
     status : Status or None
         Why there is no depth to go on to, None if there is.
     doubt : Status or None
-        Why the pose may be wrong: it was given, or another one is as likely.
+        Why the pose may be wrong: it was given, or another one is as likely; or why depth will be
+        rough.
     history : list of (level, warp, Iteration)
     flow : (h, w, 2) float32
         The flow field, px of its level.
@@ -90,7 +92,7 @@ def first_motion(
     pose: KnownPose | None = None,
     pixels: float = math.inf,
     matches: bool = False,
-    near: Pose | None = None,
+    coarser: Pose | None = None,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
@@ -107,8 +109,8 @@ def first_motion(
     matches : bool
         Whether points are matched where the flow field is found wanting and no pose is known, or
         where it leaves the frames unlike and a pose with translation is known.
-    near : (rotation, translation), optional
-        The motion of a coarser level, ‖t‖ = 1: it is refined, and no other is tried.
+    coarser : (rotation, translation), optional
+        The motion of a coarser level, ‖t‖ = 1, that the fit to the flow field starts from alone.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
@@ -120,7 +122,11 @@ def first_motion(
     if stripes is not None and given.translation is None:
         return replace(start, status=stripes)
     try:
-        found = camera_motion(start.flow, start.trust, camera, start=near)
+        found = (
+            camera_motion(start.flow, start.trust, camera)
+            if coarser is None
+            else refined_motion(start.flow, start.trust, camera, coarser)
+        )
     except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(start, status=Status("no_texture", message))
@@ -186,7 +192,9 @@ def first_motion(
 def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:
     """Return the first motion that matches show, in place of the flow field's."""
     motion = far.motion
-    status = far.apart or _matched_status(motion)
+    status, doubt = far.apart or _matched_status(motion), far.doubt
+    if status == "uncertain":
+        status, doubt = None, doubt or status
     turned = status == "pure_rotation"
     return replace(
         start,
@@ -194,7 +202,7 @@ def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:
         translation=np.zeros(3) if turned else motion.translation,
         residual=motion.residual,
         status=status,
-        doubt=far.doubt,
+        doubt=doubt,
         flow=far.flow,
         trust=far.trust,
         matched=True,
@@ -207,7 +215,9 @@ def _matched_status(motion: SparseMotion) -> Status | None:
     seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
     if motion.model == "rotation":
         return _turned_only(seen)
-    return None if parallax >= ENOUGH * residual else _hardly_moved(seen)
+    if parallax >= ENOUGH * residual:
+        return None
+    return _rough(seen) if parallax >= ROUGH * residual else _hardly_moved(seen)
 
 
 def _flow_alone(
@@ -250,11 +260,7 @@ def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status 
         return None
     seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
     if share >= ROUGH:
-        return Status(
-            "uncertain",
-            f"there is little parallax, so depth is rough: {seen}; take frames further apart, or "
-            "move the camera sideways",
-        )
+        return _rough(seen)
     if share >= SEEN:
         return _hardly_moved(seen)
     if moved < max(STILL, 3 * residual):
@@ -264,6 +270,14 @@ def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status 
             "noise; take frames further apart in time",
         )
     return _turned_only(seen)
+
+
+def _rough(seen: str) -> Status:
+    return Status(
+        "uncertain",
+        f"there is little parallax, so depth is rough: {seen}; take frames further apart, or move "
+        "the camera sideways",
+    )
 
 
 def _hardly_moved(seen: str) -> Status:

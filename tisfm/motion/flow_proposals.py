@@ -103,8 +103,9 @@ class Proposals:
             found = self._all_over(flow)
             if found is None:
                 return False
-            better = found
-            judged, wanting = self._judge(better)
+            if found is not flow:
+                better = found
+                judged, wanting = self._judge(better)
         better = self._with_things(better, judged, wanting)
         if better is flow:
             return False

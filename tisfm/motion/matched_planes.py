@@ -203,7 +203,7 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
     That of what a mask leaves which smooth images do not pass, in the quietest blocks; within
-    bounds. Of every so many blocks across and down.
+    bounds. Every so many blocks across and down take part.
 
     References
     ----------
@@ -219,7 +219,7 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     else:
         found = float(np.median(left))
     low, high = np.percentile(_sampled(frame), RANGE)
-    least = min(LEAST_NOISE, LEAST_SHARE * float(high - low))
+    least = float(np.clip(LEAST_SHARE * (high - low), LEAST_NOISE / 100, LEAST_NOISE))
     return min(max(least, MAD_TO_DEVIATION * found), MOST_NOISE)
 
 

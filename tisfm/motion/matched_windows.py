@@ -36,7 +36,7 @@ class Windows:
     levels0, levels1 : (h, w) float32
         Grey levels of both frames, in [0, 255].
     noise : float
-        Standard deviation of that of the noisier frame, levels.
+        Standard deviation of the noise of the noisier frame, levels.
     scale : float
         Sampling density relative to the finest level of the pyramid.
     """
@@ -144,7 +144,7 @@ class WindowSearch:
         levels : list of int
         known : sequence of ((…, …, 2) float32, float)
             Flows, each in px/frame of a level, and the scale of that level. The best of them is
-            kept where nothing is better. By default it starts from anything.
+            kept where nothing is better. By default it starts at random.
         sought : array of bool, optional
             Where, on any level; by default everywhere.
         tried : int
