@@ -56,7 +56,7 @@ def objects_estimate(
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings)
     if start.status == "unrelated":
-        start = far_apart(pyramid, settings, grey0, grey1)
+        start = far_apart(pyramid, settings, start, grey0, grey1)
     nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
     if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
