@@ -66,21 +66,6 @@ def test_a_camera_that_only_turned_far_sees_no_depth(turn, blocks):
     assert np.median(off[scene.visible & (scene.labels < 2)]) < 0.1
 
 
-@pytest.mark.parametrize("turn", [0.5, 11.5])
-def test_a_background_without_parallax_has_no_depth_beside_things_that_move(turn):
-    """At infinity, the motion of a thing explains it as well."""
-    scene = turning(turn, sideways=0)
-    result = interpreted(scene)
-    assert result.status == "converged"
-    behind = result.labels == 0
-    assert not result.inverse_depth[behind].any()
-    for label in (2, 3):
-        thing = (scene.labels == label) & scene.visible
-        found = (result.labels == np.bincount(result.labels[thing]).argmax()) & scene.visible
-        assert not (found & behind).any()
-        assert (found & thing).sum() > 0.9 * (found | thing).sum()
-
-
 def test_points_are_matched_only_where_a_flow_field_fails(monkeypatch):
     def never(*_):
         raise AssertionError("no points are to be matched")
