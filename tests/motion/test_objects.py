@@ -333,14 +333,15 @@ def test_parts_of_a_label_get_motions_of_their_own():
 
     scene = three_blocks(*SIZE)
     true = np.where(things(scene) < 3, things(scene), 0)
+    background, joint = (np.column_stack(rigid_motion(scene.motions[k])) for k in (0, 2))
     search = _Search(
         scene.flow.astype(np.float32),
         np.ones(SIZE, np.float32),
         scene.camera,
         scene.frame0.astype(np.float32),
         100.0,  # px: any motion is tolerated
+        background,
     )
-    background, joint = (np.column_stack(rigid_motion(scene.motions[k])) for k in (0, 2))
     search._labels = lambda motions, **options: np.minimum(true, 1)
     found = search._split([background, joint], 5)
     assert len(found) == 3

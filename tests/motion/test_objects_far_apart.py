@@ -15,17 +15,28 @@ SETTINGS = tisfm.Settings.preset("balanced", motion="objects")
 SIZE = (240, 320)
 
 
+AT_REST = np.zeros((2, 6))
+
+
+def turning(turn, *, sideways=0.3, **options):
+    """Return two blocks before a camera that turns by so many degrees."""
+    camera_motion = (sideways, 0, 0, 0, np.deg2rad(turn), 0)
+    return two_blocks(*SIZE, camera_motion=camera_motion, **options)
+
+
 @pytest.fixture(scope="module")
 def scene():
     """Return two blocks before a background that moves by 89 px."""
-    return two_blocks(*SIZE, camera_motion=(0.3, 0, 0, 0, 0.2, 0))
+    return turning(11.5)
 
 
 def interpreted(scene):
     return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=SETTINGS)
 
 
-def test_a_background_that_moves_far(scene):
+@pytest.mark.parametrize("turn", [11.5, 15, 18])
+def test_a_background_that_moves_far(turn):
+    scene = turning(turn)
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
     pyramid = pyramid_of(*frames, scene.camera, SETTINGS)
     assert first_motion(pyramid, SETTINGS).status == "unrelated"
@@ -39,6 +50,20 @@ def test_a_background_that_moves_far(scene):
     found = result.labels == np.bincount(result.labels[smaller]).argmax()
     assert not (found & (result.labels == 0)).any()
     assert (found & smaller).sum() > 0.95 * (found | smaller).sum()
+
+
+@pytest.mark.parametrize("blocks", [AT_REST, None], ids=["at rest", "moving"])
+@pytest.mark.parametrize("turn", [15, 30])
+def test_a_camera_that_only_turned_far_sees_no_depth(turn, blocks):
+    """What frame 1 does not see of frame 0 tells nothing of the camera's motion."""
+    scene = turning(turn, sideways=0, block_motions=blocks)
+    result = interpreted(scene)
+    assert result.status == "pure_rotation"
+    assert not result.inverse_depth.any() and not result.labels.any()
+    errors = pose_errors(pose_matrix(result.motions[0]), pose_matrix(scene.motions[0]))
+    assert errors.rotation < 0.05  # degrees
+    off = np.linalg.norm(result.flow - scene.flow, axis=-1)
+    assert np.median(off[scene.visible & (scene.labels < 2)]) < 0.1
 
 
 def test_points_are_matched_only_where_a_flow_field_fails(monkeypatch):

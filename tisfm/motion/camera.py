@@ -56,8 +56,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         )
     start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
     if start.status is not None:
-        turned = only_turned(pyramid, settings, start, start.status, level=level)
-        return replace(turned, matched=start.matched)
+        return only_turned(pyramid, settings, start, start.status, level=level)
     refine: Refinement = "motion"
     unit = None
     if pose is not None:
@@ -120,7 +119,7 @@ def only_turned(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
 ) -> Estimate:
     """Return what is left of a first motion whose depth is not to be seen, and why."""
-    return without_depth(
+    turned = without_depth(
         pyramid,
         settings,
         level=level,
@@ -129,3 +128,4 @@ def only_turned(
         status=status,
         history=start.history,
     )
+    return replace(turned, matched=start.matched)

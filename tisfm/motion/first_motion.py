@@ -93,6 +93,7 @@ def first_motion(
     pixels: float = math.inf,
     matches: bool = False,
     coarser: Pose | None = None,
+    unseen: np.ndarray | None = None,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
@@ -111,12 +112,16 @@ def first_motion(
         where it leaves the frames unlike and a pose with translation is known.
     coarser : (rotation, translation), optional
         The motion of a coarser level, ‖t‖ = 1, that the fit to the flow field starts from alone.
+    unseen : (h, w) bool array, optional
+        Pixels of the level whose flow is not trusted, by default none.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
     start = _flow_alone(pyramid, settings, given, level=max(large, default=0))
     if start.status is not None:
         return start
+    if unseen is not None:
+        start = replace(start, trust=np.where(unseen, 0, start.trust))
     scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
     stripes = one_direction(pyramid.frames0[start.level])
     if stripes is not None and given.translation is None:
@@ -137,7 +142,7 @@ def first_motion(
         far = sparse_start(pyramid, start.level, dense)
         # What matches hardly see is better seen by a flow field, if there is one.
         if far is not None and (apart is not None or _matched_status(far.motion) is None):
-            return _far_apart(start, far)
+            return matched_motion(start, far)
     if matches and apart is not None and given.translation is not None:
         length = float(np.linalg.norm(given.translation))
         unit = given.rotation, given.translation / length
@@ -189,7 +194,7 @@ def first_motion(
     return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
 
 
-def _far_apart(start: FirstMotion, far: SparseStart) -> FirstMotion:
+def matched_motion(start: FirstMotion, far: SparseStart) -> FirstMotion:
     """Return the first motion that matches show, in place of the flow field's."""
     motion = far.motion
     status, doubt = far.apart or _matched_status(motion), far.doubt

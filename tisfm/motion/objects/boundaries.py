@@ -104,7 +104,8 @@ def _costs(
     taps = spline_taps(frame1)
     flow = _own(flows, labels)
     change = sample(frame1, flow, taps) - frame0
-    change -= (usual := np.median(change))
+    usual = np.median(change)
+    change -= usual
     noise = NOISE * float(np.median(np.abs(change)))
     limit = np.hypot(noise, LEAST_NOISE)
     window = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)

@@ -14,7 +14,7 @@ UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of 
 SMALLEST = 0.002  # of the pixels: what is smaller is no object
 EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
 CLEARLY = 0.6  # of the median distance under a common motion, at most, under one of its own
-FASTEST_SPIN = 0.2  # rad/frame
+FASTEST_SPIN = 0.2  # rad/frame, beside the background
 LEAST_WEIGHT = 0.02  # of a pixel, where labels are assigned
 
 
@@ -68,8 +68,9 @@ def motion_candidates(
         camera.scaled(ratio, height, width),
         cv2.resize(frame, size, interpolation=cv2.INTER_AREA),
         TOLERATED_ERROR * residual * ratio + FLOOR,
+        np.array(background, np.float64),
     )
-    motions, labels = search.run(np.array(background, np.float64), most)
+    motions, labels = search.run(most)
     labels = cv2.resize(
         labels.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
     ).astype(np.int32)
@@ -86,15 +87,17 @@ class _Search:
         camera: Camera,
         frame: np.ndarray,
         tolerated: float,
+        background: np.ndarray,
     ) -> None:
         self._flow, self._trust, self._camera = flow, trust, camera
+        self._background = background
         self._tolerated = tolerated
         self._potts = Potts(frame)
         self._weight = np.maximum(trust, LEAST_WEIGHT)
         self.smallest = smallest_object(trust.size)
 
-    def run(self, background: np.ndarray, most: int) -> tuple[list[np.ndarray], np.ndarray]:
-        motions = [background]
+    def run(self, most: int) -> tuple[list[np.ndarray], np.ndarray]:
+        motions = [self._background]
         tried = np.zeros(self._trust.shape, bool)
         for _ in range(3 * most):
             labels = self._labels(motions, unexplained=True)
@@ -162,7 +165,7 @@ class _Search:
         except TooFewPixelsError:
             return None
         # Nothing seen from frame to frame spins faster: such a fit is one of noise.
-        spin = np.linalg.norm(cv2.Rodrigues(found.rotation)[0])
+        spin = np.linalg.norm(cv2.Rodrigues(found.rotation @ self._background[:, :3].T)[0])
         if spin > FASTEST_SPIN:
             return None
         return np.column_stack([found.rotation, found.translation])

@@ -6,13 +6,13 @@ import numpy as np
 
 from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.first_motion import first_motion
+from tisfm.motion.first_motion import STILL, first_motion
 from tisfm.motion.objects.background import with_carried_background
 from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.far_apart import far_apart
-from tisfm.motion.objects.layers import Layering, without_specks
+from tisfm.motion.objects.layers import Layering, Layers, without_specks
 from tisfm.motion.objects.runaways import steady_depth
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.rigid_estimate import with_depth
@@ -56,7 +56,7 @@ def objects_estimate(
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings)
     if start.status == "unrelated":
-        start = far_apart(pyramid, settings, grey0, grey1)
+        start = far_apart(pyramid, settings, start, grey0, grey1)
     nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
     if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
@@ -79,10 +79,13 @@ def objects_estimate(
         motions = layering.refitted(layers, start.flow, start.trust)
         layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
     layers = layering.with_floating(layers, most=settings.max_objects)
-    motions, labels = layers.motions, without_specks(layers.labels, layering.smallest)
+    motions, labels = layers.motions, layers.labels
+    if not motions[0][:, 3].any():
+        labels = np.where(_as_background(layers, max(STILL, 3 * start.residual)), 0, labels)
+    labels = without_specks(labels, layering.smallest)
     labels = sharpened(labels, layers.flows, layers.reach, grey0, grey1)
     labels = without_specks(labels, layering.smallest)
-    if len(motions) == 1 and start.status is not None:
+    if not labels.any() and start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=0)
     areas = np.bincount(labels.ravel(), minlength=len(motions))
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
@@ -116,3 +119,13 @@ def objects_estimate(
     if len(order) == 1 and start.doubt is not None:
         estimate = replace(estimate, status=start.doubt)
     return aligned(estimate, hidden) if settings.align_scales else estimate
+
+
+def _as_background(layers: Layers, least: float) -> np.ndarray:
+    """Return what moves as the background does, up to so many px, (H, W) bool.
+
+    Under a motion with translation, what is far goes where the rotation alone takes it. So any
+    such motion explains a background that has none, with depth that is not there.
+    """
+    own = np.take_along_axis(layers.flows, layers.labels[None, None], axis=0)[0]
+    return np.linalg.norm(own - layers.flows[0], axis=0) < least

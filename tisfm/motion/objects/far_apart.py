@@ -6,31 +6,45 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.first_motion import FirstMotion, first_motion
+from tisfm.motion.first_motion import FirstMotion, first_motion, matched_motion
 from tisfm.motion.problems import pyramid_of
+from tisfm.motion.sparse_start import sparse_start
+from tisfm.outcome import Status
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.occlusion import leaves_image
 
+BEYOND = 15  # px: the window in which a pixel that frame 1 does not see spoils the flow
+
 
 def far_apart(
-    pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, grey1: np.ndarray
+    pyramid: ImagePyramid,
+    settings: Settings,
+    start: FirstMotion,
+    grey0: np.ndarray,
+    grey1: np.ndarray,
 ) -> FirstMotion:
     """Return a first motion, and the flow of all that moves, where a flow field alone fails.
 
     Matches show how the camera turned. Seen as by a camera that did not, frame 1 is like frame 0
-    but for parallax and for what moves on its own, which a flow field shows. Where even that fails,
-    there is the motion of the matches, and the flow of what has it.
+    but for parallax and for what moves on its own, which a flow field shows. What frame 1 does not
+    see has no say in it. Where even that fails, there is the motion of the matches, and the flow
+    of what has it.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
+    start : FirstMotion
+        That of the flow field alone, on the finest level.
     grey0, grey1 : (H, W) float32
         Grey levels of its frames.
     """
-    matched = first_motion(pyramid, settings, matches=True)
-    if not matched.matched or matched.status == "unrelated":
+    far = sparse_start(pyramid, start.level, None)
+    if far is None:
+        return start
+    matched = matched_motion(start, far)
+    if matched.status == "unrelated":
         return matched
     camera = pyramid.cameras[0]
     turn = _homography(matched.rotation, camera, *grey0.shape)
@@ -41,17 +55,28 @@ def far_apart(
         flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    found = first_motion(pyramid_of(grey0, turned, camera, settings), settings)
-    if found.status in ("unrelated", "no_texture", "aperture"):
-        return matched
     height, width = grey0.shape
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
     places = np.stack([columns, rows], axis=-1)
+    gone = leaves_image(np.moveaxis(cv2.perspectiveTransform(places, turn) - places, -1, 0))
+    unseen = cv2.dilate(gone.astype(np.uint8), np.ones((BEYOND, BEYOND), np.uint8)) > 0
+    found = first_motion(pyramid_of(grey0, turned, camera, settings), settings, unseen=unseen)
+    if found.status in ("unrelated", "no_texture", "aperture"):
+        return matched
     flow = cv2.perspectiveTransform(places + found.flow, turn) - places
+    status = found.status
+    if status == "no_motion":
+        # Frame 1 as it came did move.
+        status = Status(
+            "pure_rotation",
+            "too little parallax to see depth by: the camera only turned; it has to change its "
+            "place",
+        )
     return replace(
         found,
         rotation=matched.rotation @ found.rotation,
         translation=matched.rotation @ found.translation,
+        status=status,
         flow=flow,
         trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, found.trust),
         history=matched.history + found.history,

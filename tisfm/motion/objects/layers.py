@@ -48,7 +48,8 @@ class Layers:
     costs : (K, H, W) float32
         Of each layer, in units.
     unit : float
-        px².
+        Of the squared residual: px² where constraints are normalised, squared grey levels where
+        not.
     flows : (K, 2, H, W) float32
         Of each layer's surface, everywhere.
     reach : (K, H, W) bool

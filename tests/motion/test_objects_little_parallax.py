@@ -1,0 +1,51 @@
+"""motion="objects" where the background shows little parallax, or none, and things move."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.rendered import two_blocks
+from tisfm.motion.first_motion import first_motion
+from tisfm.motion.problems import pyramid_of
+
+SETTINGS = tisfm.Settings.preset("balanced", motion="objects")
+SIZE = (240, 320)
+
+
+def moving(sideways, turn):
+    """Return two blocks that move before a camera that turns by so many degrees."""
+    camera_motion = (sideways, 0, 0, 0, np.deg2rad(turn), 0)
+    return two_blocks(*SIZE, camera_motion=camera_motion)
+
+
+def interpreted(scene):
+    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=SETTINGS)
+
+
+def check_depth_is_of_things_alone(result, scene):
+    assert result.status == "converged"
+    behind = result.labels == 0
+    assert not result.inverse_depth[behind].any()
+    assert np.isinf(result.inverse_depth_std[behind]).all()
+    for label in (2, 3):
+        thing = (scene.labels == label) & scene.visible
+        found = (result.labels == np.bincount(result.labels[thing]).argmax()) & scene.visible
+        assert not (found & behind).any()
+        assert (found & thing).sum() > 0.9 * (found | thing).sum()
+        assert (result.inverse_depth[found & thing] > 0).mean() > 0.9
+
+
+@pytest.mark.parametrize("turn", [0.5, 11.5])
+def test_without_parallax(turn):
+    """The motion of a thing explains the background as well, at infinity."""
+    scene = moving(0, turn)
+    check_depth_is_of_things_alone(interpreted(scene), scene)
+
+
+def test_with_little_parallax():
+    """Alone, the background would have rough depth, and the status would say so."""
+    scene = moving(0.003, 0.3)
+    frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
+    start = first_motion(pyramid_of(*frames, scene.camera, SETTINGS), SETTINGS)
+    assert start.status is None and start.doubt == "uncertain"
+    check_depth_is_of_things_alone(interpreted(scene), scene)
