@@ -1,23 +1,19 @@
 """Motions that coarse to fine loses: large ones, and small things that move far."""
 
 import hashlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 import tisfm
+from tests.one_thread import bits_on_one_thread, several_threads
 from tests.rendered import static_scene, two_blocks
 from tisfm import runtime
 from tisfm.motion import field
 from tisfm.scenes import static_scene as rendered
 
 MARGIN = 200
-ROOT = Path(__file__).parents[2]
 
 
 def texture(height, width, seed):
@@ -195,19 +191,9 @@ def bits():
     return digest.hexdigest()
 
 
-@pytest.mark.skipif(os.cpu_count() == 1, reason="there is one core, so one thread for any number")
+@several_threads
 def test_same_bits_with_one_thread_and_with_all():
-    """In a process of its own, since the threads are chosen once."""
-    script = (
-        "from tisfm import runtime\n"
-        "runtime.start(threads=1)\n"
-        "from tests.motion.test_flow_proposals import bits\n"
-        "print(bits(), runtime.threads())\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == [bits(), "1"]
+    assert bits_on_one_thread(__name__) == bits()
     assert runtime.threads() > 1
 
 
