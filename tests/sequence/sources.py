@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.sequence import FrameSource
+from tisfm.sources import FrameSource
 
 H, W = 24, 40
 QUICK = tisfm.Settings(warps=1, outer_iterations=1, sweeps=2)

@@ -22,7 +22,7 @@ from tests.sequence.sources import (
 )
 from tisfm.formats import write_png
 from tisfm.formats.images import natural_order
-from tisfm.sequence import FrameSource
+from tisfm.sources import FrameSource
 
 # Sources
 

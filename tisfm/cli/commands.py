@@ -33,8 +33,9 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
 from tisfm.runtime import Arch
-from tisfm.sequence import FramePair, FrameSource, Source, with_poses
+from tisfm.sequence import with_poses
 from tisfm.settings import Settings
+from tisfm.sources import FramePair, FrameSource, Source
 
 
 def run(

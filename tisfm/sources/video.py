@@ -1,0 +1,38 @@
+"""Videos, decoded one frame after the other: by PyAV where it is installed, by OpenCV elsewhere.
+
+Both decode by FFmpeg, apply the rotation that a camera wrote into the file, and give the same
+pixels and, within a millisecond, the same times. PyAV also says which frames are damaged, and goes
+on after frames that cannot be decoded, where OpenCV drops them in silence or stops.
+"""
+
+from importlib.util import find_spec
+
+from tisfm.sources.opencv_video import OpenCvVideo
+from tisfm.sources.reading import Reader
+
+
+def open_video(path: str) -> Reader:
+    """Open a video.
+
+    Parameters
+    ----------
+    path : str
+        Its file.
+
+    Returns
+    -------
+    Reader
+
+    Raises
+    ------
+    ValueError
+        If it is no video that can be decoded.
+    """
+    if find_spec("av") is not None:
+        from tisfm.sources.av_video import AvVideo
+
+        try:
+            return AvVideo(path)
+        except ValueError:  # OpenCV knows some that FFmpeg does not, and else says the same
+            pass
+    return OpenCvVideo(path)
