@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.sequence.sources import (
+from tests.sources.made import (
     FRAMES,
     QUICK,
     H,

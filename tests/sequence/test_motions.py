@@ -9,7 +9,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
-from tests.sequence.sources import (
+from tests.sources.made import (
     FRAMES,
     Counted,
     H,

@@ -55,17 +55,21 @@ class AvVideo:
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Decode the frames of these numbers."""
-        index, time = 0, None
+        index, time, sound = 0, None, True
         with av.open(self.title) as container:
             stream = container.streams.video[0]
             decoding = _Decoding(container, stream)
             frames = iter(decoding)
             try:
                 while index != chosen.stop and (frame := next(frames, None)) is not None:
+                    # What is predicted from a damaged frame shows it too, up to the next key frame.
                     if isinstance(frame, VideoFrame):
                         time = _time(frame, stream)
+                        sound = not frame.is_corrupt and (sound or frame.key_frame)
+                    else:
+                        sound = False
                     if is_chosen(index, chosen):
-                        yield self._read(frame, index, time)
+                        yield self._read(frame, index, time, sound)
                     index += 1
             except av.FFmpegError as error:
                 raise FormatError(
@@ -79,12 +83,17 @@ class AvVideo:
             raise cut_off(self.title, f"{index} frames, {time:.2f}", f"{self._duration:.2f} s")
 
     def _read(
-        self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None
+        self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, sound: bool
     ) -> RawFrame | BadFrame:
         name = f"{self.prefix}_{index:06d}"
-        if isinstance(frame, VideoFrame) and not frame.is_corrupt:
+        if not isinstance(frame, VideoFrame):
+            what = "cannot be decoded"
+        elif frame.is_corrupt:
+            what = "is damaged"
+        elif not sound:
+            what = "is predicted from a damaged one"
+        else:
             return RawFrame(index=index, name=name, image=_pixels(frame), time=time)
-        what = "is damaged" if isinstance(frame, VideoFrame) else "cannot be decoded"
         error = FormatError(f"frame {index} of {self.title} {what}: the file is damaged there")
         return BadFrame(index=index, name=name, error=error)
 

@@ -123,11 +123,6 @@ class FrameSource:
             self.files += self._masks.files
         self.skipped: list[tuple[int, str]] = []
 
-    @property
-    def step(self) -> int:
-        """Every how many frames one is taken."""
-        return self.chosen.step
-
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not.
 
@@ -218,8 +213,8 @@ class FrameSource:
                 continue
             if before is not None and raw.image.shape != before[1]:
                 raise ValueError(
-                    f"{raw.name} is {raw.image.shape} but {before[0]} is {before[1]}: frames of a "
-                    "source must have the same size and channels"
+                    f"frames {before[0]} and {raw.name}: the first is {before[1]}, the second "
+                    f"{raw.image.shape}, but they must have the same size and channels"
                 )
             before = raw.name, raw.image.shape
             yield self._seen(raw, masks)

@@ -1,4 +1,4 @@
-"""What the tests of sequences share: frames, and sources of them."""
+"""What the tests of sources and sequences share: frames, and sources of them."""
 
 import weakref
 
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tisfm.formats import write_png
 from tisfm.sources import FrameSource
 
 H, W = 24, 40
@@ -70,3 +71,19 @@ class Counted:
 
     def _gone(self):
         self.alive -= 1
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of five frames whose natural order is not the alphabetical one."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number, frame in zip((1, 2, 9, 10, 11), FRAMES, strict=False):
+        write_png(folder / f"frame{number}.png", frame)
+    return folder
+
+
+@pytest.fixture(params=[("video.avi", "MJPG"), ("video.mp4", "mp4v")], ids=["MJPG", "mp4v"])
+def video(request, tmp_path):
+    name, codec = request.param
+    return tmp_path / name, make_video(tmp_path / name, codec)
