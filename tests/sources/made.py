@@ -1,6 +1,7 @@
 """What the tests of sources and sequences share: frames, and sources of them."""
 
 import weakref
+from itertools import product
 
 import cv2
 import numpy as np
@@ -83,7 +84,14 @@ def folder(tmp_path):
     return folder
 
 
-@pytest.fixture(params=[("video.avi", "MJPG"), ("video.mp4", "mp4v")], ids=["MJPG", "mp4v"])
-def video(request, tmp_path):
-    name, codec = request.param
+CODECS = [("video.avi", "MJPG"), ("video.mp4", "mp4v")]
+
+
+@pytest.fixture(params=product(CODECS, ("av", "opencv")), ids=lambda p: f"{p[0][1]}, {p[1]}")
+def video(request, tmp_path, monkeypatch):
+    (name, codec), decoder = request.param
+    if decoder == "av":
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
     return tmp_path / name, make_video(tmp_path / name, codec)

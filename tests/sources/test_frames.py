@@ -5,9 +5,11 @@ import weakref
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 import tisfm
 from tests.sources.made import FRAMES, QUICK, numbered
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, write_png
 from tisfm.sequence import with_poses
 from tisfm.sources import FrameSource
@@ -173,6 +175,17 @@ def test_a_sequence_warns_of_what_it_skips(folder):
     assert len(results) == 2
     told = [str(warning.message) for warning in caught]
     assert len(told) == 2 and "frame 1: " in told[0] and "frame 4: " in told[1]
+
+
+@pytest.mark.filterwarnings("ignore:.*skipped")
+def test_a_focal_length_is_not_guessed_from_what_is_damaged(folder):
+    exif = Image.Exif()
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: 50}
+    Image.fromarray(FRAMES[1]).save(folder / "frame2.png", exif=exif.tobytes())
+    (folder / "frame1.png").write_bytes(b"damaged")
+    settings = tisfm.Settings(motion="camera", warps=1, outer_iterations=1, sweeps=2)
+    with pytest.warns(GuessedFocalWarning, match="50 mm"):
+        next(tisfm.interpret_sequence(folder, settings=settings, bad_frames="skip"))
 
 
 def test_only_damage_is_skipped(folder):

@@ -2,6 +2,7 @@
 
 import sys
 from fractions import Fraction
+from importlib.metadata import PackageNotFoundError
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ VARYING = [0, 0.033, 0.1, 0.15, 0.4, 0.42, 0.5, 1.0, 1.01, 1.5]
 
 @pytest.fixture
 def without_av(monkeypatch):
-    monkeypatch.setattr("tisfm.sources.video.find_spec", lambda name: None)
+    monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
 
 
 @pytest.fixture(params=[AvVideo, OpenCvVideo])
@@ -98,10 +99,16 @@ def test_chosen_frames(tmp_path, decoder, chosen):
         np.testing.assert_array_equal(found.image, frame.image)
 
 
-def test_what_is_installed_decodes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("found", [None, "16.1.0", "unknown"])
+def test_what_is_installed_decodes(tmp_path, monkeypatch, found):
+    def installed(name):
+        if found is None:
+            raise PackageNotFoundError(name)
+        return found
+
     path = str(film(tmp_path / "a.mp4", colour_frames(3)))
     assert isinstance(open_video(path), AvVideo)
-    monkeypatch.setattr("tisfm.sources.video.find_spec", lambda name: None)
+    monkeypatch.setattr("tisfm.sources.video.version", installed)
     monkeypatch.setitem(sys.modules, "av", None)  # any import of it fails
     assert isinstance(open_video(path), OpenCvVideo)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from av.codec.context import ThreadType
 from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
@@ -109,7 +110,7 @@ class _Decoding:
 
     def __init__(self, container: InputContainer, stream: VideoStream) -> None:
         # Threads over slices alone: those over frames say too late whose an error is.
-        stream.thread_type = "SLICE"
+        stream.thread_type = ThreadType.SLICE
         self._container, self._stream = container, stream
         self.packets = 0
 

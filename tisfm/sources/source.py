@@ -59,8 +59,6 @@ class FrameSource:
 
     Attributes
     ----------
-    first_file : Path or None
-        The image file of the first frame, where frames have files of their own.
     files : tuple of Path
         All files of the source: the images, those between the steps included, or the video, and
         the masks.
@@ -114,7 +112,6 @@ class FrameSource:
                 self._check_count(number)
         self.title, self.prefix, self.count = reader.title, reader.prefix, reader.count
         self.names = None if reader.names is None else reader.names[self.chosen]
-        self.first_file = None if reader.names is None else reader.files[self.chosen][0]
         self.files = reader.files
         self._masks: Masks | None = None
         if mask is not None:
@@ -122,6 +119,15 @@ class FrameSource:
             self._masks = Masks(mask, frame_files=frame_files, count=reader.count)
             self.files += self._masks.files
         self.skipped: list[tuple[int, str]] = []
+
+    @property
+    def first_file(self) -> Path | None:
+        """The image file of the first frame not skipped, where frames have files of their own."""
+        if self.names is None:
+            return None
+        skipped = {index for index, _ in self.skipped}
+        taken = range(len(self._reader.files))[self.chosen]
+        return next((self._reader.files[index] for index in taken if index not in skipped), None)
 
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not.

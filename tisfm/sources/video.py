@@ -5,10 +5,12 @@ pixels and, within a millisecond, the same times. PyAV also says which frames ar
 on after frames that cannot be decoded, where OpenCV drops them in silence or stops.
 """
 
-from importlib.util import find_spec
+from importlib.metadata import PackageNotFoundError, version
 
 from tisfm.sources.opencv_video import OpenCvVideo
 from tisfm.sources.reading import Reader
+
+AV_FROM = 17  # the first version of PyAV
 
 
 def open_video(path: str) -> Reader:
@@ -28,7 +30,7 @@ def open_video(path: str) -> Reader:
     ValueError
         If it is no video that can be decoded.
     """
-    if find_spec("av") is not None:
+    if has_av():
         from tisfm.sources.av_video import AvVideo
 
         try:
@@ -36,3 +38,11 @@ def open_video(path: str) -> Reader:
         except ValueError:  # OpenCV knows some that FFmpeg does not, and else says the same
             pass
     return OpenCvVideo(path)
+
+
+def has_av() -> bool:
+    """Return whether PyAV is installed, in a version that gives the same pixels as OpenCV."""
+    try:
+        return int(version("av").partition(".")[0]) >= AV_FROM
+    except (PackageNotFoundError, ValueError):
+        return False
