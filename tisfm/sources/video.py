@@ -2,7 +2,8 @@
 
 Both decode by FFmpeg, apply the rotation that a camera wrote into the file, and give the same
 pixels and, within a millisecond, the same times. PyAV also says which frames are damaged, and goes
-on after frames that cannot be decoded, where OpenCV drops them in silence or stops.
+on after frames that cannot be decoded. OpenCV hands damaged frames on unmarked, and stops at those
+that it cannot decode.
 """
 
 from importlib.metadata import PackageNotFoundError, version
