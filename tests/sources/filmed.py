@@ -8,7 +8,7 @@ import pytest
 
 from tests.sources.made import make_frames
 
-av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'tisfm[video]'")
+av = pytest.importorskip("av", reason="PyAV is not installed")
 
 RATE = 30
 

@@ -96,7 +96,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
             f"{name} holds {image.dtype} pixels, expected uint8, uint16 or float32: convert it"
         )
     if image.ndim == 3:
-        return np.ascontiguousarray(image[..., ::-1])
+        with opencv_memory(name):
+            return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return image
 
 

@@ -6,6 +6,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 from av.codec.context import ThreadType
 from av.container import InputContainer
@@ -47,7 +48,7 @@ class AvVideo:
                     raise ValueError(f"{path} is no video")
                 stream = container.streams.video[0]
                 self.announced: int | None = stream.frames or None
-                self._duration = _duration(stream)
+                self._end = _end(stream)
                 decoding = _Decoding(container, stream)
                 if not any(isinstance(item, VideoFrame) for item in decoding):
                     raise ValueError(f"{path} has no frame")
@@ -78,10 +79,13 @@ class AvVideo:
                 ) from error
         if index == chosen.stop:
             return
-        if misses_frames(decoding.packets, self.announced):
+        early = ends_early(index, time, self._end)
+        if self.announced is None:
+            if early:
+                raise cut_off(self.title, f"{index} frames, {time:.2f}", f"{self._end:.2f} s")
+        # A file may leave out frames that repeat the one before: what is shown last tells.
+        elif misses_frames(decoding.packets, self.announced) and early is not False:
             raise cut_off(self.title, f"{index}", f"{self.announced} frames")
-        if self.announced is None and ends_early(index, time, self._duration):
-            raise cut_off(self.title, f"{index} frames, {time:.2f}", f"{self._duration:.2f} s")
 
     def _read(
         self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, sound: bool
@@ -138,7 +142,8 @@ class _Decoding:
 
 def _pixels(frame: VideoFrame) -> np.ndarray:
     """Return a frame upright, (H, W, 3) uint8, red first, with the pixels that OpenCV gives."""
-    image = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")[..., ::-1]
+    blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
+    image = cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB)
     if frame.rotation % 90 == 0:
         image = np.rot90(image, frame.rotation // 90)
     return np.ascontiguousarray(image)
@@ -151,8 +156,11 @@ def _time(frame: VideoFrame, stream: VideoStream) -> float | None:
     return float((frame.pts - (stream.start_time or 0)) * frame.time_base)
 
 
-def _duration(stream: VideoStream) -> float | None:
-    """Return the length that a video states, s, or None."""
+def _end(stream: VideoStream) -> float | None:
+    """Return when a video ends by its own account, s from its beginning, or None."""
+    # Not by the duration, which FFmpeg makes shorter for an AVI that is cut off.
+    if stream.frames and stream.average_rate:
+        return float(stream.frames / stream.average_rate)
     if stream.duration is not None and stream.time_base is not None:
         return float(stream.duration * stream.time_base)
     written = _HOURS.match(stream.metadata.get("DURATION", ""))  # Matroska and WebM

@@ -6,19 +6,19 @@ def misses_frames(count: int, announced: int | None) -> bool:
     return announced is not None and count < announced - max(2, announced // 50)
 
 
-def ends_early(count: int, last: float | None, duration: float | None) -> bool:
-    """Return whether the last of `count` frames comes long before the end that is stated.
+def ends_early(count: int, last: float | None, end: float | None) -> bool | None:
+    """Return whether the last frame comes long before the end that is stated, None if unknown.
 
     Parameters
     ----------
     count : int
         Number of frames.
-    last, duration : float or None
+    last, end : float or None
         Time of the last one, and of the end, s, where they are known.
     """
-    if last is None or duration is None:
-        return False
-    return last < 0.98 * duration - 3 * last / max(count - 1, 1)
+    if last is None or end is None:
+        return None
+    return last < 0.98 * end - 3 * last / max(count - 1, 1)
 
 
 def cut_off(path: str, after: str, of: str) -> ValueError:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from tisfm.formats.reading import opencv_memory
 from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
@@ -46,7 +45,7 @@ class OpenCvVideo:
                 "unknown format; convert it, for instance to MP4"
             )
         self.announced: int | None = announced if announced > 0 else None
-        self._duration = announced / rate if announced > 0 and rate > 0 else None
+        self._end = announced / rate if announced > 0 and rate > 0 else None
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Decode the frames of these numbers."""
@@ -62,7 +61,7 @@ class OpenCvVideo:
                     yield RawFrame(
                         index=index,
                         name=f"{self.prefix}_{index:06d}",
-                        image=np.ascontiguousarray(frame[..., ::-1]),
+                        image=cv2.cvtColor(frame, cv2.COLOR_BGR2RGB),
                         time=time,
                     )
                     del frame  # or it would be held while the next one is decoded
@@ -70,7 +69,7 @@ class OpenCvVideo:
         finally:
             capture.release()
         # The count is a guess from the duration where the file does not state it: both must say so.
-        early = self._duration is None or ends_early(index, time, self._duration)
+        early = ends_early(index, time, self._end) is not False
         if index != chosen.stop and misses_frames(index, self.announced) and early:
             raise cut_off(self.title, f"{index}", f"{self.announced} frames")
 

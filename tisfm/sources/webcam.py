@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from tisfm.formats.images import opencv_silenced
 from tisfm.sources.reading import RawFrame, is_chosen
@@ -68,7 +67,7 @@ class Webcam:
                     yield RawFrame(
                         index=index,
                         name=f"{self.prefix}_{index:06d}",
-                        image=np.ascontiguousarray(frame[..., ::-1]),
+                        image=cv2.cvtColor(frame, cv2.COLOR_BGR2RGB),
                         time=now - first,
                     )
                     del frame
