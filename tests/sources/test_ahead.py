@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 
 import pytest
 
@@ -107,6 +108,29 @@ def test_a_consumer_that_fails_ends_the_thread(tmp_path):
 
     with pytest.raises(RuntimeError, match="no place"):
         consume()
+
+
+@pytest.mark.parametrize("options", [{}, {"crop": (2, 2, 30, 20)}, {"size": 20}], ids=str)
+def test_few_frames_are_alive_at_a_time(tmp_path, monkeypatch, options):
+    """The two of a pair, and those that are read ahead."""
+    alive, most = [], []
+
+    def read(path):
+        frame = FRAMES[0].copy()
+        alive.append(frame.ctypes.data)
+        weakref.finalize(frame, alive.remove, frame.ctypes.data)
+        most.append(len(alive))
+        return frame
+
+    monkeypatch.setattr("tisfm.sources.files.read_image", read)
+    gc.disable()  # what only the collector frees would be held in a cycle
+    try:
+        for _ in tisfm.interpret_sequence(folder_of(tmp_path, 12), settings=QUICK, **options):
+            pass
+    finally:
+        gc.enable()
+    assert len(most) == 12 and max(most) <= 2 + AHEAD
+    assert not alive
 
 
 def test_several_sources_at_a_time(tmp_path):
