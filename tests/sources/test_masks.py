@@ -43,7 +43,11 @@ def test_one_array_for_all(kind):
     check(ignored(FRAMES, 3 * BONNET.astype(kind)), [BONNET] * 6)
 
 
-@pytest.mark.parametrize("kind", [list, tuple, np.stack, iter])
+def nested(masks):
+    return tuple(tuple(map(tuple, mask.tolist())) for mask in masks)
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.stack, iter, nested])
 def test_an_array_for_each(kind):
     check(ignored(FRAMES, kind(MASKS)), MASKS)
     check(ignored(iter(FRAMES), kind(MASKS)), MASKS)

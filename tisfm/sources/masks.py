@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,13 @@ Mask = (
     | Sequence[str | os.PathLike[str]]
     | Iterable[npt.ArrayLike]
 )
+
+
+class _Picture(NamedTuple):
+    """A mask that was read: its file, and where pixels count."""
+
+    path: str
+    counted: NDArray[np.bool_]
 
 
 class Masks:
@@ -72,7 +79,7 @@ class Masks:
             path = os.fspath(mask)
             if os.path.isfile(path):
                 self.files = (Path(path),)
-                self._items = repeat((path, _counted(read_image(path))))
+                self._items = repeat(_Picture(path, _counted(read_image(path))))
             else:
                 self.files = _by_name(_several(path), frame_files, path)
                 self._items, number = self.files, len(self.files)
@@ -128,7 +135,7 @@ class Ignored:
         self._following = index + 1
         if item is None:
             raise ValueError(f"mask ended before frame {name}: expected one for every frame")
-        if isinstance(item, tuple):
+        if isinstance(item, _Picture):
             title, counted = item
         elif is_path(item):
             title, counted = os.fspath(item), _counted(read_image(item))
