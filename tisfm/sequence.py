@@ -1,7 +1,8 @@
 """Frames in, interpretations out, two frames in memory at a time."""
 
 import warnings
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Generator, Iterable, Iterator, Sized
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -97,7 +98,7 @@ def interpret_sequence(
 
 def with_poses(
     pairs: FrameSource, poses: Iterable[npt.ArrayLike] | None, *, title: str = "poses"
-) -> Iterator[FramePair]:
+) -> Generator[FramePair, None, None]:
     """Give every pair of a source its pose.
 
     Parameters
@@ -110,7 +111,7 @@ def with_poses(
 
     Returns
     -------
-    iterator of FramePair
+    generator of FramePair
 
     Raises
     ------
@@ -140,20 +141,21 @@ def with_poses(
 
 def _posed(
     pairs: FrameSource, poses: Iterable[npt.ArrayLike], number: int | None, title: str
-) -> Iterator[FramePair]:
+) -> Generator[FramePair, None, None]:
     following = iter(poses)
     done = 0
-    for pair in pairs:
-        try:
-            pose = next(following)
-        except StopIteration:
-            raise ValueError(
-                f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
-                "expected one for every pair"
-            ) from None
-        yield replace(pair, pose=pose)
-        del pair  # or it would keep its first frame while the next one is read
-        done += 1
+    with closing(iter(pairs)) as plain:
+        for pair in plain:
+            try:
+                pose = next(following)
+            except StopIteration:
+                raise ValueError(
+                    f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
+                    "expected one for every pair"
+                ) from None
+            yield replace(pair, pose=pose)
+            del pair  # or it would keep its first frame while the next one is read
+            done += 1
     if number is not None:
         _check_poses(number, done, title)
 
@@ -168,20 +170,21 @@ def _check_poses(number: int, pairs: int, title: str) -> None:
 
 def _interpret_pairs(
     source: FrameSource,
-    pairs: Iterable[FramePair],
+    pairs: Generator[FramePair, None, None],
     camera: Camera | None,
     settings: Settings,
 ) -> Iterator[Interpretation]:
     told, first = 0, True
-    for pair in pairs:
-        told = _warn_of_skipped(source, told)
-        if first:
-            camera = _camera_after(source, pair, camera, settings)
-        result = pair.interpret(camera=camera, settings=settings)
-        camera, first = camera or result.camera, False  # a guess is made once
-        del pair  # or it would keep its first frame while the next one is read
-        yield result
-        del result  # of which the frame may be that of the source
+    with closing(pairs):
+        for pair in pairs:
+            told = _warn_of_skipped(source, told)
+            if first:
+                camera = _camera_after(source, pair, camera, settings)
+            result = pair.interpret(camera=camera, settings=settings)
+            camera, first = camera or result.camera, False  # a guess is made once
+            del pair  # or it would keep its first frame while the next one is read
+            yield result
+            del result  # of which the frame may be that of the source
     _warn_of_skipped(source, told)
 
 

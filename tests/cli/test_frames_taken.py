@@ -32,7 +32,20 @@ def test_a_range_of_a_video(tisfm_run, place):
         writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
     writer.release()
     assert tisfm_run("run", "clip.avi", *QUIET, "--start", "1", "--stop", "4")[0] == 0
-    assert list(record("out")["pairs"]) == ["clip_000001", "clip_000002"]
+    pairs = record("out")["pairs"]
+    assert list(pairs) == ["clip_000001", "clip_000002"]
+    times = [time for pair in pairs.values() for time in pair["times"]]
+    assert times == pytest.approx([0.1, 0.2, 0.2, 0.3], abs=1e-6)
+
+
+def test_times_are_those_of_the_names(tisfm_run, frames):
+    assert tisfm_run("run", "frames", *QUIET)[0] == 0
+    assert {pair["times"] for pair in record("out")["pairs"].values()} == {None}
+    for k, name in enumerate(("12.5", "12.625", "13.0", "14.125")):
+        (frames / f"f{k}.png").rename(frames / f"{name}.png")
+    assert tisfm_run("run", "frames", *QUIET)[0] == 0
+    times = {name: pair["times"] for name, pair in record("out")["pairs"].items()}
+    assert times == {"12.5": [12.5, 12.625], "12.625": [12.625, 13.0], "13.0": [13.0, 14.125]}
 
 
 def test_poses_are_those_of_the_frames_that_are_taken(tisfm_run, frames):

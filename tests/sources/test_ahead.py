@@ -22,6 +22,7 @@ def own_threads():
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left():
+    gc.collect()  # what errors of other tests still hold
     assert not own_threads()
     yield
     gc.collect()

@@ -7,6 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -66,7 +67,7 @@ def run(
     first = next(posed)  # before anything is written; the others have its size
     require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
     full, shape = first.full, first.frame0.shape
-    posed = chain([first], posed)
+    following = chain([first], posed)
     del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
     if guess:
@@ -87,9 +88,9 @@ def run(
     except TypeError:
         total = None
     seconds = []
-    with progress_bar() as progress, writer, Background() as background:
+    with closing(posed), progress_bar() as progress, writer, Background() as background:
         task = progress.add_task("interpreting", total=total)
-        for pair in posed:
+        for pair in following:
             progress.update(task, description=pair.name0)
             if not (writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest)):
                 begin = time.perf_counter()
@@ -214,6 +215,7 @@ def _write(
         pair.name0,
         result,
         digest=pair.digest,
+        times=pair.times,
         pose=None if pair.pose is None else np.asarray(pair.pose),
         baseline_flow=baseline,
     )

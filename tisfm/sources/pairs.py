@@ -19,7 +19,8 @@ class FramePair:
     The pose, if there is one, is a known motion as for `tisfm.interpret`. `stretch` is False where
     the frames so far show that float frames of the source are on the 8-bit scale, though those of
     this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
-    they were cropped or shrunk, px, or None where they were not.
+    they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
+    s, or None where the source does not say.
     """
 
     name0: str
@@ -29,6 +30,7 @@ class FramePair:
     pose: npt.ArrayLike | None = None
     stretch: bool = True
     full: tuple[int, int] | None = None
+    times: tuple[float, float] | None = None
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(

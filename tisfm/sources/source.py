@@ -2,13 +2,12 @@
 
 import glob
 import os
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
-import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
@@ -139,27 +138,31 @@ class FrameSource:
             raise TypeError(f"the length of {self.title} is not known before it is read")
         return max(0, len(range(count)[self.chosen]) - 1)
 
-    def __iter__(self) -> Iterator[FramePair]:
+    def __iter__(self) -> Generator[FramePair, None, None]:
         """Read the frames, and yield every pair of consecutive ones."""
-        previous: tuple[str, np.ndarray, Digest] | None = None
+        previous: tuple[SourceFrame, Digest] | None = None
         pairs = 0
         with closing(self.frames()) as frames:
             for frame in frames:
                 digest = Digest(frame.image)
                 if previous is not None:
-                    name0, frame0, digest0 = previous
+                    before, digest0 = previous
+                    times = None
+                    if before.time is not None and frame.time is not None:
+                        times = before.time, frame.time
                     yield FramePair(
-                        name0=name0,
-                        frame0=frame0,
+                        name0=before.name,
+                        frame0=before.image,
                         name1=frame.name,
                         frame1=frame.image,
                         stretch=frame.stretch,
                         full=frame.full,
+                        times=times,
                         _digests=(digest0, digest),
                     )
-                    del frame0, digest0  # or the frame would be held while the next is read
+                    del before, digest0  # or the frame would be held while the next is read
                     pairs += 1
-                previous = frame.name, frame.image, digest
+                previous = frame, digest
         if pairs == 0:
             skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
             raise ValueError(
