@@ -3,14 +3,14 @@
 One thread and fixed seeds: the same input gives the same bits.
 """
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -88,20 +88,17 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: pycolmap's incremental mapping.
     """
-    import pycolmap
-
-    with _quiet():
-        database = pycolmap.Database.open(":memory:")
-        try:
-            _write_views(database, views, _camera(camera, shape))
-            _write_pairs(database, views, matches)
-            found = pycolmap.ReconstructionManager()
-            pycolmap.IncrementalPipeline(_options(), database, found).run()
-        finally:
-            database.close()
-        reconstructions = [found.get(k) for k in range(found.size())]
-        for reconstruction in reconstructions:
-            pycolmap.bundle_adjustment(reconstruction, _adjustment())
+    database = pycolmap().Database.open(":memory:")
+    try:
+        _write_views(database, views, _camera(camera, shape))
+        _write_pairs(database, views, matches)
+        found = pycolmap().ReconstructionManager()
+        pycolmap().IncrementalPipeline(_options(), database, found).run()
+    finally:
+        database.close()
+    reconstructions = [found.get(k) for k in range(found.size())]
+    for reconstruction in reconstructions:
+        _adjust(reconstruction)
     models = [_model(reconstruction, views) for reconstruction in reconstructions]
     return sorted(models, key=lambda model: (-len(model.poses), min(model.poses)))
 
@@ -113,33 +110,28 @@ def pose_from_points(
 
     None if too few of them agree.
     """
-    import pycolmap
-
     known = [k for k, track in enumerate(seen.tracks.tolist()) if track in points]
     if len(known) < FEWEST:
         return None
     world = np.array([points[track] for track in seen.tracks[known].tolist()])
-    estimation = pycolmap.AbsolutePoseEstimationOptions()
+    estimation = pycolmap().AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = INLIER
     estimation.ransac.random_seed = 0
-    refinement = pycolmap.AbsolutePoseRefinementOptions()
+    refinement = pycolmap().AbsolutePoseRefinementOptions()
     refinement.loss_function_scale = OUTLYING
     refinement.gradient_tolerance = 1e-4
-    with _quiet():
-        found = pycolmap.estimate_and_refine_absolute_pose(
-            seen.points[known] + CENTRE, world, _camera(camera, shape), estimation, refinement
-        )
+    found = pycolmap().estimate_and_refine_absolute_pose(
+        seen.points[known] + CENTRE, world, _camera(camera, shape), estimation, refinement
+    )
     if found is None or found["num_inliers"] < max(FEWEST, LEAST_SEEN * len(known)):
         return None
     return _matrix(found["cam_from_world"])
 
 
 def _camera(camera: Camera, shape: tuple[int, int]) -> Any:
-    import pycolmap
-
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    known = pycolmap.Camera(
+    known = pycolmap().Camera(
         model="PINHOLE",
         width=width,
         height=height,
@@ -151,17 +143,15 @@ def _camera(camera: Camera, shape: tuple[int, int]) -> Any:
 
 
 def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
-    import pycolmap
-
     database.write_camera(camera, use_camera_id=True)
-    rig = pycolmap.Rig(rig_id=1)
+    rig = pycolmap().Rig(rig_id=1)
     rig.add_ref_sensor(camera.sensor_id)
     database.write_rig(rig, use_rig_id=True)
     for number, view in enumerate(views, start=1):
-        image = pycolmap.Image(
+        image = pycolmap().Image(
             name=str(view.frame), camera_id=1, image_id=number, frame_id=number
         )
-        frame = pycolmap.Frame(frame_id=number, rig_id=1)
+        frame = pycolmap().Frame(frame_id=number, rig_id=1)
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
         database.write_image(image, use_image_id=True)
@@ -172,8 +162,6 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
 def _write_pairs(
     database: Any, views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> None:
-    import pycolmap
-
     pairs = {(k, k + apart) for apart in APART for k in range(len(views) - apart)} | set(matches)
     for first, second in sorted(pairs):
         both = np.empty((0, 2), np.intp)
@@ -184,7 +172,7 @@ def _write_pairs(
             both = np.vstack([both, matches[first, second] + begun])
         if len(both) < FEWEST:
             continue
-        pair = pycolmap.TwoViewGeometry()
+        pair = pycolmap().TwoViewGeometry()
         pair.config = CALIBRATED
         pair.inlier_matches = both.astype(np.uint32)
         database.write_matches(first + 1, second + 1, both.astype(np.uint32))
@@ -202,9 +190,7 @@ def _shared(first: Seen, second: Seen) -> np.ndarray:
 
 
 def _options() -> Any:
-    import pycolmap
-
-    options = pycolmap.IncrementalPipelineOptions()
+    options = pycolmap().IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
@@ -224,17 +210,20 @@ def _options() -> Any:
     return options
 
 
-def _adjustment() -> Any:
-    import pycolmap
-
-    options = pycolmap.BundleAdjustmentOptions()
+def _adjust(reconstruction: Any) -> None:
+    """Adjust all poses and points, robustly."""
+    options = pycolmap().BundleAdjustmentOptions()
     options.refine_focal_length = options.refine_extra_params = False
     options.print_summary = False
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = OUTLYING
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.function_tolerance = 1e-6
-    return options
+    config = pycolmap().BundleAdjustmentConfig()
+    for number in sorted(reconstruction.reg_image_ids()):
+        config.add_image(number)
+    config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap().create_default_bundle_adjuster(options, config, reconstruction).solve()
 
 
 def _model(reconstruction: Any, views: Sequence[View]) -> Model:
@@ -256,17 +245,3 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
 def _matrix(cam_from_world: Any) -> np.ndarray:
     """Return the (4, 4) matrix camera to world."""
     return np.vstack([cam_from_world.inverse().matrix(), [0, 0, 0, 1]])
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep pycolmap's log off standard error."""
-    import pycolmap
-
-    log = pycolmap.logging
-    before = log.alsologtostderr, log.minloglevel
-    log.alsologtostderr, log.minloglevel = False, log.FATAL.value
-    try:
-        yield
-    finally:
-        log.alsologtostderr, log.minloglevel = before

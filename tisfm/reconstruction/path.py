@@ -15,7 +15,7 @@ from tisfm.settings import Settings
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
 # view, or fewer than this share of its tracks are still seen.
-MOVED, KEPT = 0.04, 0.6
+MOVED, KEPT = 0.025, 0.7
 MATCHED = (1, 2, 3)  # views before, that a view is matched with by what points look like
 FEWEST_MATCHES = 15
 INLIER = 2.0  # px, of 640 across: from an epipolar line

@@ -192,7 +192,7 @@ def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> n
 
 def _smaller(grey: np.ndarray) -> np.ndarray:
     """Return the frame as float32, halved as often as `FLOW_PIXELS` allows."""
-    small = grey.astype(np.float32)
+    small: np.ndarray = grey.astype(np.float32)
     while small.size >= 4 * FLOW_PIXELS:
         height, width = small.shape
         size = (width + 1) // 2, (height + 1) // 2
