@@ -1,0 +1,71 @@
+"""Colours of points, from a view that shows them."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.fusion.lookup import inverse_depth_at, is_inside, nearest
+from tisfm.kernels.layout.lanes import check_array
+from tisfm.kernels.layout.launch import Kernel
+
+
+def add_colors(
+    points: np.ndarray,
+    inverse_depth: np.ndarray,
+    colors: np.ndarray,
+    sums: np.ndarray,
+    *,
+    projection: np.ndarray,
+    near: float,
+) -> None:
+    """Add the colours of a view to the points that it shows, weighted by 1/Z².
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        In the world's axes.
+    inverse_depth : (H, W) float32
+        0 where there is none. No value is NaN or infinite.
+    colors : (H, W, 3) float32
+    sums : (N, 4) float32
+        Σ w·colour and Σ w; modified.
+    projection : (3, 4) float32
+        (u z, v z, z) of a point is the matrix times (X, Y, Z, 1).
+    near : float
+        How far before or behind the view's surface a point may lie, in the unit of depth.
+    """
+    check_array(points, (len(points), 3), "points", aligned=False)
+    check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)
+    check_array(colors, (*inverse_depth.shape, 3), "colors", aligned=False)
+    check_array(sums, (len(points), 4), "sums", aligned=False)
+    check_array(projection, (3, 4), "projection", aligned=False)
+    _add_colors(points, inverse_depth, colors, projection, near, sums)
+
+
+@Kernel
+def _add_colors(
+    points: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 3)
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    colors: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, 3)
+    projection: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    near: ti.f32,
+    sums: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 4)
+):
+    for n in range(points.shape[0]):
+        at = ti.Vector([0.0, 0.0, 0.0])
+        for k in ti.static(range(3)):
+            at[k] = projection[k, 3]
+            for i in ti.static(range(3)):
+                at[k] += projection[k, i] * points[n, i]
+        z = at[2]
+        if z > 0:
+            u, v = at[0] / z, at[1] / z
+            if is_inside(u, v, inverse_depth):
+                d = inverse_depth_at(inverse_depth, u, v)
+                if d > 0:
+                    apart = 1.0 / d - z
+                    if ti.max(apart, 0.0 - apart) <= near:
+                        column, row = nearest(u, v)
+                        weight = 1.0 / (z * z)
+                        for k in ti.static(range(3)):
+                            sums[n, k] += weight * colors[row, column, k]
+                        sums[n, 3] += weight

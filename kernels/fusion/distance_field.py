@@ -1,0 +1,204 @@
+"""A truncated field of signed distances, in blocks of 8³ voxels near the surface.
+
+References
+----------
+Curless and Levoy, "A volumetric method for building complex models from range images", SIGGRAPH
+1996, doi 10.1145/237170.237269.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.fusion.lookup import check_map, inverse_depth_at, is_inside, nearest
+from tisfm.kernels.layout.lanes import LARGEST_INDEX, check_array
+from tisfm.kernels.layout.launch import Kernel
+
+EDGE = 8  # voxels of a block's edge
+VOXELS = EDGE**3
+PLACES = 24  # of a pixel: three depths, and eight corners around each
+
+
+def blocks_near(
+    inverse_depth: np.ndarray,
+    out: np.ndarray,
+    *,
+    rays: np.ndarray,
+    extent: tuple[int, int, int],
+    truncation: float,
+) -> None:
+    """Find the blocks that a depth map comes near to: within the truncation along each ray.
+
+    Blocks up to a voxel beside the ray count as well, so that every cell that the surface goes
+    through has its eight corners.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        0 where there is none. No value is NaN or infinite.
+    out : (H, W, 24) int32
+        Numbers of blocks, (bx·n_y + by)·n_z + bz, or −1; a pixel's own differ, but for few.
+    rays : (3, 4) float32
+        Coordinates in voxels of the point at depth Z of pixel (x, y), from the lowest corner of the
+        grid: columns 0 to 2 times (x, y, 1) Z, plus column 3.
+    extent : (int, int, int)
+        Blocks of the grid, (n_x, n_y, n_z); what lies outside is left out.
+    truncation : float
+        Distance before and behind, along the view's axis, in the unit of depth.
+
+    Raises
+    ------
+    ValueError
+        If the blocks of the grid cannot be counted in 32 bits.
+    """
+    check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)
+    check_array(out, (*inverse_depth.shape, PLACES), "out", dtype=np.int32, aligned=False)
+    check_array(rays, (3, 4), "rays", aligned=False)
+    if min(extent) < 1 or np.prod(np.asarray(extent, float)) > LARGEST_INDEX:
+        raise ValueError(f"extent is {extent}: expected 1 to {LARGEST_INDEX} blocks")
+    _blocks_near(inverse_depth, rays, *extent, truncation, out)
+
+
+def integrate(
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    corners: np.ndarray,
+    index: np.ndarray,
+    distance: np.ndarray,
+    weight: np.ndarray,
+    views: np.ndarray,
+    *,
+    steps: np.ndarray,
+    truncation: float,
+    spread: float,
+) -> None:
+    """Take a depth map into the field: the mean of signed distances, weighted by their precision.
+
+    The distance of a voxel is that to the surface along the view's axis, positive before it, cut
+    off at the truncation; what lies farther behind is hidden, and left alone.
+
+    Parameters
+    ----------
+    inverse_depth, deviation : (H, W) float32
+        d and σ; 0 where there is none. No value is NaN or infinite.
+    corners : (B, 3) float32
+        (u z, v z, z) of the first voxel of each block, in the view's pixels.
+    index : (B,) int32
+        Which block of the field each is; none comes twice.
+    distance, weight : (N, 512) float32
+        Mean distance in truncations, in [−1, 1], and Σ spread² / (σ_Z² + spread²), σ_Z = σ / d²;
+        modified.
+    views : (N, 512) int32
+        How many views show the surface within the truncation; modified.
+    steps : (3, 3) float32
+        What a voxel further along each axis adds to (u z, v z, z).
+    truncation, spread : float
+        In the unit of depth.
+    """
+    check_map(inverse_depth, deviation)
+    check_array(corners, (len(corners), 3), "corners", aligned=False)
+    check_array(index, (len(corners),), "index", dtype=np.int32, aligned=False)
+    check_array(distance, (len(distance), VOXELS), "distance", aligned=False)
+    check_array(weight, distance.shape, "weight", aligned=False)
+    check_array(views, distance.shape, "views", dtype=np.int32, aligned=False)
+    check_array(steps, (3, 3), "steps", aligned=False)
+    if len(index) and not 0 <= index.min() <= index.max() < len(distance):
+        raise ValueError(
+            f"index is {index.min()} to {index.max()}: expected 0 to {len(distance) - 1}"
+        )
+    _integrate(
+        inverse_depth,
+        deviation,
+        corners,
+        index,
+        steps,
+        truncation,
+        spread,
+        distance,
+        weight,
+        views,
+    )
+
+
+@Kernel
+def _blocks_near(
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    rays: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    blocks_x: ti.i32,
+    blocks_y: ti.i32,
+    blocks_z: ti.i32,
+    truncation: ti.f32,
+    out: ti.types.ndarray(dtype=ti.i32, ndim=3),  # (H, W, 24)
+):
+    for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
+        d = inverse_depth[y, x]
+        for sample in ti.static(range(3)):
+            depth = (sample - 1) * truncation
+            if d > 0:
+                depth += 1.0 / d
+            px = _along_ray(rays, 0, x, y, depth)
+            py = _along_ray(rays, 1, x, y, depth)
+            pz = _along_ray(rays, 2, x, y, depth)
+            low_x, high_x = _block(px - 1.0), _block(px + 1.0)
+            low_y, high_y = _block(py - 1.0), _block(py + 1.0)
+            low_z, high_z = _block(pz - 1.0), _block(pz + 1.0)
+            for i, j, k in ti.static(ti.ndrange(2, 2, 2)):
+                bx = high_x if ti.static(i == 1) else low_x
+                by = high_y if ti.static(j == 1) else low_y
+                bz = high_z if ti.static(k == 1) else low_z
+                again = (
+                    (ti.static(i == 1) and low_x == high_x)
+                    or (ti.static(j == 1) and low_y == high_y)
+                    or (ti.static(k == 1) and low_z == high_z)
+                )
+                inside = bx >= 0 and bx < blocks_x and by >= 0 and by < blocks_y
+                inside = inside and bz >= 0 and bz < blocks_z
+                number = -1
+                if d > 0 and depth > 0 and inside and not again:
+                    number = (bx * blocks_y + by) * blocks_z + bz
+                out[y, x, sample * 8 + i * 4 + j * 2 + k] = number
+
+
+@ti.func
+def _along_ray(rays: ti.template(), k: ti.template(), x, y, depth):
+    return (rays[k, 0] * x + rays[k, 1] * y + rays[k, 2]) * depth + rays[k, 3]
+
+
+@ti.func
+def _block(place):
+    return ti.cast(ti.floor(place / EDGE), ti.i32)
+
+
+@Kernel
+def _integrate(
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    deviation: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    corners: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (B, 3)
+    index: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (B,)
+    steps: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 3)
+    truncation: ti.f32,
+    spread: ti.f32,
+    distance: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 512)
+    weight: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 512)
+    views: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (N, 512)
+):
+    for b, voxel in ti.ndrange(corners.shape[0], VOXELS):
+        i, j, k = voxel // (EDGE * EDGE), voxel // EDGE % EDGE, voxel % EDGE
+        z = corners[b, 2] + i * steps[0, 2] + j * steps[1, 2] + k * steps[2, 2]
+        if z > 0:
+            u = (corners[b, 0] + i * steps[0, 0] + j * steps[1, 0] + k * steps[2, 0]) / z
+            v = (corners[b, 1] + i * steps[0, 1] + j * steps[1, 1] + k * steps[2, 1]) / z
+            if is_inside(u, v, inverse_depth):
+                d = inverse_depth_at(inverse_depth, u, v)
+                if d > 0:
+                    before = (1.0 / d - z) / truncation
+                    if before >= -1.0:
+                        column, row = nearest(u, v)
+                        deep = deviation[row, column] / (d * d)
+                        new = spread * spread / (deep * deep + spread * spread)
+                        n = index[b]
+                        total = weight[n, voxel] + new
+                        apart = ti.min(before, 1.0) - distance[n, voxel]
+                        distance[n, voxel] += new / total * apart
+                        weight[n, voxel] = total
+                        if before <= 1.0:
+                            views[n, voxel] += 1

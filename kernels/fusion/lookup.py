@@ -1,0 +1,52 @@
+"""Depth between the pixels of a map."""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import check_array
+
+STEP = 0.05  # of inverse depth between neighbours: beyond, they are not of one surface
+
+
+def check_map(inverse_depth: np.ndarray, deviation: np.ndarray, name: str = "") -> None:
+    """Raise unless these are a map and its deviation, (H, W) float32."""
+    size = inverse_depth.shape[:2]
+    check_array(inverse_depth, size, f"{name}inverse_depth", aligned=False)
+    check_array(deviation, size, f"{name}deviation", aligned=False)
+
+
+@ti.func
+def is_inside(x, y, image: ti.template()):
+    """Return whether a place lies on a pixel."""
+    across = x >= -0.5 and x < image.shape[1] - 0.5
+    down = y >= -0.5 and y < image.shape[0] - 0.5
+    return across and down
+
+
+@ti.func
+def nearest(x, y):
+    """Return column and row of the pixel that a place lies on."""
+    return ti.cast(ti.floor(x + 0.5), ti.i32), ti.cast(ti.floor(y + 0.5), ti.i32)
+
+
+@ti.func
+def inverse_depth_at(image: ti.template(), x, y):
+    """Return the inverse depth at a place inside, 0 where the pixel has none.
+
+    It is interpolated where the four pixels around are of one surface: on a plane it is linear.
+    Elsewhere it is the pixel's own, so that no depth lies between two surfaces.
+    """
+    column, row = nearest(x, y)
+    value = image[row, column]
+    if value > 0:
+        left, top = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
+        across, down = x - left, y - top
+        right, below = ti.min(left + 1, image.shape[1] - 1), ti.min(top + 1, image.shape[0] - 1)
+        left, top = ti.max(left, 0), ti.max(top, 0)
+        a, b = image[top, left], image[top, right]
+        c, d = image[below, left], image[below, right]
+        least, most = ti.min(a, b, c, d), ti.max(a, b, c, d)
+        if least > 0 and most - least < STEP * most:
+            upper = a + across * (b - a)
+            value = upper + down * (c + across * (d - c) - upper)
+    return value

@@ -1,0 +1,73 @@
+"""Views of the rendered room, from poses that are known exactly."""
+
+from dataclasses import replace
+
+import numpy as np
+
+import tisfm
+from tisfm.fusion import DepthView
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import Plane, Scene
+from tisfm.scenes.room import _shell, _things
+
+
+def room_view(pose, height, width):
+    """Return the depth, (H, W) float32, and the frame of the room from a pose, camera to world."""
+    to_camera = np.linalg.inv(pose)
+    rotation, translation = to_camera[:3, :3], to_camera[:3, 3]
+    objects = []
+    for item in [*_shell(np.zeros(6), width, 0), *_things(np.zeros(6), width, 0)]:
+        if isinstance(item, Plane):
+            moved = {"point": item.point, "normal": rotation @ item.normal}
+        else:
+            moved = {"center": item.center, "axes": rotation @ item.axes}
+        place = next(iter(moved))
+        moved[place] = rotation @ moved[place] + translation
+        objects.append(replace(item, **moved))
+    camera = tisfm.Camera(0.6 * width)
+    scene = Scene(objects=objects, camera=camera, height=height, width=width)
+    pair = scene.render(samples=1)
+    return pair.depth.astype(np.float32), pair.frame0, camera
+
+
+def poses_in_room(count):
+    """Return poses along a loop of half a metre, looking around by some degrees."""
+    turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return [
+        pose_matrix(
+            (
+                0.5 * np.sin(turn),
+                0.15 * np.sin(2 * turn),
+                0.4 * (1 - np.cos(turn)),
+                0.05 * np.sin(3 * turn),
+                0.3 * np.sin(turn),
+                0.03 * np.cos(turn),
+            )
+        )
+        for turn in turns
+    ]
+
+
+def noisy_views(rendered, *, noise=0.01, outliers=0.0, seed=0):
+    """Return views of depth with noise, relative, and outliers, a share of the pixels.
+
+    Outliers have any inverse depth from 0.3 to 3 times the true one, and no larger a deviation.
+    """
+    random = np.random.default_rng(seed)
+    views = []
+    for pose, (depth, frame, camera) in rendered:
+        inverse_depth = (1 + noise * random.normal(size=depth.shape)) / depth
+        wrong = random.uniform(size=depth.shape) < outliers
+        factor = random.uniform(0.3, 3, size=depth.shape)
+        inverse_depth = np.where(wrong, factor / depth, inverse_depth).astype(np.float32)
+        std = np.float32(max(noise, 1e-4)) * inverse_depth
+        views.append(
+            DepthView(
+                inverse_depth=inverse_depth,
+                inverse_depth_std=std,
+                pose=pose,
+                frame=frame,
+                camera=camera,
+            )
+        )
+    return views

@@ -1,0 +1,181 @@
+"""Points that views agree on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm import runtime
+from tisfm.checks import whole
+from tisfm.fusion.neighbours import neighbours
+from tisfm.fusion.views import DepthView, PosedDepth, Views, check_positive
+from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud
+
+NEIGHBOURS = 8  # that a view is compared with
+TOLERANCE = 3.0  # combined deviations within which two views agree
+
+
+def fused_points(
+    views: Sequence[DepthView],
+    *,
+    agreeing: int = 3,
+    max_relative_std: float = 0.1,
+    max_depth: float | None = FARTHEST_MEDIANS,
+    voxel: float | None = None,
+) -> PointCloud:
+    """Fuse depth maps into the points that enough of them agree on.
+
+    Each point of a view is looked for in up to eight others that see much of the same. One that
+    shows an inverse depth within three combined deviations agrees; one that sees something farther
+    there sees through the point. A point is kept where enough views agree and fewer see through
+    it. It then lies on its ray at the mean of their inverse depths, weighted by precision. What a
+    point that was found before shows is not taken again.
+
+    Parameters
+    ----------
+    views : sequence of DepthView
+        Anything with a length and items. Views are read one by one, some times each, and a few are
+        held at a time.
+    agreeing : int, default 3
+        How many views must show a point, its own among them; all where there are fewer views.
+    max_relative_std : float, default 0.1
+        Depth of a larger deviation, relative to itself, is left out.
+    max_depth : float, default 10
+        Depth beyond so many median depths of its view is left out; None for no bound.
+    voxel : float, optional
+        Edge of cubes, in the unit of the poses, of whose points one is left: their mean, weighted
+        by precision. By default all are kept, about one for each pixel that shows the surface best.
+
+    Returns
+    -------
+    PointCloud
+        In the world's axes and unit. Colours are means over the views that agree. The confidence is
+        a / (a + s + 1), where a other views agree and s see through the point.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option or a view is not as above.
+    """
+    whole(1, agreeing=agreeing)
+    if voxel is not None:
+        check_positive(voxel, "voxel")
+    read = Views(
+        views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOURS + 1
+    )
+    runtime.start()
+    needed = min(agreeing, len(read))
+    found = _Found()
+    for n, view in enumerate(read):
+        others = [read[other] for other in neighbours(n, read.seen, NEIGHBOURS)]
+        found.add(*_points_of(view, others, found.shown_by(view), needed))
+    if voxel is not None:
+        found.thin(voxel / read.unit)
+    return PointCloud(
+        positions=(found.positions * np.float64(read.unit)).astype(np.float32),
+        colors=np.rint(found.colors).astype(np.uint8),
+        confidence=found.confidence,
+    )
+
+
+class _Found:
+    """The points found so far.
+
+    Attributes
+    ----------
+    positions : (N, 3) float32
+    relative_deviation : (N,) float32
+        Of the inverse depth.
+    colors : (N, 3) float32
+    confidence : (N,) float32
+    """
+
+    def __init__(self) -> None:
+        self.positions = np.empty((0, 3), np.float32)
+        self.relative_deviation = np.empty(0, np.float32)
+        self.colors = np.empty((0, 3), np.float32)
+        self.confidence = np.empty(0, np.float32)
+
+    def add(
+        self,
+        positions: NDArray[np.float32],
+        relative_deviation: NDArray[np.float32],
+        colors: NDArray[np.float32],
+        confidence: NDArray[np.float32],
+    ) -> None:
+        self.positions = np.concatenate([self.positions, positions])
+        self.relative_deviation = np.concatenate([self.relative_deviation, relative_deviation])
+        self.colors = np.concatenate([self.colors, colors])
+        self.confidence = np.concatenate([self.confidence, confidence])
+
+    def shown_by(self, view: PosedDepth) -> NDArray[np.bool_]:
+        """Return the pixels of a view that show a point found."""
+        from tisfm.kernels.fusion.agreement import mark_shown
+
+        shown = np.zeros(view.inverse_depth.shape, np.int32)
+        if len(self.positions):
+            mark_shown(
+                self.positions,
+                self.relative_deviation,
+                view.inverse_depth,
+                view.deviation,
+                shown,
+                projection=view.to_pixels.astype(np.float32),
+                tolerance=TOLERANCE,
+            )
+        return shown > 0
+
+    def thin(self, voxel: float) -> None:
+        """Leave one point in each cube: the mean, weighted by precision."""
+        cubes = np.floor(self.positions / voxel)
+        _, first, cube = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
+        cube, count = cube.ravel(), len(first)
+        weight = 1 / self.relative_deviation.astype(float) ** 2
+        total = np.bincount(cube, weight, count)
+
+        def mean(values: NDArray) -> NDArray[np.float32]:
+            return (np.bincount(cube, weight * values, count) / total).astype(np.float32)
+
+        self.positions = np.stack([mean(axis) for axis in self.positions.T], axis=1)
+        self.colors = np.stack([mean(color) for color in self.colors.T], axis=1)
+        self.confidence = mean(self.confidence)
+        self.relative_deviation = (1 / np.sqrt(total)).astype(np.float32)
+
+
+def _points_of(
+    view: PosedDepth, others: Sequence[PosedDepth], shown: NDArray[np.bool_], needed: int
+) -> tuple[NDArray[np.float32], ...]:
+    """Return the points of a view that enough views agree on, as `_Found.add` takes them."""
+    from tisfm.kernels.fusion.agreement import compare
+
+    wanted = (view.inverse_depth > 0) & ~shown
+    inverse_depth = np.where(wanted, view.inverse_depth, np.float32(0))
+    sums = np.zeros((*inverse_depth.shape, 4), np.float32)
+    colors = view.colors.copy()
+    for other in others:
+        compare(
+            inverse_depth,
+            view.deviation,
+            other.inverse_depth,
+            other.deviation,
+            other.colors,
+            sums,
+            colors,
+            projection=view.projection_to(other).astype(np.float32),
+            tolerance=TOLERANCE,
+        )
+    agree, through = sums[..., 2], sums[..., 3]
+    kept = wanted & (agree + 1 >= needed) & (through < agree + 1)
+    row, column = np.nonzero(kept)
+    weight, moved, agree, through = sums[kept].T.astype(float)
+    precision = 1 / view.deviation[kept].astype(float) ** 2 + weight
+    fused = inverse_depth[kept] + moved / precision
+    rays = view.to_world
+    ahead = np.stack([column, row, np.ones(len(row))])
+    positions = ((rays[:, :3] @ ahead) / fused).T + rays[:, 3]
+    return (
+        positions.astype(np.float32),
+        (1 / (np.sqrt(precision) * fused)).astype(np.float32),
+        (colors[kept] / (agree[:, None] + 1)).astype(np.float32),
+        (agree / (agree + through + 1)).astype(np.float32),
+    )
