@@ -9,19 +9,24 @@ Curless and Levoy, "A volumetric method for building complex models from range i
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.fusion.lookup import check_map, inverse_depth_at, is_inside, nearest
+from tisfm.kernels.fusion.lookup import STEP, check_map, inverse_depth_at, is_inside, nearest
 from tisfm.kernels.layout.lanes import LARGEST_INDEX, check_array
 from tisfm.kernels.layout.launch import Kernel
 
 EDGE = 8  # voxels of a block's edge
 VOXELS = EDGE**3
 PLACES = 24  # of a pixel: three depths, and eight corners around each
+SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
+_ALIKE = 3.0  # deviations, beyond `STEP`
 
 
 def blocks_near(
     inverse_depth: np.ndarray,
+    deviation: np.ndarray,
     out: np.ndarray,
     *,
+    top: int,
+    stride: int,
     rays: np.ndarray,
     extent: tuple[int, int, int],
     truncation: float,
@@ -33,10 +38,14 @@ def blocks_near(
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-        0 where there is none. No value is NaN or infinite.
-    out : (H, W, 24) int32
-        Numbers of blocks, (bx·n_y + by)·n_z + bz, or −1; a pixel's own differ, but for few.
+    inverse_depth, deviation : (H, W) float32
+        d and σ; 0 where there is none. No value is NaN or infinite. Pixels that differ from all but
+        two of the eight around them are passed over.
+    out : (rows, ⌈W / stride⌉, 24) int32
+        Of the rows that are looked at from the row `top` on: numbers of blocks,
+        (bx·n_y + by)·n_z + bz, or −1; a pixel's own differ, but for few.
+    top, stride : int
+        The first row that is looked at, and from each row and column to the next.
     rays : (3, 4) float32
         Coordinates in voxels of the point at depth Z of pixel (x, y), from the lowest corner of the
         grid: columns 0 to 2 times (x, y, 1) Z, plus column 3.
@@ -50,12 +59,17 @@ def blocks_near(
     ValueError
         If the blocks of the grid cannot be counted in 32 bits.
     """
-    check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)
-    check_array(out, (*inverse_depth.shape, PLACES), "out", dtype=np.int32, aligned=False)
+    check_map(inverse_depth, deviation)
+    height, width = inverse_depth.shape
+    if stride < 1:
+        raise ValueError(f"stride is {stride}: expected at least 1")
+    if not 0 <= top <= top + (len(out) - 1) * stride < height:
+        raise ValueError(f"top is {top}: {len(out)} rows from there are more than {height} have")
+    check_array(out, (len(out), -(-width // stride), PLACES), "out", np.int32, aligned=False)
     check_array(rays, (3, 4), "rays", aligned=False)
     if min(extent) < 1 or np.prod(np.asarray(extent, float)) > LARGEST_INDEX:
         raise ValueError(f"extent is {extent}: expected 1 to {LARGEST_INDEX} blocks")
-    _blocks_near(inverse_depth, rays, *extent, truncation, out)
+    _blocks_near(inverse_depth, deviation, top, stride, rays, *extent, truncation, out)
 
 
 def integrate(
@@ -122,15 +136,21 @@ def integrate(
 @Kernel
 def _blocks_near(
     inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    deviation: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    top: ti.i32,
+    stride: ti.i32,
     rays: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     blocks_x: ti.i32,
     blocks_y: ti.i32,
     blocks_z: ti.i32,
     truncation: ti.f32,
-    out: ti.types.ndarray(dtype=ti.i32, ndim=3),  # (H, W, 24)
+    out: ti.types.ndarray(dtype=ti.i32, ndim=3),  # (rows, ⌈W / stride⌉, 24)
 ):
-    for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
+    for row, column in ti.ndrange(out.shape[0], out.shape[1]):
+        y, x = top + row * stride, column * stride
         d = inverse_depth[y, x]
+        if _support(inverse_depth, deviation, y, x) < SUPPORT:
+            d = 0.0
         for sample in ti.static(range(3)):
             depth = (sample - 1) * truncation
             if d > 0:
@@ -155,7 +175,23 @@ def _blocks_near(
                 number = -1
                 if d > 0 and depth > 0 and inside and not again:
                     number = (bx * blocks_y + by) * blocks_z + bz
-                out[y, x, sample * 8 + i * 4 + j * 2 + k] = number
+                out[row, column, sample * 8 + i * 4 + j * 2 + k] = number
+
+
+@ti.func
+def _support(inverse_depth: ti.template(), deviation: ti.template(), y, x):
+    """Return how many of the pixels around one show the same surface."""
+    d = inverse_depth[y, x]
+    alike = ti.max(STEP * d, _ALIKE * deviation[y, x])
+    count = 0
+    for j, i in ti.static(ti.ndrange((-1, 2), (-1, 2))):
+        row, column = y + j, x + i
+        inside = row >= 0 and row < inverse_depth.shape[0]
+        if inside and column >= 0 and column < inverse_depth.shape[1]:
+            apart = inverse_depth[row, column] - d
+            if ti.max(apart, 0.0 - apart) < alike:
+                count += 1
+    return count - 1  # but for itself
 
 
 @ti.func

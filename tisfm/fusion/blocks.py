@@ -9,7 +9,9 @@ from tisfm.checks import Floats
 from tisfm.fusion.views import PosedDepth, Views
 
 MOST_BLOCKS = 150_000  # of 6 KB each
+MOST_CANDIDATES = 16 * MOST_BLOCKS  # of 12 bytes each
 _ROWS = 64  # that are looked through at a time
+_ACROSS = 3  # pixels that are looked at, at least, across a block
 _BITS = 17  # of a block's coordinate, so that a voxel's has 20
 _HALF = 2 ** (_BITS - 1)
 
@@ -64,7 +66,7 @@ def numbers_of(blocks: NDArray[np.int64]) -> Blocks:
     return (((x << _BITS) | y) << _BITS) | z
 
 
-def field_of(views: Views, voxel: float, truncation: float) -> Field:
+def field_of(views: Views, voxel: float, truncation: float, agreeing: int) -> Field:
     """Take all views into a field.
 
     Parameters
@@ -73,6 +75,8 @@ def field_of(views: Views, voxel: float, truncation: float) -> Field:
         They are read twice.
     voxel, truncation : float
         In the views' unit.
+    agreeing : int
+        How many views must come near to a block; others are left out.
 
     Raises
     ------
@@ -81,12 +85,7 @@ def field_of(views: Views, voxel: float, truncation: float) -> Field:
     """
     from tisfm.kernels.fusion.distance_field import VOXELS
 
-    numbers = np.empty(0, np.int64)
-    for n, view in enumerate(views):
-        numbers = np.union1d(numbers, _blocks_near(view, voxel, truncation))
-        if len(numbers) > MOST_BLOCKS:
-            expected = len(numbers) * len(views) / (n + 1)
-            raise TooFineError(np.sqrt(expected / MOST_BLOCKS))
+    numbers = _blocks(views, voxel, truncation, agreeing)
     distance = np.ones((len(numbers), VOXELS), np.float32)
     weight = np.zeros((len(numbers), VOXELS), np.float32)
     count = np.zeros((len(numbers), VOXELS), np.int32)
@@ -95,33 +94,62 @@ def field_of(views: Views, voxel: float, truncation: float) -> Field:
     return Field(voxel=voxel, numbers=numbers, distance=distance, views=count)
 
 
-def _blocks_near(view: PosedDepth, voxel: float, truncation: float) -> Blocks:
-    """Return the numbers of the blocks that a view's surface comes near to, ascending."""
+def _blocks(views: Views, voxel: float, truncation: float, agreeing: int) -> Blocks:
+    """Return the numbers of the blocks that enough views come near to, ascending.
+
+    Mistakes of single views would be many more.
+    """
+    numbers, count = np.empty(0, np.int64), np.empty(0, np.int32)
+    for view, seen in zip(views, views.seen, strict=True):
+        near = _blocks_near(view, seen.farthest, voxel, truncation)
+        both = np.union1d(numbers, near)
+        counted = np.zeros(len(both), np.int32)
+        counted[np.searchsorted(both, numbers)] = count
+        counted[np.searchsorted(both, near)] += 1
+        numbers, count = both, counted
+        if len(numbers) > MOST_CANDIDATES:
+            numbers, count = numbers[count > 1], count[count > 1]
+        if len(numbers) > MOST_CANDIDATES:
+            raise TooFineError(np.sqrt(len(numbers) / MOST_BLOCKS))
+    numbers = numbers[count >= agreeing]
+    if len(numbers) > MOST_BLOCKS:
+        raise TooFineError(np.sqrt(len(numbers) / MOST_BLOCKS))
+    return numbers
+
+
+def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: float) -> Blocks:
+    """Return the numbers of the blocks that a view's surface comes near to, ascending.
+
+    Of the pixels as many are looked at as the smallest block in the image needs.
+    """
     from tisfm.kernels.fusion.distance_field import EDGE, PLACES, blocks_near
 
     edge = EDGE * voxel
-    low, high = _bounds(view, truncation + voxel)
+    low, high = _bounds(view, farthest + truncation, 2 * voxel)
     first = np.floor(low / edge)
     extent = np.floor(high / edge) - first + 1
     if np.abs([first, first + extent]).max() >= _HALF - 1 or extent.prod() >= 2**31:
-        raise TooFineError(
-            max(
-                float(np.cbrt(extent.prod() / 2**31)),
-                float(np.abs([first, first + extent]).max() / (_HALF - 1)),
-            )
-            * 1.01
-        )
+        too_many = np.cbrt(extent.prod() / 2**31)
+        too_far = np.abs([first, first + extent]).max() / (_HALF - 1)
+        raise TooFineError(1.01 * max(too_many, too_far))
     nx, ny, nz = extent.astype(int).tolist()
+    step = max(1, int(edge * view.intrinsics[0, 0] / farthest / _ACROSS))
     rays = view.to_world / voxel
     rays[:, 3] -= first * EDGE
+    height, width = view.inverse_depth.shape
     found = []
-    for top in range(0, len(view.inverse_depth), _ROWS):
-        band = view.inverse_depth[top : top + _ROWS]
-        places = np.empty((*band.shape, PLACES), np.int32)
-        below = rays.copy()
-        below[:, 2] += top * rays[:, 1]
+    for top in range(0, height, _ROWS * step):
+        rows = -(-min(height - top, _ROWS * step) // step)
+        places = np.empty((rows, -(-width // step), PLACES), np.int32)
         blocks_near(
-            band, places, rays=below.astype(np.float32), extent=(nx, ny, nz), truncation=truncation
+            view.inverse_depth,
+            view.deviation,
+            places,
+            top=top,
+            stride=step,
+            rays=rays.astype(np.float32),
+            extent=(nx, ny, nz),
+            truncation=truncation,
         )
         # Most pixels come near to the same blocks as the one to their left.
         new = places >= 0
@@ -132,16 +160,13 @@ def _blocks_near(view: PosedDepth, voxel: float, truncation: float) -> Blocks:
     return np.sort(numbers_of(blocks + first.astype(np.int64)))
 
 
-def _bounds(view: PosedDepth, margin: float) -> tuple[Floats, Floats]:
-    """Return the least and the greatest coordinates of a view's points, and a margin beyond."""
-    row, column = np.nonzero(view.inverse_depth)
+def _bounds(view: PosedDepth, farthest: float, margin: float) -> tuple[Floats, Floats]:
+    """Return the least and the greatest coordinates of what a view may see, and a margin beyond."""
+    height, width = view.inverse_depth.shape
+    corners = np.array([(x, y, 1) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     rays = view.to_world
-    ahead = rays[:, :3] @ np.stack([column, row, np.ones(len(row))])
-    depth = 1 / view.inverse_depth[row, column].astype(float)
-    ends = [ahead * (depth + side) + rays[:, 3:] for side in (-margin, margin)]
-    # Blocks reach a voxel beside a ray as well.
-    low = np.min([end.min(axis=1) for end in ends], axis=0) - margin
-    return low, np.max([end.max(axis=1) for end in ends], axis=0) + margin
+    ends = np.vstack([corners @ rays[:, :3].T * farthest, np.zeros(3)]) + rays[:, 3]
+    return ends.min(axis=0) - margin, ends.max(axis=0) + margin
 
 
 def _integrate(

@@ -86,8 +86,9 @@ def fused_mesh(
             voxel=float(voxel or 0),
         )
     runtime.start()
-    field, reach = _field(read, voxel, truncation)
-    vertices, faces = surface_of(field, min(agreeing, len(read)))
+    needed = min(agreeing, len(read))
+    field, reach = _field(read, voxel, truncation, needed)
+    vertices, faces = surface_of(field, needed)
     colors = _colors(read, vertices, reach)
     return Mesh(
         vertices=(vertices * read.unit).astype(np.float32),
@@ -97,7 +98,9 @@ def fused_mesh(
     )
 
 
-def _field(views: Views, voxel: float | None, truncation: float | None) -> tuple[Field, float]:
+def _field(
+    views: Views, voxel: float | None, truncation: float | None, agreeing: int
+) -> tuple[Field, float]:
     """Return the field and its truncation, in the views' unit; choose what was not given."""
     if voxel is None:
         side = VOXEL * float(np.median([seen.depth / seen.focal for seen in views.seen]))
@@ -110,7 +113,7 @@ def _field(views: Views, voxel: float | None, truncation: float | None) -> tuple
         else:
             reach = truncation / views.unit
         try:
-            return field_of(views, side, reach), reach
+            return field_of(views, side, reach, agreeing), reach
         except TooFineError as error:
             if voxel is not None:
                 raise ValueError(

@@ -7,7 +7,9 @@ import numpy as np
 
 from tisfm.fusion.views import Seen
 
-FARTHEST = 1.5  # of the sum of angles below, rad, and of the logarithm of distances
+# Of the sum of angles, in fields of view and rad, and of the logarithm of the ratio of distances:
+NEAR = 0.7  # much is seen by both
+FARTHEST = 1.5  # hardly anything is
 
 
 def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
@@ -15,8 +17,8 @@ def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
 
     They are judged by the point in the middle of what the view sees: how far from their axis they
     see it, in their field of view, how much their direction to it differs, and their distance. Of
-    the views that are near enough in this, `count` are taken that differ by as much as they can:
-    neighbours in time alone may show the same mistakes.
+    the views that are near in this, `count` are taken from the nearest to the farthest: neighbours
+    in time alone may show the same mistakes. Where there are fewer, others follow.
 
     Parameters
     ----------
@@ -32,7 +34,8 @@ def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
     apart = np.array([_apart(middle, mine, other) for other in seen])
     apart[n] = math.inf
     order = np.argsort(apart, kind="stable")
-    near = order[: np.count_nonzero(apart <= FARTHEST)]
+    usable = min(count, np.count_nonzero(apart <= FARTHEST))
+    near = order[: max(usable, np.count_nonzero(apart <= NEAR))]
     chosen = np.linspace(0, len(near) - 1, min(count, len(near))).round().astype(int)
     return [int(near[k]) for k in chosen]
 

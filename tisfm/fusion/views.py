@@ -127,6 +127,8 @@ class Seen:
         Camera to world.
     depth, deviation : float
         Medians of Z and of its standard deviation.
+    farthest : float
+        Greatest Z that is used.
     focal : float
         px.
     field : float
@@ -136,6 +138,7 @@ class Seen:
     pose: Floats
     depth: float
     deviation: float
+    farthest: float
     focal: float
     field: float
 
@@ -189,24 +192,20 @@ class Views:
         self._views, self._held = views, held
         self._max_relative_std, self._max_depth = max_relative_std, max_depth
         self._cache: dict[int, PosedDepth] = {}
-        self._indices: list[int] = []
-        self.unit = 1.0
-        found = []
-        for index in range(len(views)):
-            if seen := self._look(index):
-                self._indices.append(index)
-                found.append(seen)
-        if found:
-            self.unit = float(np.median([seen.depth for seen in found]))
+        found = [(index, self._look(index)) for index in range(len(views))]
+        self._indices = [index for index, seen in found if seen]
+        self._given = [seen for _, seen in found if seen]
+        self.unit = float(np.median([seen.depth for seen in self._given] or [1.0]))
         self.seen = [
             Seen(
                 pose=_scaled(seen.pose, self.unit),
                 depth=seen.depth / self.unit,
                 deviation=seen.deviation / self.unit,
+                farthest=seen.farthest / self.unit,
                 focal=seen.focal,
                 field=seen.field,
             )
-            for seen in found
+            for seen in self._given
         ]
 
     def __len__(self) -> int:
@@ -220,7 +219,7 @@ class Views:
             self._cache[n] = self._cache.pop(n)  # the last of them
             return self._cache[n]
         view = self._view(self._indices[n])
-        usable = self._usable(view)
+        usable = self._usable(view, self._given[n].farthest)
         height, width = usable.shape
         frame = view.frame if view.frame.ndim == 3 else view.frame[..., None]
         cx, cy = view.camera.center_for(height, width)
@@ -252,30 +251,30 @@ class Views:
         view = self._view(index)
         if not np.isfinite(view.pose).all():
             return None
-        usable = self._usable(view)
+        usable = self._usable(view, math.inf)
         if not usable.any():
             return None
         values = view.inverse_depth[usable].astype(float)
-        depth = 1 / float(np.median(values))
+        median = float(np.median(values))
         relative = float(np.median(view.inverse_depth_std[usable] / values))
+        bound = 0.0 if self._max_depth is None else median / self._max_depth
         cx, cy = view.camera.center_for(*usable.shape)
         side = max(cx, usable.shape[1] - 1 - cx), max(cy, usable.shape[0] - 1 - cy)
         return Seen(
             pose=view.pose,
-            depth=depth,
-            deviation=depth * max(relative, LEAST_RELATIVE_STD),
+            depth=1 / median,
+            deviation=max(relative, LEAST_RELATIVE_STD) / median,
+            farthest=1 / max(float(values.min()), bound),
             focal=view.camera.focal,
             field=math.atan2(math.hypot(*side), view.camera.focal),
         )
 
-    def _usable(self, view: DepthView) -> NDArray[np.bool_]:
+    def _usable(self, view: DepthView, farthest: float) -> NDArray[np.bool_]:
         inverse_depth, std = view.inverse_depth, view.inverse_depth_std
         usable = np.isfinite(inverse_depth) & (inverse_depth > 0) & np.isfinite(std) & (std >= 0)
         with np.errstate(invalid="ignore", over="ignore"):
             usable &= std <= self._max_relative_std * inverse_depth
-        if self._max_depth is not None and usable.any():
-            median = np.median(inverse_depth[usable].astype(float))
-            usable &= inverse_depth >= median / self._max_depth
+            usable &= inverse_depth * np.float64(farthest) >= 1 - 1e-6
         return usable
 
 
