@@ -16,6 +16,7 @@ from tisfm.kernels.layout.launch import Kernel
 EDGE = 8  # voxels of a block's edge
 VOXELS = EDGE**3
 PLACES = 24  # of a pixel: three depths, and eight corners around each
+BESIDE = 2.0  # truncations: farther from the pixel's own depth it is not interpolated
 SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
 _ALIKE = 3.0  # deviations, beyond `STEP`
 
@@ -217,18 +218,22 @@ def _integrate(
     weight: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 512)
     views: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (N, 512)
 ):
-    for b, voxel in ti.ndrange(corners.shape[0], VOXELS):
-        i, j, k = voxel // (EDGE * EDGE), voxel // EDGE % EDGE, voxel % EDGE
+    for task in range(corners.shape[0] * VOXELS):
+        # Shifts: quotients of whole numbers take as long as all the rest.
+        b, voxel = task >> 9, task & (VOXELS - 1)
+        i, j, k = voxel >> 6, (voxel >> 3) & (EDGE - 1), voxel & (EDGE - 1)
         z = corners[b, 2] + i * steps[0, 2] + j * steps[1, 2] + k * steps[2, 2]
         if z > 0:
             u = (corners[b, 0] + i * steps[0, 0] + j * steps[1, 0] + k * steps[2, 0]) / z
             v = (corners[b, 1] + i * steps[0, 1] + j * steps[1, 1] + k * steps[2, 1]) / z
             if is_inside(u, v, inverse_depth):
-                d = inverse_depth_at(inverse_depth, u, v)
-                if d > 0:
+                column, row = nearest(u, v)
+                d = inverse_depth[row, column]
+                if d > 0 and d * (z - BESIDE * truncation) <= 1.0:
+                    if d * (z + BESIDE * truncation) >= 1.0:
+                        d = inverse_depth_at(inverse_depth, u, v)
                     before = (1.0 / d - z) / truncation
                     if before >= -1.0:
-                        column, row = nearest(u, v)
                         deep = deviation[row, column] / (d * d)
                         new = spread * spread / (deep * deep + spread * spread)
                         n = index[b]

@@ -105,10 +105,13 @@ def _blocks(views: Views, voxel: float, truncation: float, agreeing: int) -> Blo
         both = np.union1d(numbers, near)
         counted = np.zeros(len(both), np.int32)
         counted[np.searchsorted(both, numbers)] = count
-        counted[np.searchsorted(both, near)] += 1
+        new = np.searchsorted(both, near)
+        counted[new] += 1
         numbers, count = both, counted
         if len(numbers) > MOST_CANDIDATES:
-            numbers, count = numbers[count > 1], count[count > 1]
+            kept = count >= min(agreeing, 2)
+            kept[new] = True  # others may follow
+            numbers, count = numbers[kept], count[kept]
         if len(numbers) > MOST_CANDIDATES:
             raise TooFineError(np.sqrt(len(numbers) / MOST_BLOCKS))
     numbers = numbers[count >= agreeing]

@@ -6,12 +6,10 @@ from numpy.typing import NDArray
 from tisfm.checks import Floats
 from tisfm.fusion.blocks import Blocks, Field, coordinates, numbers_of
 
-STEEPEST = (
-    1.0  # truncations that the distance changes by in a cell: more is no surface, but an edge
-)
-_LEAST = (
-    1 / 256
-)  # truncations: nearer to a voxel than so no surface goes, or its edges are mixed up
+# In truncations:
+STEEPEST = 1.0  # where the distance changes by more in a cell, there is no surface, but an edge
+_LEAST = 1 / 1024  # nearer to a voxel no surface goes, so that it lies on one edge of cells
+
 _SIDE = 16  # blocks of a batch's edge
 _BITS = 20  # of a voxel's coordinate
 _INSIDE = 3  # in place of an axis: a vertex within a cell

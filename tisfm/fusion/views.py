@@ -258,15 +258,16 @@ class Views:
         median = float(np.median(values))
         relative = float(np.median(view.inverse_depth_std[usable] / values))
         bound = 0.0 if self._max_depth is None else median / self._max_depth
-        cx, cy = view.camera.center_for(*usable.shape)
-        side = max(cx, usable.shape[1] - 1 - cx), max(cy, usable.shape[0] - 1 - cy)
+        height, width = usable.shape
+        cx, cy = view.camera.center_for(height, width)
+        half = [max(c + 0.5, n - 0.5 - c) for c, n in ((cx, width), (cy, height))]
         return Seen(
             pose=view.pose,
             depth=1 / median,
             deviation=max(relative, LEAST_RELATIVE_STD) / median,
             farthest=1 / max(float(values.min()), bound),
             focal=view.camera.focal,
-            field=math.atan2(math.hypot(*side), view.camera.focal),
+            field=math.atan2(math.hypot(*half), view.camera.focal),
         )
 
     def _usable(self, view: DepthView, farthest: float) -> NDArray[np.bool_]:

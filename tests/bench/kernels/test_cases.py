@@ -25,8 +25,14 @@ def test_every_kernel_has_its_traffic():
         assert callable(getattr(side, case.step))
 
 
-# Not timed: no reference improves or carries displacements of all pixels at once.
-AS_A_WHOLE = {"rigid.flow_search"}
+# Not timed: no reference improves or carries displacements of all pixels at once, and that of
+# fusion goes point by point.
+AS_A_WHOLE = {
+    "rigid.flow_search",
+    "fusion.agreement",
+    "fusion.colors",
+    "fusion.distance_field",
+}
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}
 
 

@@ -1,0 +1,169 @@
+"""Depth maps compared and taken into a field of distances: what `tisfm.fusion` rests on."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+STEP = 0.05  # of inverse depth between neighbours: beyond, they are not of one surface
+NEAREST = 0.05  # least depth in another view over the depth in this one
+SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
+BESIDE = 2.0  # truncations: farther from the pixel's own depth it is not interpolated
+
+
+def inverse_depth_at(image: Floats, x: float, y: float) -> float:
+    """Return the inverse depth at a place inside, interpolated where it is of one surface."""
+    own = float(image[_nearest(x, y)])
+    left, top = int(np.floor(x)), int(np.floor(y))
+    across, down = x - left, y - top
+    rows = np.clip([top, top + 1], 0, image.shape[0] - 1)
+    columns = np.clip([left, left + 1], 0, image.shape[1] - 1)
+    around = image[np.ix_(rows, columns)]
+    if own <= 0 or around.min() <= 0 or np.ptp(around) >= STEP * around.max():
+        return own
+    return float(np.array([1 - down, down]) @ around @ np.array([1 - across, across]))
+
+
+def compare(
+    inverse_depth: Floats,
+    deviation: Floats,
+    other_inverse_depth: Floats,
+    other_deviation: Floats,
+    other_colors: Floats,
+    *,
+    projection: Floats,
+    tolerance: float,
+) -> tuple[Floats, Floats]:
+    """Return what another view adds to the sums, (H, W, 4), and to the colours, (H, W, 3)."""
+    sums = np.zeros((*inverse_depth.shape, 4))
+    colors = np.zeros((*inverse_depth.shape, 3))
+    for (y, x), d in np.ndenumerate(inverse_depth):
+        turned = projection[2, :3] @ (x, y, 1)
+        u, v, g = projection @ (x, y, 1, d)
+        if d <= 0 or min(g, turned) <= NEAREST or not _inside(u / g, v / g, other_inverse_depth):
+            continue
+        seen = inverse_depth_at(other_inverse_depth, u / g, v / g)
+        if seen <= 0:
+            continue
+        there = _nearest(u / g, v / g)
+        slope = turned / g**2
+        apart = seen - d / g
+        limit = tolerance * np.hypot(slope * deviation[y, x], other_deviation[there])
+        if apart < -limit:
+            sums[y, x, 3] = 1
+        elif apart <= limit:
+            precision = (slope / other_deviation[there]) ** 2
+            sums[y, x, :3] = precision, precision * apart / slope, 1
+            colors[y, x] = other_colors[there]
+    return sums, colors
+
+
+def mark_shown(
+    points: Floats,
+    relative_deviation: Floats,
+    inverse_depth: Floats,
+    deviation: Floats,
+    *,
+    projection: Floats,
+    tolerance: float,
+) -> np.ndarray:
+    """Return which pixels show one of the points, (H, W) bool."""
+    shown = np.zeros(inverse_depth.shape, bool)
+    for point, relative in zip(points, relative_deviation, strict=True):
+        u, v, z = projection @ (*point, 1)
+        if z <= 0 or not _inside(u / z, v / z, inverse_depth):
+            continue
+        for row in (int(np.floor(v / z)), int(np.floor(v / z)) + 1):
+            for column in (int(np.floor(u / z)), int(np.floor(u / z)) + 1):
+                if 0 <= row < shown.shape[0] and 0 <= column < shown.shape[1]:
+                    limit = tolerance * np.hypot(relative / z, deviation[row, column])
+                    apart = abs(inverse_depth[row, column] - 1 / z)
+                    shown[row, column] |= inverse_depth[row, column] > 0 and apart <= limit
+    return shown
+
+
+def blocks_near(
+    inverse_depth: Floats,
+    deviation: Floats,
+    *,
+    stride: int,
+    rays: Floats,
+    truncation: float,
+) -> set[tuple[int, int, int]]:
+    """Return where the blocks of 8³ voxels lie that a depth map comes near to, in blocks."""
+    found = set()
+    for y in range(0, inverse_depth.shape[0], stride):
+        for x in range(0, inverse_depth.shape[1], stride):
+            d = inverse_depth[y, x]
+            around = inverse_depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+            alike = np.abs(around - d) < max(STEP * d, 3 * deviation[y, x])
+            if d <= 0 or np.count_nonzero(alike) - 1 < SUPPORT:
+                continue
+            for depth in (1 / d - truncation, 1 / d, 1 / d + truncation):
+                place = rays[:, :3] @ (x, y, 1) * depth + rays[:, 3]
+                for corner in np.ndindex(2, 2, 2) if depth > 0 else ():
+                    block = np.floor((place + 2 * np.array(corner) - 1) / 8).astype(int)
+                    found.add((int(block[0]), int(block[1]), int(block[2])))
+    return found
+
+
+def integrate(
+    inverse_depth: Floats,
+    deviation: Floats,
+    corners: Floats,
+    *,
+    steps: Floats,
+    truncation: float,
+    spread: float,
+) -> tuple[Floats, Floats, np.ndarray]:
+    """Return what a view says of the voxels of some blocks, (B, 512).
+
+    Returns
+    -------
+    distance : (B, 512) float64
+        In truncations, at most 1.
+    weight : (B, 512) float64
+        0 where the view says nothing.
+    near : (B, 512) bool
+        Where the view shows the surface within the truncation.
+    """
+    distance, weight = np.zeros((len(corners), 512)), np.zeros((len(corners), 512))
+    near = np.zeros((len(corners), 512), bool)
+    for b, voxel in np.ndindex(len(corners), 512):
+        u, v, z = corners[b] + np.unravel_index(voxel, (8, 8, 8)) @ steps
+        if z <= 0 or not _inside(u / z, v / z, inverse_depth):
+            continue
+        there = _nearest(u / z, v / z)
+        d = inverse_depth[there]
+        if d > 0 and abs(1 / d - z) <= BESIDE * truncation:
+            d = inverse_depth_at(inverse_depth, u / z, v / z)
+        if d > 0 and 1 / d - z >= -truncation:
+            deep = deviation[there] / d**2
+            distance[b, voxel] = min((1 / d - z) / truncation, 1)
+            weight[b, voxel] = spread**2 / (deep**2 + spread**2)
+            near[b, voxel] = 1 / d - z <= truncation
+    return distance, weight, near
+
+
+def add_colors(
+    points: Floats, inverse_depth: Floats, colors: Floats, *, projection: Floats, near: float
+) -> Floats:
+    """Return what a view adds to the colours of points, and to their weights, (N, 4)."""
+    sums = np.zeros((len(points), 4))
+    for n, point in enumerate(points):
+        u, v, z = projection @ (*point, 1)
+        if z > 0 and _inside(u / z, v / z, inverse_depth):
+            d = inverse_depth_at(inverse_depth, u / z, v / z)
+            if d > 0 and abs(1 / d - z) <= near:
+                sums[n] = np.append(colors[_nearest(u / z, v / z)], 1) / z**2
+    return sums
+
+
+def _inside(x: float, y: float, image: np.ndarray) -> bool:
+    height, width = image.shape
+    return bool(-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5)
+
+
+def _nearest(x: float, y: float) -> tuple[int, int]:
+    """Return row and column of the pixel that a place lies on."""
+    return int(np.floor(y + 0.5)), int(np.floor(x + 0.5))
