@@ -70,7 +70,7 @@ def mark_shown(
     """Return which pixels show one of the points, (H, W) bool."""
     shown = np.zeros(inverse_depth.shape, bool)
     for point, relative in zip(points, relative_deviation, strict=True):
-        u, v, z = projection @ (*point, 1)
+        u, v, z = projection @ np.append(point, 1)
         if z <= 0 or not _inside(u / z, v / z, inverse_depth):
             continue
         for row in (int(np.floor(v / z)), int(np.floor(v / z)) + 1):
@@ -151,7 +151,7 @@ def add_colors(
     """Return what a view adds to the colours of points, and to their weights, (N, 4)."""
     sums = np.zeros((len(points), 4))
     for n, point in enumerate(points):
-        u, v, z = projection @ (*point, 1)
+        u, v, z = projection @ np.append(point, 1)
         if z > 0 and _inside(u / z, v / z, inverse_depth):
             d = inverse_depth_at(inverse_depth, u / z, v / z)
             if d > 0 and abs(1 / d - z) <= near:
