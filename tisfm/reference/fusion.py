@@ -68,14 +68,15 @@ def mark_shown(
     tolerance: float,
 ) -> np.ndarray:
     """Return which pixels show one of the points, (H, W) bool."""
-    shown = np.zeros(inverse_depth.shape, bool)
+    height, width = inverse_depth.shape
+    shown = np.zeros((height, width), bool)
     for point, relative in zip(points, relative_deviation, strict=True):
         u, v, z = projection @ np.append(point, 1)
         if z <= 0 or not _inside(u / z, v / z, inverse_depth):
             continue
         for row in (int(np.floor(v / z)), int(np.floor(v / z)) + 1):
             for column in (int(np.floor(u / z)), int(np.floor(u / z)) + 1):
-                if 0 <= row < shown.shape[0] and 0 <= column < shown.shape[1]:
+                if 0 <= row < height and 0 <= column < width:
                     limit = tolerance * np.hypot(relative / z, deviation[row, column])
                     apart = abs(inverse_depth[row, column] - 1 / z)
                     shown[row, column] |= inverse_depth[row, column] > 0 and apart <= limit
