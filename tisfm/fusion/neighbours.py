@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tisfm.checks import Floats
 from tisfm.fusion.views import Seen
 
 # Of the sum of angles, in fields of view and rad, and of the logarithm of the ratio of distances:
@@ -29,9 +30,7 @@ def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
     count : int
         How many are taken at most.
     """
-    mine = seen[n]
-    middle = mine.pose[:3, 3] + mine.depth * mine.pose[:3, 2]
-    apart = np.array([_apart(middle, mine, other) for other in seen])
+    apart = _apart(seen[n], seen)
     apart[n] = math.inf
     order = np.argsort(apart, kind="stable")
     usable = min(count, np.count_nonzero(apart <= FARTHEST))
@@ -40,13 +39,17 @@ def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
     return [int(near[k]) for k in chosen]
 
 
-def _apart(middle: np.ndarray, mine: Seen, other: Seen) -> float:
-    """Return how differently another view sees a point in the middle of a view."""
-    ray = middle - other.pose[:3, 3]
-    distance = float(np.linalg.norm(ray))
-    if distance <= 0:
-        return math.inf
-    ray /= distance
-    from_axis = math.acos(np.clip(ray @ other.pose[:3, 2], -1, 1)) / other.field
-    parallax = math.acos(np.clip(ray @ mine.pose[:3, 2], -1, 1))
-    return from_axis + parallax + abs(math.log(distance / mine.depth))
+def _apart(mine: Seen, seen: Sequence[Seen]) -> Floats:
+    """Return how differently each view sees the point in the middle of a view, (N,)."""
+    axis = mine.pose[:3, 2]
+    poses = np.array([other.pose for other in seen])
+    rays = mine.pose[:3, 3] + mine.depth * axis - poses[:, :3, 3]
+    distance = np.linalg.norm(rays, axis=1)
+    there = distance == 0
+    distance[there] = 1
+    rays /= distance[:, None]
+    from_axis = np.arccos(np.clip((rays * poses[:, :3, 2]).sum(axis=1), -1, 1))
+    parallax = np.arccos(np.clip(rays @ axis, -1, 1))
+    fields = np.array([other.field for other in seen])
+    apart = from_axis / fields + parallax + np.abs(np.log(distance / mine.depth))
+    return np.where(there, math.inf, apart)
