@@ -15,7 +15,7 @@ from tisfm.kernels.layout.launch import Kernel
 
 EDGE = 8  # voxels of a block's edge
 VOXELS = EDGE**3
-PLACES = 24  # of a pixel: three depths, and eight corners around each
+CORNERS = 8  # around each place of a ray
 BESIDE = 2.0  # truncations: farther from the pixel's own depth it is not interpolated
 SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
 _ALIKE = 3.0  # deviations, beyond `STEP`
@@ -34,17 +34,17 @@ def blocks_near(
 ) -> None:
     """Find the blocks that a depth map comes near to: within the truncation along each ray.
 
-    Blocks up to a voxel beside the ray count as well, so that every cell that the surface goes
-    through has its eight corners.
+    Some places of each ray are looked at, at equal distances. Blocks up to a voxel beside them
+    count as well, so that every cell that the surface goes through has its eight corners.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W) float32
         d and σ; 0 where there is none. No value is NaN or infinite. Pixels that differ from all but
         two of the eight around them are passed over.
-    out : (rows, ⌈W / stride⌉, 24) int32
-        Of the rows that are looked at from the row `top` on: numbers of blocks,
-        (bx·n_y + by)·n_z + bz, or −1; a pixel's own differ, but for few.
+    out : (rows, ⌈W / stride⌉, places, 8) int32
+        Of the rows that are looked at from the row `top` on: numbers of the blocks at the corners
+        around each place, (bx·n_y + by)·n_z + bz, or −1; those around one place differ.
     top, stride : int
         The first row that is looked at, and from each row and column to the next.
     rays : (3, 4) float32
@@ -66,7 +66,10 @@ def blocks_near(
         raise ValueError(f"stride is {stride}: expected at least 1")
     if not 0 <= top <= top + (len(out) - 1) * stride < height:
         raise ValueError(f"top is {top}: {len(out)} rows from there are more than {height} have")
-    check_array(out, (len(out), -(-width // stride), PLACES), "out", np.int32, aligned=False)
+    size = (len(out), -(-width // stride), out.shape[2], CORNERS)
+    check_array(out, size, "out", dtype=np.int32, aligned=False)
+    if out.shape[2] < 2:
+        raise ValueError(f"out has {out.shape[2]} places for a ray: expected at least 2")
     check_array(rays, (3, 4), "rays", aligned=False)
     if min(extent) < 1 or np.prod(np.asarray(extent, float)) > LARGEST_INDEX:
         raise ValueError(f"extent is {extent}: expected 1 to {LARGEST_INDEX} blocks")
@@ -145,15 +148,15 @@ def _blocks_near(
     blocks_y: ti.i32,
     blocks_z: ti.i32,
     truncation: ti.f32,
-    out: ti.types.ndarray(dtype=ti.i32, ndim=3),  # (rows, ⌈W / stride⌉, 24)
+    out: ti.types.ndarray(dtype=ti.i32, ndim=4),  # (rows, ⌈W / stride⌉, places, 8)
 ):
     for row, column in ti.ndrange(out.shape[0], out.shape[1]):
         y, x = top + row * stride, column * stride
         d = inverse_depth[y, x]
         if _support(inverse_depth, deviation, y, x) < SUPPORT:
             d = 0.0
-        for sample in ti.static(range(3)):
-            depth = (sample - 1) * truncation
+        for place in range(out.shape[2]):
+            depth = (2.0 * place / (out.shape[2] - 1) - 1.0) * truncation
             if d > 0:
                 depth += 1.0 / d
             px = _along_ray(rays, 0, x, y, depth)
@@ -176,7 +179,7 @@ def _blocks_near(
                 number = -1
                 if d > 0 and depth > 0 and inside and not again:
                     number = (bx * blocks_y + by) * blocks_z + bz
-                out[row, column, sample * 8 + i * 4 + j * 2 + k] = number
+                out[row, column, place, i * 4 + j * 2 + k] = number
 
 
 @ti.func

@@ -127,9 +127,9 @@ def test_mark_shown(size):
 
 
 @each_size
-@pytest.mark.parametrize("stride", [1, 2, 3])
-def test_blocks_near(size, stride):
-    from tisfm.kernels.fusion.distance_field import PLACES, blocks_near
+@pytest.mark.parametrize(("stride", "places"), [(1, 3), (2, 5), (3, 2)])
+def test_blocks_near(size, stride, places):
+    from tisfm.kernels.fusion.distance_field import CORNERS, blocks_near
 
     inverse_depth, deviation = depth_map(size)
     extent = (9, 7, 23)
@@ -141,14 +141,16 @@ def test_blocks_near(size, stride):
     rows = -(-size[0] // stride)
     for first in range(0, rows, 2):  # some rows at a time
         count = min(2, rows - first)
-        out = np.full((count, -(-size[1] // stride), PLACES), -7, np.int32)
+        out = np.full((count, -(-size[1] // stride), places, CORNERS), -7, np.int32)
         blocks_near(
             inverse_depth, deviation, out, top=first * stride, extent=extent, **options
         )  # fmt: skip
         found |= set(np.unique(out[out >= 0]).tolist())
         assert out.min() >= -1
     options["rays"] = rays.astype(float)
-    blocks = reference.blocks_near(inverse_depth.astype(float), deviation.astype(float), **options)
+    blocks = reference.blocks_near(
+        inverse_depth.astype(float), deviation.astype(float), places=places, **options
+    )
     inside = {b for b in blocks if all(0 <= p < n for p, n in zip(b, extent, strict=True))}
     if size[0] > 7:
         assert 10 < len(inside) < len(blocks)
@@ -205,13 +207,13 @@ def test_integrate(size):
     ],
 )
 def test_impossible_blocks_are_refused(change, message):
-    from tisfm.kernels.fusion.distance_field import PLACES, blocks_near
+    from tisfm.kernels.fusion.distance_field import CORNERS, blocks_near
 
     options = {"top": 0, "stride": 1, "extent": (2, 2, 2), "truncation": 0.1, **change}
     image = np.ones((4, 5), np.float32)
     with pytest.raises(ValueError, match=message):
         blocks_near(
-            image, image, np.empty((4, 5, PLACES), np.int32),
+            image, image, np.empty((4, 5, 3, CORNERS), np.int32),
             rays=np.zeros((3, 4), np.float32), **options,
         )  # fmt: skip
 

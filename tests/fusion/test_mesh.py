@@ -53,6 +53,23 @@ def test_mesh_of_a_room(rendered, outliers):
     assert np.linalg.norm(edges, axis=2).max() < 2 * mesh.voxel
 
 
+def test_views_that_differ_in_scale(rendered):
+    """Each has an error of its own, the same at all pixels, as large as its deviation."""
+    factors = 1 + 0.03 * np.random.default_rng(3).normal(size=len(rendered))
+    views = [
+        dataclasses.replace(
+            view,
+            inverse_depth=view.inverse_depth * np.float32(factor),
+            inverse_depth_std=3 * view.inverse_depth_std,
+        )
+        for view, factor in zip(noisy_views(rendered), factors, strict=True)
+    ]
+    mesh = fused_mesh(views)
+    error = relative_error(samples(mesh), rendered)
+    assert np.median(error) < 0.015 and np.mean(error < 0.04) > 0.95
+    assert completeness(mesh.vertices, rendered, within=0.04) > 0.85
+
+
 def test_colors_are_those_of_the_frames(rendered):
     mesh = fused_mesh(noisy_views(rendered, noise=0.001))
     pose, (_, frame, camera) = rendered[0]
@@ -171,6 +188,8 @@ def test_options_change_the_mesh(rendered):
     assert len(fused_mesh(views, agreeing=5).faces) < len(usual.faces)
     assert len(fused_mesh(views, max_relative_std=0.005).faces) == 0
     assert fused_mesh(views, max_depth=1.0).vertices[:, 2].max() < usual.vertices[:, 2].max()
+    uncertain = [wall(std=0.4, size=(30, 40))] * 3
+    assert fused_mesh(uncertain, max_relative_std=0.5).voxel == pytest.approx(0.5 * 0.4 * 2)
     wide = fused_mesh(views, truncation=1.0)
     assert not np.array_equal(wide.vertices[:50], usual.vertices[:50])
 
@@ -195,6 +214,8 @@ def test_voxels_that_fill_too_much_are_refused(monkeypatch):
     assert fused_mesh(views, voxel=1.2 * advised).voxel == pytest.approx(1.2 * advised)
     with pytest.raises(ValueError, match="voxel is 1e-07: "):
         fused_mesh(views, voxel=1e-7)
+    with pytest.raises(ValueError, match=r"voxel is 0\.001: "):
+        fused_mesh(views, voxel=1e-3, truncation=1.0)
     # By default they are made as large as they must be.
     usual = 2 * 2 / 20  # 2 px
     assert fused_mesh(views).voxel == pytest.approx(usual)

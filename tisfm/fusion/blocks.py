@@ -12,6 +12,9 @@ MOST_BLOCKS = 150_000  # of 6 KB each
 MOST_CANDIDATES = 16 * MOST_BLOCKS  # of 12 bytes each
 _ROWS = 64  # that are looked through at a time
 _ACROSS = 3  # pixels that are looked at, at least, across a block
+_MOST_STEPS = 8  # from one to the next, px: where blocks are large
+_APART = 4.0  # voxels between places of a ray that are looked at
+_MOST_PLACES = 101  # of a ray
 _BITS = 17  # of a block's coordinate, so that a voxel's has 20
 _HALF = 2 ** (_BITS - 1)
 
@@ -125,7 +128,7 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
 
     Of the pixels as many are looked at as the smallest block in the image needs.
     """
-    from tisfm.kernels.fusion.distance_field import EDGE, PLACES, blocks_near
+    from tisfm.kernels.fusion.distance_field import CORNERS, EDGE, blocks_near
 
     edge = EDGE * voxel
     low, high = _bounds(view, farthest + truncation, 2 * voxel)
@@ -135,19 +138,23 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
         too_many = np.cbrt(extent.prod() / 2**31)
         too_far = np.abs([first, first + extent]).max() / (_HALF - 1)
         raise TooFineError(1.01 * max(too_many, too_far))
+    places = 1 + 2 * int(np.ceil(truncation / (_APART * voxel)))
+    if places > _MOST_PLACES:
+        raise TooFineError(places / _MOST_PLACES)
     nx, ny, nz = extent.astype(int).tolist()
-    step = max(1, int(edge * view.intrinsics[0, 0] / farthest / _ACROSS))
+    across = edge * view.intrinsics[0, 0] / farthest
+    step = int(np.clip(across / _ACROSS, 1, _MOST_STEPS))
     rays = view.to_world / voxel
     rays[:, 3] -= first * EDGE
     height, width = view.inverse_depth.shape
     found = []
     for top in range(0, height, _ROWS * step):
         rows = -(-min(height - top, _ROWS * step) // step)
-        places = np.empty((rows, -(-width // step), PLACES), np.int32)
+        near = np.empty((rows, -(-width // step), places, CORNERS), np.int32)
         blocks_near(
             view.inverse_depth,
             view.deviation,
-            places,
+            near,
             top=top,
             stride=step,
             rays=rays.astype(np.float32),
@@ -155,9 +162,9 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
             truncation=truncation,
         )
         # Most pixels come near to the same blocks as the one to their left.
-        new = places >= 0
-        new[:, 1:] &= places[:, 1:] != places[:, :-1]
-        found.append(np.unique(places[new]))
+        new = near >= 0
+        new[:, 1:] &= near[:, 1:] != near[:, :-1]
+        found.append(np.unique(near[new]))
     flat = np.unique(np.concatenate(found)).astype(np.int64)
     blocks = np.stack([flat // (ny * nz), flat // nz % ny, flat % nz], axis=1)
     return np.sort(numbers_of(blocks + first.astype(np.int64)))

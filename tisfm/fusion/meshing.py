@@ -13,6 +13,7 @@ from tisfm.fusion.surface import surface_of
 from tisfm.fusion.views import DepthView, Views, check_positive
 
 VOXEL = 2.0  # px at the median depth
+FINEST = 0.5  # deviations of depth: finer voxels would show mistakes alone
 TRUNCATION = 4.0  # voxels
 DEVIATIONS = 3.0  # of depth that the truncation has room for
 UNSEEN = 128  # grey of vertices that no view shows
@@ -45,8 +46,8 @@ def fused_mesh(
     max_depth : float, default 5
         Depth beyond so many median depths of its view is left out; None for no bound.
     voxel : float, optional
-        Edge of a voxel, in the unit of the poses. By default 2 px at the median depth, or more
-        where those would fill more than 1 GB; the result says which.
+        Edge of a voxel, in the unit of the poses. By default 2 px at the median depth, or half the
+        median deviation of depth where that is more, or what fills 1 GB; the result says which.
     truncation : float, optional
         How far from the surface the field reaches, in the unit of the poses. Things must be thicker
         than that. By default 4 voxels, or 3 median deviations of depth where that is more.
@@ -102,11 +103,12 @@ def _field(
     views: Views, voxel: float | None, truncation: float | None, agreeing: int
 ) -> tuple[Field, float]:
     """Return the field and its truncation, in the views' unit; choose what was not given."""
+    deviation = float(np.median([seen.deviation for seen in views.seen]))
     if voxel is None:
-        side = VOXEL * float(np.median([seen.depth / seen.focal for seen in views.seen]))
+        pixel = float(np.median([seen.depth / seen.focal for seen in views.seen]))
+        side = max(VOXEL * pixel, FINEST * deviation)
     else:
         side = voxel / views.unit
-    deviation = float(np.median([seen.deviation for seen in views.seen]))
     while True:
         if truncation is None:
             reach = max(TRUNCATION * side, DEVIATIONS * deviation)

@@ -90,6 +90,7 @@ def blocks_near(
     stride: int,
     rays: Floats,
     truncation: float,
+    places: int,
 ) -> set[tuple[int, int, int]]:
     """Return where the blocks of 8³ voxels lie that a depth map comes near to, in blocks."""
     found = set()
@@ -100,7 +101,7 @@ def blocks_near(
             alike = np.abs(around - d) < max(STEP * d, 3 * deviation[y, x])
             if d <= 0 or np.count_nonzero(alike) - 1 < SUPPORT:
                 continue
-            for depth in (1 / d - truncation, 1 / d, 1 / d + truncation):
+            for depth in 1 / d + truncation * np.linspace(-1, 1, places):
                 place = rays[:, :3] @ (x, y, 1) * depth + rays[:, 3]
                 for corner in np.ndindex(2, 2, 2) if depth > 0 else ():
                     block = np.floor((place + 2 * np.array(corner) - 1) / 8).astype(int)
