@@ -1,0 +1,314 @@
+"""A sequence in, a reconstruction out."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from tisfm import runtime
+from tisfm.camera import Camera, check_camera
+from tisfm.checks import refuse_masked
+from tisfm.focal_guess import guess_camera
+from tisfm.outcome import Status
+from tisfm.reconstruction.folder import PICTURES, begin, write_depth, write_record
+from tisfm.reconstruction.frames import PreparedFrames
+from tisfm.reconstruction.path import CameraPath, PathFinder, Piece
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.masks import Mask
+from tisfm.version import __version__
+
+CACHE = "cache"
+Stage = Literal["reading", "path", "depth"]
+Progress = Callable[[Stage, int, "int | None"], None]
+
+
+def reconstruct(
+    source: Source,
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    poses: npt.ArrayLike | None = None,
+    mask: Mask | None = None,
+    step: int = 1,
+    start: int = 0,
+    stop: int | None = None,
+    size: int | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    bad_frames: BadFrames = "raise",
+    folder: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct a sequence: one path of the camera, and the depth of every frame in its scale.
+
+    Frames have to come in order, as those of a video do.
+
+    Parameters
+    ----------
+    source : path, sequence of paths, or iterable of arrays
+        A video, a folder of images, a glob pattern, a list of image files, or any iterable of
+        (H, W) or (H, W, 3) frames.
+    camera : Camera, optional
+        Of the frames as they come; distortion is removed. By default the focal length is guessed
+        from the first image file or the size of the frames, with a `GuessedFocalWarning`.
+    settings : Settings, optional
+        By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
+        sequences.
+    poses : (N, 4, 4) array_like, optional
+        Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
+        alone is found then, in their unit.
+    mask : optional
+        Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
+    step, start, stop, size, crop, bad_frames
+        Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
+    folder : path, optional
+        Where the result is to lie; by default in a temporary folder, which is deleted with the
+        result: `Reconstruction.save` keeps it.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` with the stage ``"reading"``, ``"path"`` or
+        ``"depth"``, and frames; the total is None where it is not known.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
+        If the source does not exist, has fewer than two frames, or a frame cannot be read; if
+        settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
+    """
+    settings = _checked(settings)
+    given = None if poses is None else _checked_poses(poses)
+    frames = FrameSource(
+        source,
+        step=step,
+        start=start,
+        stop=stop,
+        size=size,
+        crop=crop,
+        mask=mask,
+        bad_frames=bad_frames,
+    )
+    if given is not None and bad_frames == "skip":
+        raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
+    camera = None if camera is None else check_camera(camera)
+    runtime.start()
+    temporary = None
+    if folder is None:
+        temporary = TemporaryDirectory(prefix="tisfm-")
+        folder = temporary.name
+    path = begin(folder)
+    (path / CACHE).mkdir()
+    try:
+        run = _Run(frames, camera, settings, given, path, progress)
+        result = run.result()
+    finally:
+        shutil.rmtree(path / CACHE, ignore_errors=True)
+    return result if temporary is None else replace(result, _temporary=temporary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """What is known of the frames once they are read."""
+
+    names: tuple[str, ...]
+    times: tuple[float | None, ...]
+
+
+class _Run:
+    """One reconstruction, from the source to the folder."""
+
+    def __init__(
+        self,
+        source: FrameSource,
+        camera: Camera | None,
+        settings: Settings,
+        poses: np.ndarray | None,
+        folder: Path,
+        progress: Progress | None,
+    ) -> None:
+        self._source, self._camera, self._settings = source, camera, settings
+        self._given, self._folder = poses, folder
+        self._progress: Progress = progress or (lambda stage, done, total: None)
+        self._frames: PreparedFrames
+
+    def result(self) -> Reconstruction:
+        """Read, find the path, then depth; write everything."""
+        read, path = self._read()
+        count = len(read.names)
+        poses = np.full((count, 4, 4), np.nan)
+        piece = np.full(count, -1, np.int32)
+        status: list[Status] = [Status("converged")] * count
+        for frame, why in path.lost.items():
+            status[frame] = why
+        keyframes: list[int] = []
+        done = 0
+        for number, part in enumerate(path.pieces):
+            found, unit = self._depths(part, path.seen, done)
+            done += len(part.poses)
+            keyframes += [frame for frame, kind in found.items() if kind == "keyframe"]
+            for frame, pose in part.poses.items():
+                poses[frame], piece[frame] = pose, number
+                poses[frame, :3, 3] /= unit
+                if frame not in found:
+                    status[frame] = Status(
+                        "little_parallax",
+                        "no frame near by shows enough parallax to see depth by; its pose is known",
+                    )
+            if number > 0:
+                first = min(part.poses)
+                status[first] = Status(str(status[first]), _new_piece(status[first]))
+        result = Reconstruction(
+            poses=poses,
+            piece=piece,
+            status=tuple(status),
+            keyframes=tuple(sorted(keyframes)),
+            camera=self._frames.camera,
+            settings=self._settings,
+            names=read.names,
+            times=read.times,
+            skipped=tuple(self._source.skipped),
+            shape=self._frames.shape,
+            folder=self._folder,
+            version=__version__,
+        )
+        write_record(self._folder, result)
+        return result
+
+    def _read(self) -> tuple[_Read, CameraPath]:
+        """Read all frames once, and find the path, or take the one that is given."""
+        names: list[str] = []
+        times: list[float | None] = []
+        finder: PathFinder | None = None
+        tracker: Tracker | None = None
+        seen: list[Seen] = []
+        total = _count(self._source)
+        with closing(self._source.frames()) as frames:
+            for frame in frames:
+                if not names:
+                    camera = self._camera or guess_camera(
+                        self._source.first_file or frame.full or frame.image.shape
+                    )
+                    camera = self._source.camera_after(camera, frame.full)
+                    self._frames = PreparedFrames(
+                        camera, self._folder / CACHE, self._folder / PICTURES
+                    )
+                    finder = PathFinder(self._frames.camera)
+                    tracker = Tracker(self._frames.camera, Settings.preset("fast"))
+                grey, ignored = self._frames.add(frame)
+                if self._given is None and finder is not None:
+                    finder.add(grey, ignored)
+                elif tracker is not None:
+                    seen.append(tracker.go_on(grey, ignored))
+                names.append(frame.name)
+                times.append(frame.time)
+                self._progress("reading", len(names), total)
+        if len(names) < 2 or finder is None:
+            raise ValueError(
+                f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
+                "be read: expected at least 2"
+            )
+        self._progress("path", 0, len(names))
+        path = finder.finish() if self._given is None else self._given_path(seen, self._given)
+        self._progress("path", len(names), len(names))
+        return _Read(names=_distinct(names), times=tuple(times)), path
+
+    def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
+        if len(poses) != len(seen):
+            raise ValueError(
+                f"poses are {len(poses)}, but there are {len(seen)} frames: expected one for each"
+            )
+        known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
+        points = triangulated(seen, known, self._frames.camera, self._frames.shape)
+        lost = {
+            k: Status("unrelated", "no pose is given for it")
+            for k in range(len(poses))
+            if k not in known
+        }
+        piece = Piece(poses=known, views=tuple(known), points=points)
+        return CameraPath(pieces=(piece,) if known else (), lost=lost, seen=tuple(seen))
+
+    def _depths(
+        self, piece: Piece, seen: tuple[Seen, ...], done: int
+    ) -> tuple[dict[int, str], float]:
+        """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
+        from tisfm.reconstruction.depths import PieceDepths, effort_of, unit_of
+
+        depths = PieceDepths(
+            self._frames, piece, seen, self._settings, effort=effort_of(self._settings)
+        )
+        found: dict[int, str] = {}
+        unit = 1.0
+        for depth in depths:
+            if not found and self._given is None:
+                unit = unit_of(depth.inverse_depth)
+            write_depth(
+                self._folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit
+            )
+            found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
+            self._progress("depth", done + len(found), len(seen))
+        return found, unit
+
+
+def _new_piece(status: Status) -> str:
+    told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
+    told += "its own"
+    return f"{status.message}; {told}" if status.message else told
+
+
+def _checked(settings: Settings | None) -> Settings:
+    if settings is None:
+        return Settings.preset("balanced", motion="camera")
+    if not isinstance(settings, Settings):
+        raise TypeError(f"settings is {settings!r}: expected a tisfm.Settings")
+    if settings.motion != "camera":
+        raise ValueError(
+            f'motion is "{settings.motion}": a sequence is reconstructed with motion="camera", as '
+            'in Settings.preset("fast", motion="camera")'
+        )
+    return settings
+
+
+def _checked_poses(poses: npt.ArrayLike) -> np.ndarray:
+    refuse_masked(poses, "poses")
+    array = np.array(poses, np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise ValueError(f"poses is {array.shape}: expected (N, 4, 4), camera to world")
+    for number, pose in enumerate(array):
+        if not np.isfinite(pose).all():
+            array[number] = np.nan
+            continue
+        turn = pose[:3, :3]
+        rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+        if not rigid or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+            raise ValueError(
+                f"poses[{number}] is {pose.tolist()}: expected a rotation and a translation over "
+                "the row (0, 0, 0, 1)"
+            )
+    return array
+
+
+def _count(source: FrameSource) -> int | None:
+    try:
+        return len(source) + 1
+    except TypeError:
+        return None
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names, numbered if two are alike."""
+    listed = list(names)
+    if len(set(listed)) == len(listed):
+        return tuple(listed)
+    return tuple(f"{k:06d}_{name}" for k, name in enumerate(listed))
