@@ -1,4 +1,4 @@
-"""Depth of every frame of a piece: of keyframes from windows, of the others rendered from theirs."""
+"""Depth of the frames of a piece: keyframes from windows, the others rendered from theirs."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tisfm.camera import Camera
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
@@ -98,9 +97,7 @@ class PieceDepths:
             if after < frame < before:
                 inverse_depth, deviation = self._rendered(frame)
                 if np.isfinite(inverse_depth).any():
-                    yield FrameDepth(
-                        frame=frame, inverse_depth=inverse_depth, deviation=deviation
-                    )
+                    yield FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe(self, key: int, previous: int | None) -> WindowDepth | None:
         """Return the depth of a keyframe from its neighbours and the keyframe before."""
@@ -180,9 +177,7 @@ def chosen_keyframes(piece: Piece, seen: Sequence[Seen], side: int) -> list[int]
     return keys
 
 
-def _spread(
-    places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]
-) -> np.ndarray | None:
+def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray | None:
     """Return inverse depth of the nearest known place at every pixel, None where none is known."""
     if len(depths) == 0:
         return None

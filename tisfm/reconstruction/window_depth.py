@@ -16,7 +16,6 @@ import numpy as np
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
-from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.several_frames import add_along, as_constraint
@@ -147,9 +146,7 @@ def second_order(level: int) -> SecondOrderSettings:
     That of pixels, as far as slopes are carried over as many px, against anchors that are fewer.
     """
     side = 2.0**level
-    return replace(
-        SECOND_ORDER, alpha=SECOND_ORDER.alpha / side, beta=SECOND_ORDER.beta / side**3
-    )
+    return replace(SECOND_ORDER, alpha=SECOND_ORDER.alpha / side, beta=SECOND_ORDER.beta / side**3)
 
 
 class _Data:

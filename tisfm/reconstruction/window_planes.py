@@ -10,7 +10,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import STEEPEST
 from tisfm.kernels.rigid.view_search import MOST_BEST, ViewSearch
-from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
+from tisfm.kernels.rigid.windows import LEVELS
 from tisfm.motion.matched_planes import (
     LARGEST,
     LEAST,
@@ -259,9 +259,7 @@ def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> n
     return out
 
 
-def _drawn(
-    window: Window, search: ViewSearch, level: int, prior: np.ndarray | None
-) -> np.ndarray:
+def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | None) -> np.ndarray:
     """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
