@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -76,15 +76,15 @@ class LoadedSequence:
         path = self.depths[index]
         return None if path is None else read_depth(path, self.depth_scale)
 
-    def every(self, step: int) -> "LoadedSequence":
-        """Return the frames 0, `step`, 2 · `step`, … alone."""
-        kept = slice(None, None, step)
+    def take(self, indices: Iterable[int]) -> "LoadedSequence":
+        """Return some of the frames alone, in the order given."""
+        kept = list(indices)
         return replace(
             self,
-            frames=self.frames[kept],
+            frames=tuple(self.frames[index] for index in kept),
             poses=self.poses[kept],
             times=None if self.times is None else self.times[kept],
-            depths=self.depths[kept],
+            depths=tuple(self.depths[index] for index in kept),
         )
 
 
@@ -118,7 +118,8 @@ class DatasetSequence:
             If `step` is not a positive whole number.
         """
         whole(1, step=step)
-        loaded = SEQUENCE_LAYOUTS[self.layout].load(self.folder).every(step)
+        loaded = SEQUENCE_LAYOUTS[self.layout].load(self.folder)
+        loaded = loaded.take(range(0, len(loaded.frames), step))
         if len(loaded.frames) < 2:
             raise FormatError(
                 f"{self.folder} has {len(loaded.frames)} frames at a step of {step}, expected at "
