@@ -185,7 +185,9 @@ def drift(
         Estimated and true poses, camera to world; NaN where there is none.
     lengths : sequence of float, optional
         Of the parts, in the unit of the truth. By default KITTI's, 100, 200, …, 800 m, if the path
-        is longer than 100 m; else 10, 20, …, 80 % of it.
+        is longer than 100 m; else 10, 20, …, 80 % of it, which may be few frames, so that errors
+        are divided by the true length from the first frame of a part to the last. Errors of
+        lengths that are given, and of KITTI's, are divided by these, as the benchmark has it.
     every : int, optional
         Frames from the beginning of a part to that of the next; by default KITTI's 10, or 1 where
         the path is no longer than 100 m.
@@ -213,6 +215,7 @@ def drift(
     known = np.flatnonzero(_posed(true))
     along = _travelled(true[known])
     short = along[-1] <= KITTI_LENGTHS[0]
+    measured = lengths is None and short
     if lengths is None:
         lengths = [share * along[-1] for share in SHARES] if short else KITTI_LENGTHS
     elif not all(np.isfinite(length) and length > 0 for length in lengths):
@@ -224,10 +227,13 @@ def drift(
     translations, rotations = [], []
     for length in lengths:
         ends = np.searchsorted(along, along[begins] + length, side="right")
-        first, last = known[begins[ends < len(known)]], known[ends[ends < len(known)]]
-        left = _left_over(found, true, first, last, scale)
-        translations.append(np.linalg.norm(left[:, :3, 3], axis=1) / length)
-        rotations.append(_angles(left) / length)
+        first, last = begins[ends < len(known)], ends[ends < len(known)]
+        posed = _posed(found)[known[first]] & _posed(found)[known[last]]
+        first, last = first[posed], last[posed]
+        left = _left_over(found, true, known[first], known[last], scale)
+        divisor = along[last] - along[first] if measured else np.full(len(last), length)
+        translations.append(np.linalg.norm(left[:, :3, 3], axis=1) / divisor)
+        rotations.append(_angles(left) / divisor)
     if not sum(map(len, rotations)):
         return None
     return Drift(
