@@ -115,9 +115,9 @@ def details(contest: SequenceContest, sequence: str) -> Cells:
 
 def show(contest: SequenceContest, console: Console) -> None:
     """Print the summaries, and what is missing or failed."""
-    for heading in SUMMARY:
+    for heading, table in _summaries(contest).items():
         console.print(heading)
-        console.print(summary(contest, heading).rich())
+        console.print(table.rich())
     for title, entries in (("missing", contest.missing), ("FAILED", contest.failures)):
         for name, reason in entries.items():
             console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)
@@ -127,9 +127,8 @@ def write(contest: SequenceContest, path: Path) -> None:
     """Write PATH.md and PATH.json."""
     lines = ["# Sequences: path and depth", ""]
     lines += [f"- {name}: {value}" for name, value in contest.conditions.items()]
-    for heading in SUMMARY:
-        lines += ["", f"## {heading[0].upper()}{heading[1:]}", ""]
-        lines += summary(contest, heading).markdown()
+    for heading, table in _summaries(contest).items():
+        lines += ["", f"## {heading[0].upper()}{heading[1:]}", "", *table.markdown()]
     lines += ["", *(f"- {note}" for note in NOTES)]
     for heading, entries in (("Missing", contest.missing), ("Failed", contest.failures)):
         if entries:
@@ -141,6 +140,12 @@ def write(contest: SequenceContest, path: Path) -> None:
     path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
     content = json.dumps(contest.as_json(), indent=1, ensure_ascii=False)
     path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+
+
+def _summaries(contest: SequenceContest) -> dict[str, Cells]:
+    """Return the tables of one figure each that have any."""
+    tables = {heading: summary(contest, heading) for heading in SUMMARY}
+    return {heading: table for heading, table in tables.items() if table.rows}
 
 
 def _names(contest: SequenceContest) -> tuple[list[str], list[str]]:

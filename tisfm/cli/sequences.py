@@ -67,6 +67,7 @@ def evaluate_sequences(
     if result is None:
         runtime.start(arch, threads=threads)
     evaluations: list[SequenceEvaluation] = []
+    paths = {} if output is None else _paths(sequences, output)
     with progress_bar() as progress:
         task = progress.add_task("", total=len(sequences))
         for sequence in sequences:
@@ -75,10 +76,10 @@ def evaluate_sequences(
                 evaluations.append(
                     _evaluate(
                         sequence,
-                        output,
+                        paths.get(sequence),
                         camera=camera,
                         settings=settings,
-                        step=step or 1,
+                        step=1 if step is None else step,
                         give_poses=give_poses,
                         max_depth=max_depth,
                         result=result,
@@ -113,9 +114,23 @@ def _found(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
     )
 
 
+def _paths(sequences: Sequence[DatasetSequence], output: Path) -> dict[DatasetSequence, Path]:
+    """Return the file of each sequence's path; no two are one."""
+    paths: dict[DatasetSequence, Path] = {}
+    taken: set[str] = set()
+    for sequence in sequences:
+        number, name = 1, sequence.name
+        while name.lower() in taken:
+            number += 1
+            name = f"{sequence.name}_{number}"
+        taken.add(name.lower())
+        paths[sequence] = output / f"{name}.tum"
+    return paths
+
+
 def _evaluate(
     sequence: DatasetSequence,
-    output: Path | None,
+    path: Path | None,
     *,
     camera: Camera | None,
     settings: Settings,
@@ -150,8 +165,8 @@ def _evaluate(
             max_depth=max_depth,
             with_depth=with_depth,
         )
-    if output is not None:
-        _write_path(output / f"{sequence.name}.tum", loaded, found)
+    if path is not None:
+        _write_path(path, loaded, found)
     return evaluation
 
 

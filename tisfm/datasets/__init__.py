@@ -5,8 +5,8 @@ poses: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI's odometry, and any that comes as
 with camera, poses and depth maps. Nothing is downloaded: `find_pairs` and `find_sequences` find
 what lies in a folder, and read it when asked to.
 
-May import: `tisfm.formats`, `tisfm.metrics`, `tisfm.trajectory`, and of the top level `camera`
-and `rigid`.
+May import: `tisfm.formats`, `tisfm.metrics`, `tisfm.trajectory`, and of the top level `camera`,
+`checks` and `rigid`.
 """
 
 from tisfm.datasets.finding import find_pairs
