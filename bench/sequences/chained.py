@@ -11,7 +11,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.rigid import pose_matrix
 
 APART = 4  # px: the depth of every so many pixels is moved
-FEWEST = 50  # pixels that both depths have: with fewer the scale is lost
+FEWEST = 0.003  # of those pixels: with fewer that both depths have, the scale is lost
 
 Interpret = Callable[[int, int], Interpretation]  # the frame whose depth it is, and the other
 Keep = Callable[[int, Interpretation], None]  # the frame, and the pair whose depth is its own
@@ -127,4 +127,5 @@ def _unit(
     here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
     ratios = ahead[2, inside] * here
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    return float(np.median(ratios)) if len(ratios) >= FEWEST else None
+    fewest = FEWEST * inverse_depth.size / APART**2
+    return float(np.median(ratios)) if len(ratios) > fewest else None

@@ -95,6 +95,15 @@ def test_sequences_of_one_name_have_a_file_each(tisfm_run, place, reconstruct):
     assert {path.name for path in Path("out").iterdir()} == {"wall.tum", "wall_2.tum", "eval.json"}
 
 
+def test_every_piece_has_a_file(tisfm_run, wall, monkeypatch):
+    result = Result()
+    result.piece[:2], result.piece[2:] = 0, 1
+    monkeypatch.setattr(tisfm, "reconstruct", lambda source, **_: result, raising=False)
+    assert tisfm_run("eval", "wall", "--sequence", "-o", "out")[0] == 0
+    np.testing.assert_array_equal(read_tum("out/wall.tum").times, [2, 3, 4, 5])
+    np.testing.assert_array_equal(read_tum("out/wall-piece2.tum").times, [0, 1])
+
+
 def test_a_fault_of_one_is_told_and_the_others_go_on(tisfm_run, place, wall, reconstruct):
     make_sequence(place / "broken")
     (place / "broken" / "poses.txt").write_text("1 2 3\n")

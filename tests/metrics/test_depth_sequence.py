@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.rendered import static_scene
@@ -108,6 +108,7 @@ def test_nothing_in_common_has_no_flicker(pair):
         flicker(frame, (frame[0][1:], frame[1][1:]), behind, **options)
 
 
+@settings(max_examples=30)
 @given(
     powers=st.lists(st.floats(-30, 30), min_size=1, max_size=40),
     parts=st.integers(1, 4),

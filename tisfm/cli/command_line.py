@@ -157,8 +157,8 @@ class Eval:
     7-Scenes, TUM RGB-D, KITTI's odometry and such folders.
 
     With --sequence, every sequence is reconstructed as a whole, and its path (ATE, RPE, drift) and
-    depth, in one scale for all frames, are compared. DIR receives NAME.tum, the path, and
-    eval.json.
+    depth, in one scale for all frames, are compared. DIR receives NAME.tum, the path of
+    the largest piece, NAME-piece2.tum of the next one, and eval.json.
 
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
     (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or

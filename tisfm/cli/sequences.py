@@ -166,7 +166,7 @@ def _evaluate(
             with_depth=with_depth,
         )
     if path is not None:
-        _write_path(path, loaded, found)
+        _write_paths(path, loaded, found)
     return evaluation
 
 
@@ -177,12 +177,16 @@ def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
     return TrajectoryResult(read_trajectory(path), loaded, path), False
 
 
-def _write_path(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
-    """Write the poses of a sequence; pieces are in one file, each in a world of its own."""
-    InputFiles(loaded.frames).refuse(path)
-    make_folder(path.parent)
+def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
+    """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
     times = np.arange(len(loaded.frames), dtype=float) if loaded.times is None else loaded.times
-    write_tum(path, found.poses, times)
+    numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
+    for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
+        file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")
+        InputFiles(loaded.frames).refuse(file)
+        make_folder(file.parent)
+        mine = (found.piece == number)[:, None, None]
+        write_tum(file, np.where(mine, found.poses, np.nan), times)
 
 
 def _write_record(
