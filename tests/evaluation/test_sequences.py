@@ -15,11 +15,11 @@ from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
     SequenceEvaluation,
-    TrajectoryResult,
     as_record,
     compare,
     reconstruct_and_compare,
 )
+from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.metrics import absolute_errors, path_length
 from tisfm.rigid import rigid_motion
 from tisfm.settings import Settings

@@ -23,11 +23,11 @@ from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
     Reconstructed,
     SequenceEvaluation,
-    TrajectoryResult,
     as_record,
     compare,
     reconstruct_and_compare,
 )
+from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.formats import atomic_write
 from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.runtime import Arch
