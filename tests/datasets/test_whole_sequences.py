@@ -8,7 +8,9 @@ import pytest
 from tests.datasets.made import COLOUR, HOLE, MAKERS, POSES, H, W, put
 from tisfm.datasets import SEQUENCE_LAYOUTS, find_sequences
 from tisfm.datasets.calibration import STATED, for_width
+from tisfm.datasets.trajectories import motion_between
 from tisfm.formats import FormatError
+from tisfm.lens import undistort_depth
 from tisfm.metrics import path_length
 from tisfm.trajectory import write_kitti, write_tum
 
@@ -171,3 +173,25 @@ def test_real_sequences(shared_data):
     assert set(lengths) <= set(sequences)
     for name, length in lengths.items():
         assert path_length(sequences[name].load().poses) == pytest.approx(length, rel=5e-3)
+
+
+@pytest.mark.parametrize("name", ["tartanair", "hololens", "sevenscenes"])
+def test_real_depth_moved_by_real_poses_is_the_depth_of_the_next_frame(shared_data, name):
+    (sequence,) = find_sequences(shared_data / name)
+    loaded = sequence.load(3)
+    camera = loaded.camera
+    shares = []
+    for k in range(0, len(loaded.frames) - 1, 4):
+        here, there = (undistort_depth(loaded.depth(index), camera) for index in (k, k + 1))
+        center = camera.center_for(*here.shape)
+        rows, columns = np.nonzero(np.isfinite(here))
+        rays = [(columns - center[0]) / camera.focal, (rows - center[1]) / camera.focal]
+        points = np.stack([*rays, np.ones(len(rows))]) * here[rows, columns]
+        motion = motion_between(loaded.poses[k], loaded.poses[k + 1])
+        x, y, z = motion[:3, :3] @ points + motion[:3, 3:]
+        x, y = (np.rint(camera.focal * v / z + c) for v, c in zip((x, y), center, strict=True))
+        seen = (x >= 0) & (x < here.shape[1]) & (y >= 0) & (y < here.shape[0])
+        expected = there[y[seen].astype(int), x[seen].astype(int)]
+        shares.append(np.mean(np.abs(expected - z[seen]) <= 0.03 * z[seen]))
+    # Edges, what is hidden and what the sensor missed are the rest.
+    assert np.median(shares) > 0.7
