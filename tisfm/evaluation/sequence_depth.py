@@ -77,7 +77,7 @@ class SequenceDepthErrors:
     error : float
         Median over frames, see `FrameDepthErrors`.
     certain : float or None
-        The same; None where no frame has deviations.
+        The same; None where a frame with depth has no deviations.
     mean_error : float
         Mean over frames.
     share : float
@@ -149,13 +149,14 @@ def sequence_depth_errors(
     frames = _frames(loaded, result, camera, max_depth, scale, best)
     scales = [frame.scale for frame in frames if frame.scale is not None]
     certain = [frame.certain for frame in frames if frame.certain is not None]
+    deviations = len(certain) == len(frames)
     changes = [frame.flicker for frame in frames if frame.flicker is not None]
     return SequenceDepthErrors(
         frames=len(frames),
         without=len(frames) - len(scales),
         scale=scale,
         error=median(frame.error for frame in frames),
-        certain=median(certain) if certain else None,
+        certain=median(certain) if deviations else None,
         mean_error=fmean(frame.error for frame in frames),
         share=fmean(frame.share for frame in frames),
         scale_spread=float(np.std(np.log(scales))) if scales else None,
