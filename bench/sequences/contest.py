@@ -21,7 +21,7 @@ from bench.shared.peer_process import POOLS
 from bench.shared.worker import LAST_WORDS
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence
-from tisfm.evaluation.sequences import SequenceEvaluation, as_record, compare
+from tisfm.evaluation.sequences import SequenceEvaluation, as_record, compare_sequence
 from tisfm.formats import read_image, write_png
 from tisfm.lens import undistort
 from tisfm.settings import Preset
@@ -267,7 +267,7 @@ def _scores(
             evaluation = None
             if scored:
                 stored = Stored(output, file)
-                evaluation = compare(
+                evaluation = compare_sequence(
                     entry.sequence,
                     loaded,
                     stored,

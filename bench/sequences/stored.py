@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class Stored:
-    """A result on disk, as `tisfm.evaluation.sequences.compare` takes it.
+    """A result on disk, as `tisfm.evaluation.compare_sequence` takes it.
 
     Parameters
     ----------

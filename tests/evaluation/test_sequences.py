@@ -16,7 +16,7 @@ from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
     SequenceEvaluation,
     as_record,
-    compare,
+    compare_sequence,
     reconstruct_and_compare,
 )
 from tisfm.evaluation.trajectory_result import TrajectoryResult
@@ -37,7 +37,7 @@ def sequence(tmp_path):
 
 def compared(sequence, result, **options):
     loaded = sequence.load(options.get("step", 1))
-    return compare(sequence, loaded, result, camera=loaded.camera, **options)
+    return compare_sequence(sequence, loaded, result, camera=loaded.camera, **options)
 
 
 def test_the_truth_in_another_unit_has_no_error(sequence):

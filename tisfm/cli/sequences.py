@@ -24,7 +24,7 @@ from tisfm.evaluation.sequences import (
     Reconstructed,
     SequenceEvaluation,
     as_record,
-    compare,
+    compare_sequence,
     reconstruct_and_compare,
 )
 from tisfm.evaluation.trajectory_result import TrajectoryResult
@@ -155,7 +155,7 @@ def _evaluate(
         )
     else:
         found, with_depth = _read(result, loaded)
-        evaluation = compare(
+        evaluation = compare_sequence(
             sequence,
             loaded,
             found,

@@ -127,7 +127,7 @@ class SequenceEvaluation:
         return self.pieces[0].frames / self.frames if self.pieces else 0.0
 
 
-def compare(
+def compare_sequence(
     sequence: DatasetSequence,
     loaded: LoadedSequence,
     result: Reconstructed,
@@ -212,7 +212,7 @@ def reconstruct_and_compare(
     Parameters
     ----------
     sequence, loaded, camera, step, max_depth
-        As for `compare`.
+        As for `compare_sequence`.
     settings : Settings
     give_poses : bool
         Whether it is told the true poses, and depth alone is compared.
@@ -220,7 +220,7 @@ def reconstruct_and_compare(
     Raises
     ------
     ValueError
-        As `compare`; and if poses are to be given that are not all known.
+        As `compare_sequence`; and if poses are to be given that are not all known.
     """
     if give_poses and not loaded.posed.all():
         raise ValueError(
@@ -235,7 +235,7 @@ def reconstruct_and_compare(
         poses=loaded.poses if give_poses else None,
     )
     seconds = time.perf_counter() - begin
-    evaluation = compare(
+    evaluation = compare_sequence(
         sequence,
         loaded,
         result,
