@@ -44,7 +44,7 @@ def _metres(score: Score) -> str:
 
 def _posed(score: Score) -> str:
     found = score.evaluation
-    return f"{found.posed} of {found.frames}" if found and found.posed else NOTHING
+    return f"{found.posed} of {found.frames}" if found else NOTHING
 
 
 def _pieces(score: Score) -> str:
