@@ -36,6 +36,7 @@ _SUBMODULES = (
     "runtime",
     "scenes",
     "show",
+    "trajectory",
 )
 
 
