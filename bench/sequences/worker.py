@@ -46,7 +46,7 @@ def _reconstructed(
     folder = Path(request["output"])
     poses = np.array(request["poses"]) if request["poses"] is not None else None
     started = time.perf_counter()
-    result = tisfm.reconstruct(frames, camera=camera, settings=settings, poses=poses)  # type: ignore[operator]
+    result = tisfm.reconstruct(frames, camera=camera, settings=settings, poses=poses)
     for index in range(len(frames)):  # which some may be made at this moment only
         result.inverse_depth(index)
     seconds = time.perf_counter() - started

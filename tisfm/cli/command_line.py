@@ -236,6 +236,65 @@ class Eval:
 
 
 @dataclass(kw_only=True)
+class Reconstruct:
+    """Reconstruct a sequence: one path of the camera, and depth of every frame in its scale.
+
+    SOURCE is a video, a folder of images in order, a quoted glob, or images. DIR receives
+    reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load; the path as
+    trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
+    world), of the largest piece where the sequence fell into several; and with --ply points.ply, a
+    coloured point cloud of its keyframes. Motion is that of the camera alone.
+    """
+
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
+    """A video, a folder, a quoted glob, two or more images in order, or a webcam."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the results, new or empty, or of an earlier reconstruction, which is replaced."""
+    preset: Preset = "balanced"
+    """How much effort: fast, balanced or accurate."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
+    mask: Annotated[str | None, arg(metavar="MASK")] = None
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
+    """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
+    ply: bool = False
+    """Write points.ply, a coloured point cloud."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores. Results do not depend on it."""
+    frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.reconstruct_command import reconstruct
+
+        if not self.source:
+            raise ValueError(
+                "SOURCE is missing: give a video, a folder, a quoted glob or images, as in: "
+                "tisfm reconstruct VIDEO -o DIR"
+            )
+        return reconstruct(
+            self.source[0] if len(self.source) == 1 else self.source,
+            self.output,
+            camera=None if self.camera.guess("camera") else self.camera.camera(),
+            settings=Settings.preset(self.preset, motion="camera"),
+            frames=self.frames,
+            poses=self.poses,
+            mask=self.mask,
+            scale=self.scale,
+            ply=self.ply,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+
+@dataclass(kw_only=True)
 class Demo:
     """Render scenes whose truth is known, interpret them, and compare.
 
@@ -351,7 +410,7 @@ def _numbers(text: str, name: str) -> tuple[float, ...]:
         raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
 
 
-def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Demo | Figures:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -361,6 +420,7 @@ def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:
     evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=of_path)
     commands = (
         Annotated[Run, subcommand("run", default=run, prefix_name=False)]
+        | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]

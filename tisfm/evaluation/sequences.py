@@ -228,7 +228,7 @@ def reconstruct_and_compare(
             f"{len(loaded.frames)} frames have no true pose"
         )
     begin = time.perf_counter()
-    result = tisfm.reconstruct(  # type: ignore[operator]
+    result = tisfm.reconstruct(
         loaded.frames,
         camera=camera,
         settings=settings,

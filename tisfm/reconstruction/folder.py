@@ -23,9 +23,10 @@ from tisfm.settings import Settings
 
 FORMAT = 1
 RECORD = "reconstruction.json"
-PATH, DEPTH, PICTURES = "path.npz", "depth", "frames"
+PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
 _PARTS = (RECORD, PATH, DEPTH, PICTURES)
+_OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
 def write_depth(
@@ -96,33 +97,32 @@ def begin(folder: str | os.PathLike[str]) -> Path:
         If it holds files that are not of a reconstruction.
     """
     path = make_folder(folder)
-    others = sorted(item.name for item in path.iterdir() if item.name not in _known_names())
+    known = {*_PARTS, *_OTHERS, CACHE}
+    others = sorted(item.name for item in path.iterdir() if item.name not in known)
     if others:
         raise FileExistsError(
             f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
         )
     (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
-    for name in _PARTS:
-        shutil.rmtree(path / name, ignore_errors=True)
-    for name in (DEPTH, PICTURES):
+    for name in known:
+        if (path / name).is_dir():
+            shutil.rmtree(path / name)
+        else:
+            (path / name).unlink(missing_ok=True)
+    for name in (DEPTH, PICTURES, CACHE):
         (path / name).mkdir()
     return path
-
-
-def _known_names() -> set[str]:
-    return {*_PARTS, *EXTRAS}
-
-
-EXTRAS = (
-    "cache", "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb",
-)  # fmt: skip
-"""Other files and folders that may lie there."""
 
 
 def write_record(folder: Path, result: Any) -> None:
     """Write the path and, last, the account of a reconstruction."""
     times = np.array([np.nan if time is None else time for time in result.times])
-    path = {"poses": result.poses, "piece": result.piece, "times": times}
+    path = {
+        "poses": result.poses,
+        "piece": result.piece,
+        "times": times,
+        "unit": np.array(result.unit, np.float64),
+    }
     write_npz(folder / PATH, path)
     about = {
         "format": FORMAT,
@@ -160,15 +160,20 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 f"it is of format {about['format']}, this version reads {FORMAT}: reconstruct anew"
             )
         with NpzFile(path / PATH) as file:
-            poses, piece, times = (file.read(name) for name in ("poses", "piece", "times"))
+            poses, piece, times, unit = (
+                file.read(name) for name in ("poses", "piece", "times", "unit")
+            )
         count = len(about["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
             raise ValueError(f"{PATH} does not have {count} frames")
+        if unit.shape != (int(piece.max(initial=-1)) + 1,):
+            raise ValueError(f"{PATH} does not have a unit for every piece")
         camera = about["camera"]
         settings = {**about["settings"], "stiffness": tuple(about["settings"]["stiffness"])}
         return dict(
             poses=poses.astype(np.float64),
             piece=piece.astype(np.int32),
+            unit=tuple(map(float, unit)),
             times=tuple(None if np.isnan(time) else float(time) for time in times),
             status=tuple(Status(code, message) for code, message in about["status"]),
             keyframes=tuple(int(k) for k in about["keyframes"]),
@@ -189,14 +194,15 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
 
 
-def copy_folder(source: Path, target: str | os.PathLike[str]) -> None:
-    """Copy a reconstruction, its record last."""
+def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
+    """Write a reconstruction to another folder, its record last."""
+    source: Path = result.folder
     if Path(target).resolve() == source.resolve():
+        write_record(source, result)
         return
     path = begin(target)
+    shutil.rmtree(path / CACHE)
     for name in (DEPTH, PICTURES):
         for file in sorted((source / name).iterdir()):
             shutil.copyfile(file, path / name / file.name)
-    for name in (PATH, RECORD):
-        with atomic_write(path / name) as out:
-            out.write((source / name).read_bytes())
+    write_record(path, result)

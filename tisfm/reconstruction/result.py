@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,6 +26,8 @@ class Reconstruction:
     piece : (N,) int32
         Which piece a frame belongs to; each has a scale of its own, in which the median depth of
         its first keyframe is 1, unless poses were given. −1 for a frame without a pose.
+    unit : tuple of float
+        For every piece, what its depth on disk is multiplied by; 1 unless it was rescaled.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose and depth.
     keyframes : tuple of int
@@ -50,6 +52,7 @@ class Reconstruction:
 
     poses: np.ndarray = field(repr=False)
     piece: np.ndarray = field(repr=False)
+    unit: tuple[float, ...] = field(repr=False)
     status: tuple[Status, ...] = field(repr=False)
     keyframes: tuple[int, ...]
     camera: Camera
@@ -65,6 +68,12 @@ class Reconstruction:
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self.poses)
+
+    @property
+    def largest_piece(self) -> int:
+        """The piece of most frames; 0 if there is none."""
+        placed = self.piece[self.piece >= 0]
+        return int(np.bincount(placed).argmax()) if len(placed) else 0
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
@@ -120,7 +129,7 @@ class Reconstruction:
             the relative deviation over `max_relative_std`.
         """
         if frames is None:
-            frames = self._keyframes_of(self._largest())
+            frames = self._keyframes_of(self.largest_piece)
         clouds = []
         for frame in frames:
             inverse, deviation = self._depth_of(frame)
@@ -153,6 +162,38 @@ class Reconstruction:
             confidence=np.concatenate([c.confidence for c in clouds] or [np.empty(0, "f4")]),
         )
 
+    def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
+        """Return the same in the unit in which the camera moved so far between two frames.
+
+        Parameters
+        ----------
+        frame0, frame1 : int
+            Two frames of one piece. Other pieces keep their scales.
+        distance : float
+            Between the places of the camera, in the unit that is wanted.
+
+        Raises
+        ------
+        ValueError
+            If the frames are of different pieces, or of one place, or the distance is not positive.
+        """
+        first, second = self._number(frame0), self._number(frame1)
+        piece = int(self.piece[first])
+        if piece < 0 or piece != self.piece[second]:
+            raise ValueError(
+                f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
+                "expected one piece, as its scale is its own"
+            )
+        if not (np.isfinite(distance) and distance > 0):
+            raise ValueError(f"distance is {distance}: expected a positive length")
+        moved = float(np.linalg.norm(self.poses[first, :3, 3] - self.poses[second, :3, 3]))
+        if moved == 0:
+            raise ValueError(f"frames {first} and {second} are of one place: give two others")
+        factor, poses = distance / moved, self.poses.copy()
+        poses[self.piece == piece, :3, 3] *= factor
+        unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
+        return replace(self, poses=poses, unit=unit)
+
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Copy everything to a folder, which is complete once it has a ``reconstruction.json``.
 
@@ -170,7 +211,7 @@ class Reconstruction:
         """
         from tisfm.reconstruction.folder import copy_folder
 
-        copy_folder(self.folder, folder)
+        copy_folder(self, folder)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> "Reconstruction":
@@ -190,17 +231,16 @@ class Reconstruction:
     def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         from tisfm.reconstruction.folder import read_depth
 
-        return read_depth(self.folder, self._number(frame), self.shape)
+        number = self._number(frame)
+        inverse_depth, deviation = read_depth(self.folder, number, self.shape)
+        unit = np.float32(self.unit[self.piece[number]] if self.piece[number] >= 0 else 1)
+        return inverse_depth / unit, deviation / unit
 
     def _number(self, frame: int) -> int:
         number = int(frame)
         if not 0 <= number < len(self):
             raise IndexError(f"frame is {frame}: expected 0 to {len(self) - 1}")
         return number
-
-    def _largest(self) -> int:
-        placed = self.piece[self.piece >= 0]
-        return int(np.bincount(placed).argmax()) if len(placed) else 0
 
     def _keyframes_of(self, piece: int) -> list[int]:
         return [frame for frame in self.keyframes if self.piece[frame] == piece]
