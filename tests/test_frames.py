@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 import tisfm
 from tisfm.frames import eight_bit, grey_pair
-from tisfm.sequence import FrameSource
+from tisfm.sources import FrameSource
 
 SIZE = (24, 40)
 ROUNDING = 4 * np.finfo(np.float32).eps  # three products and two sums

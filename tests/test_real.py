@@ -8,7 +8,7 @@ from bench.objects import statue
 from bench.shared.sequences import MIDDLEBURY, find_pairs
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
-from tisfm.sequence import FrameSource
+from tisfm.sources import FrameSource
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
-from tests.sequence.sources import (
+from tests.sources.made import (
     FRAMES,
     Counted,
     H,
@@ -17,7 +17,8 @@ from tests.sequence.sources import (
 )
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.rigid import pose_matrix
-from tisfm.sequence import FramePair, FrameSource, with_poses
+from tisfm.sequence import with_poses
+from tisfm.sources import FramePair, FrameSource
 
 CAMERA_MOTION = tisfm.Settings(motion="camera", warps=1, outer_iterations=1, sweeps=2)
 TURNS = [pose_matrix((0, 0, 0, 0, 0.001 * k, 0)) for k in range(5)]
@@ -120,7 +121,7 @@ def test_a_video_may_announce_too_many_frames(video, asked):
     path, frames = video
     source = FrameSource(path)
     assert source.count is None and len(source) == 5
-    source._announced += 2
+    source._reader.announced += 2
     pairs = list(with_poses(source, TURNS[: len(frames) - 1]))
     assert len(pairs) == 5 and all(pair.pose is not None for pair in pairs)
 

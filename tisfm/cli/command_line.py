@@ -13,6 +13,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
+from tisfm.cli.frame_options import FrameOptions
 from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
@@ -64,11 +65,11 @@ class SettingsOptions(Settings):
 class Run:
     """Interpret every pair of consecutive frames of a sequence.
 
-    SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', or a
-    video. For a pair named NAME after its first frame, DIR receives NAME_depth.png (grey levels,
-    near is bright), NAME_depth16.png (16-bit depth, its scale in the file and in run.json),
-    NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera'
-    or 'objects' NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
+    SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
+    or webcam:0 for a camera, with --stop. For a pair named NAME after its first frame, DIR receives
+    NAME_depth.png (grey levels, near is bright), NAME_depth16.png (16-bit depth, its scale in the
+    file and in run.json), NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion
+    'camera' or 'objects' NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
     tisfm.Interpretation.load.
     """
 
@@ -76,13 +77,11 @@ class Run:
         Positional[tuple[str, ...]],
         arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
     ]
-    """Two or more images, a folder, a quoted glob, or a video."""
+    """Two or more images, a folder, a quoted glob, a video, or a webcam such as webcam:0."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder for the results; made if need be."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
-    step: int = 1
-    """Take every STEP-th frame, for slow motion."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
     (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
@@ -96,6 +95,7 @@ class Run:
     """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
     """Most CPU threads; by default all cores. Results do not depend on it."""
+    frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
 
@@ -114,7 +114,7 @@ class Run:
             camera=self.camera.camera(),
             guess=self.camera.guess(self.settings.motion),
             settings=self.settings.settings(),
-            step=self.step,
+            frames=self.frames,
             poses=self.poses,
             resume=self.resume,
             figures=self.figures,

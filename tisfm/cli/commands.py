@@ -7,6 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.background import Background
 from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import RECORD, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
@@ -33,8 +35,9 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
 from tisfm.runtime import Arch
-from tisfm.sequence import FramePair, FrameSource, Source, with_poses
+from tisfm.sequence import with_poses
 from tisfm.settings import Settings
+from tisfm.sources import FramePair, FrameSource, Source
 
 
 def run(
@@ -44,7 +47,7 @@ def run(
     camera: Camera,
     guess: bool = False,
     settings: Settings,
-    step: int = 1,
+    frames: FrameOptions,
     poses: Path | None = None,
     resume: bool = False,
     figures: bool = True,
@@ -55,19 +58,21 @@ def run(
     """Interpret every pair of a source and write the results; return the exit code.
 
     With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
-    is a file of a pose for every frame, those between the steps included.
+    is a file of a pose for every frame, those that are not taken included.
     """
-    pairs = FrameSource(source, step=step)
+    pairs = frames.open(source)
     _refuse_mixing(source, pairs.files, output)
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
     first = next(posed)  # before anything is written; the others have its size
     require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
-    posed = chain([first], posed)
+    full, shape = first.full, first.frame0.shape
+    following = chain([first], posed)
     del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
     if guess:
-        camera = _guessed(camera, pairs)
+        camera = _guessed(camera, pairs.first_file or full or shape)
+    camera = pairs.camera_after(camera, full)
     writer = PairWriter(
         output,
         camera=camera,
@@ -83,9 +88,9 @@ def run(
     except TypeError:
         total = None
     seconds = []
-    with progress_bar() as progress, writer, Background() as background:
+    with closing(posed), progress_bar() as progress, writer, Background() as background:
         task = progress.add_task("interpreting", total=total)
-        for pair in posed:
+        for pair in following:
             progress.update(task, description=pair.name0)
             if not (writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest)):
                 begin = time.perf_counter()
@@ -106,6 +111,8 @@ def run(
     )
     for code, advice in writer.advice.items():
         tell(f"{code}: {advice}")
+    for _, reason in pairs.skipped:
+        tell(f"skipped: {reason}")
     return 0
 
 
@@ -192,7 +199,7 @@ def figures(
     inputs = InputFiles(pairs.files)
     runtime.start(threads=threads)
     if guess:
-        camera = _guessed(camera, pairs)
+        camera = _guessed(camera, pairs.files[0])
     for pair in pairs:
         written = write_paper_figures(
             output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
@@ -208,6 +215,7 @@ def _write(
         pair.name0,
         result,
         digest=pair.digest,
+        times=pair.times,
         pose=None if pair.pose is None else np.asarray(pair.pose),
         baseline_flow=baseline,
     )
@@ -245,7 +253,7 @@ def _names(pairs: FrameSource, output: Path) -> list[str]:
         return list(pairs.names)
     if not output.is_dir():
         return []
-    numbered = re.compile(re.escape(pairs.files[0].stem) + r"_\d{6,}", re.IGNORECASE)
+    numbered = re.compile(re.escape(pairs.prefix) + r"_\d{6,}", re.IGNORECASE)
     found = (numbered.match(name) for name in os.listdir(output))
     return sorted({match.group() for match in found if match})
 
@@ -263,20 +271,20 @@ def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndar
             f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
             "of twelve numbers for every frame"
         )
-    motions = [motion_between(*ends) for ends in pairwise(poses[:: pairs.step])]
+    motions = [motion_between(*ends) for ends in pairwise(poses[pairs.chosen])]
     for index, motion in enumerate(motions):
         try:
             check_pose(motion)
         except ValueError as error:
-            first = index * pairs.step
-            raise ValueError(f"{path}, frames {first} and {first + pairs.step}: {error}") from None
+            first = pairs.chosen.start + index * pairs.chosen.step
+            second = first + pairs.chosen.step
+            raise ValueError(f"{path}, frames {first} and {second}: {error}") from None
     return motions
 
 
-def _guessed(camera: Camera, pairs: FrameSource) -> Camera:
-    """Return the camera with a focal length guessed by the first frame, and say so."""
-    first = pairs.first_file
-    guess = guess_focal(next(iter(pairs)).frame0.shape if first is None else first)
+def _guessed(camera: Camera, first: Path | tuple[int, ...]) -> Camera:
+    """Return the camera with a focal length guessed by the first frame, or its shape; say so."""
+    guess = guess_focal(first)
     tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
     return replace(camera, focal=guess.focal)
 

@@ -157,6 +157,7 @@ class PairWriter:
         result: Interpretation,
         *,
         digest: str | None = None,
+        times: tuple[float, float] | None = None,
         pose: np.ndarray | None = None,
         baseline_flow: np.ndarray | None = None,
         truth_flow: np.ndarray | None = None,
@@ -171,6 +172,8 @@ class PairWriter:
         result : Interpretation
         digest : str, optional
             Hash of the pair's frames and pose, for `is_complete`.
+        times : (float, float), optional
+            When its frames were taken, s.
         pose : (4, 4), optional
             The motion that the interpretation was given: depth has its unit, the same in all
             pairs.
@@ -232,6 +235,7 @@ class PairWriter:
             "message": result.status.message,
             "motions": _finite_list(motions),
             "frames": digest,
+            "times": times,
         }
         if time.monotonic() - self._renewed > _RENEWED:
             self.write_record()

@@ -96,7 +96,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
             f"{name} holds {image.dtype} pixels, expected uint8, uint16 or float32: convert it"
         )
     if image.ndim == 3:
-        return np.ascontiguousarray(image[..., ::-1])
+        with opencv_memory(name):
+            return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return image
 
 
@@ -132,7 +133,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
 
 def _decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
     """Return what OpenCV reads, blue first, or None."""
-    with _opencv_silenced(), opencv_memory(name):
+    with opencv_silenced(), opencv_memory(name):
         try:
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error as error:
@@ -173,7 +174,7 @@ def _eight_bits(picture: Image.Image) -> bool:
 
 
 @contextlib.contextmanager
-def _opencv_silenced() -> Iterator[None]:
+def opencv_silenced() -> Iterator[None]:
     """Keep OpenCV from printing what is raised as one line here."""
     logging = cv2.utils.logging
     # The level belongs to the whole process: the lock makes sure that the value put back is the

@@ -31,6 +31,22 @@ class Matches:
     after: np.ndarray
 
 
+@dataclass(frozen=True, kw_only=True)
+class Described:
+    """Points of a frame and what they look like.
+
+    Attributes
+    ----------
+    points : (N, 2) float64
+        (x, y), px from the upper left pixel's centre.
+    roots : (N, 128) float32
+        Roots of their descriptors, which are of sum 1.
+    """
+
+    points: np.ndarray
+    roots: np.ndarray
+
+
 def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
     """Find points that look alike in two frames.
 
@@ -59,35 +75,41 @@ def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
     if not high > low:
         return nothing
     scaled = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    other = beside(_described, scaled[1]) if runtime.threads() > 1 else None
-    points0, root0 = _described(scaled[0])
-    points1, root1 = other() if other is not None else _described(scaled[1])
-    if min(len(points0), len(points1)) < 2:
-        return nothing
-    alike = root0 @ root1.T
-    forward, clear = _nearest(alike)
-    backward, clear_back = _nearest(alike.T)
-    index = np.arange(len(points0))
-    taken = clear & clear_back[forward] & (backward[forward] == index)
-    pairs = np.hstack([points0[taken], points1[forward[taken]]])
+    other = beside(described, scaled[1]) if runtime.threads() > 1 else None
+    first = described(scaled[0])
+    second = other() if other is not None else described(scaled[1])
+    index0, index1 = alike(first, second)
+    pairs = np.hstack([first.points[index0], second.points[index1]])
     pairs = np.unique(pairs, axis=0)  # a point has several descriptors if it has several directions
     return Matches(before=pairs[:, :2], after=pairs[:, 2:])
 
 
-def _described(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points, (N, 2) float64, px, and the roots of their descriptors, (N, 128) float32."""
+def alike(first: Described, second: Described) -> tuple[np.ndarray, np.ndarray]:
+    """Return indices of points of two frames that look alike, (N,) and (N,), in order."""
+    if min(len(first.points), len(second.points)) < 2:
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    products = first.roots @ second.roots.T
+    forward, clear = _nearest(products)
+    backward, clear_back = _nearest(products.T)
+    index = np.arange(len(first.points))
+    taken = clear & clear_back[forward] & (backward[forward] == index)
+    return index[taken], forward[taken]
+
+
+def described(frame: np.ndarray) -> Described:
+    """Detect and describe points of a frame, (H, W) float32 with grey levels in [0, 255]."""
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
     image = np.rint(frame).astype(np.uint8)
     # Descriptors of all take less time than a second pyramid for those that are kept.
     found, descriptors = detector.detectAndCompute(image, None)
     if not found:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
+        return Described(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
     points = np.array([point.pt for point in found])
     strength = np.array([point.response for point in found])
     kept = _spread(points, strength, side=(frame.size / CELLS**2) ** 0.5)
     descriptors = descriptors[kept]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # they have no negative entries
-    return points[kept], np.sqrt(descriptors / total)
+    return Described(points=points[kept], roots=np.sqrt(descriptors / total))
 
 
 def _spread(points: np.ndarray, response: np.ndarray, *, side: float) -> np.ndarray:

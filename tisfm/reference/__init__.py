@@ -64,6 +64,7 @@ from tisfm.reference.pyramid import (
     coarse_to_fine,
     prolong,
 )
+from tisfm.reference.rendering import rendered
 from tisfm.reference.second_order import (
     SecondOrder,
     anchor_energy,
@@ -123,6 +124,7 @@ __all__ = [
     "plane_cost",
     "plane_disagreement",
     "prolong",
+    "rendered",
     "residual",
     "robust_energy",
     "robust_tensor",

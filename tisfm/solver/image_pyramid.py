@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from functools import cache, partial
 
 import cv2
@@ -96,6 +97,14 @@ class ImagePyramid:
     def release_taps1(self, level: int) -> None:
         """Let go of the taps of a level: whoever asks for them again has them computed again."""
         self._taps1[level] = self._spline(level)
+
+    def reversed(self) -> "ImagePyramid":
+        """Return the pyramid of the same frames the other way round."""
+        other = copy(self)
+        other.frames0, other.frames1 = self.frames1, self.frames0
+        other._taps1 = [other._spline(level) for level in range(self.levels)]
+        other.contrast = mean_step(other.frames0[0])
+        return other
 
     def _spline(self, level: int) -> Callable[[], np.ndarray]:
         return cache(partial(spline_taps, self.frames1[level]))

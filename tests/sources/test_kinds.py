@@ -1,6 +1,5 @@
-"""Frames in, interpretations out: every kind of source."""
+"""Every kind of source: its frames, their names and their order."""
 
-import gc
 import random
 from pathlib import Path
 
@@ -11,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tisfm
-from tests.sequence.sources import (
+from tests.sources.made import (
     FRAMES,
-    QUICK,
-    Counted,
     H,
     W,
     check_frames,
@@ -22,7 +19,7 @@ from tests.sequence.sources import (
 )
 from tisfm.formats import write_png
 from tisfm.formats.images import natural_order
-from tisfm.sequence import FrameSource
+from tisfm.sources import FrameSource
 
 # Sources
 
@@ -111,16 +108,6 @@ def test_colours_of_a_video_are_red_green_blue(tmp_path):
     assert red > 200 and green < 50 and blue < 50
 
 
-def test_every_pair_is_interpreted(folder):
-    camera = tisfm.Camera(50.0)
-    results = list(tisfm.interpret_sequence(folder, camera=camera, settings=QUICK))
-    assert len(results) == 4
-    for result, frame0, frame1 in zip(results, FRAMES, FRAMES[1:], strict=False):
-        expected = tisfm.interpret(frame0, frame1, camera=camera, settings=QUICK)
-        np.testing.assert_array_equal(result.rho, expected.rho)
-        assert result.camera == camera and result.settings == QUICK
-
-
 # Every n-th frame
 
 
@@ -158,44 +145,6 @@ def test_step_must_be_a_positive_integer(step):
 def test_step_beyond_the_end(folder):
     with pytest.raises(ValueError, match="has 5 frames: expected at least 6"):
         FrameSource(folder, step=5)
-
-
-# Memory
-
-
-@pytest.mark.parametrize("step", [1, 3])
-def test_two_frames_are_alive_at_a_time(step):
-    frames = Counted(12)
-    gc.disable()  # what only the collector frees would be held in a cycle
-    try:
-        results = tisfm.interpret_sequence(frames, settings=QUICK, step=step)
-        for _ in results:
-            pass
-    finally:
-        gc.enable()
-    assert frames.made == 12
-    assert frames.most == 2
-    assert frames.alive == 0
-
-
-def test_frames_are_taken_as_they_are_needed():
-    frames = Counted(12)
-    results = tisfm.interpret_sequence(frames, settings=QUICK)
-    assert frames.made == 0
-    next(results)
-    assert frames.made == 2
-    next(results)
-    assert frames.made == 3
-    results.close()
-
-
-def test_a_sequence_without_end():
-    def forever():
-        while True:
-            yield from FRAMES
-
-    results = tisfm.interpret_sequence(forever(), settings=QUICK)
-    assert [next(results).status for _ in range(3)]
 
 
 # Names

@@ -1,13 +1,15 @@
-"""What the tests of sequences share: frames, and sources of them."""
+"""What the tests of sources and sequences share: frames, and sources of them."""
 
 import weakref
+from itertools import product
 
 import cv2
 import numpy as np
 import pytest
 
 import tisfm
-from tisfm.sequence import FrameSource
+from tisfm.formats import write_png
+from tisfm.sources import FrameSource
 
 H, W = 24, 40
 QUICK = tisfm.Settings(warps=1, outer_iterations=1, sweeps=2)
@@ -70,3 +72,26 @@ class Counted:
 
     def _gone(self):
         self.alive -= 1
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of five frames whose natural order is not the alphabetical one."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number, frame in zip((1, 2, 9, 10, 11), FRAMES, strict=False):
+        write_png(folder / f"frame{number}.png", frame)
+    return folder
+
+
+CODECS = [("video.avi", "MJPG"), ("video.mp4", "mp4v")]
+
+
+@pytest.fixture(params=product(CODECS, ("av", "opencv")), ids=lambda p: f"{p[0][1]}, {p[1]}")
+def video(request, tmp_path, monkeypatch):
+    (name, codec), decoder = request.param
+    if decoder == "av":
+        pytest.importorskip("av")
+    else:
+        monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
+    return tmp_path / name, make_video(tmp_path / name, codec)

@@ -1,0 +1,247 @@
+"""Poses and points from what views have in common, found and adjusted by pycolmap.
+
+One thread and fixed seeds: the same input gives the same bits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.tracks import Seen
+
+CALIBRATED = 2  # of pycolmap's configurations of two views
+FEWEST = 15  # observations that two views, or a view and the points, share
+FEWEST_SHARED = 20  # tracks of two views
+# Of views in the order of their frames: those so far apart are compared by the tracks they share.
+APART = (1, 2, 3, 4, 6, 8, 12, 16)
+OUTLYING = 0.5  # px: residuals beyond count less and less in the last adjustment
+CENTRE = 0.5  # px: pycolmap's upper left pixel has its centre at (0.5, 0.5)
+LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
+INLIER = 6.0  # px: of a view that is added
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What a frame shows.
+
+    Attributes
+    ----------
+    frame : int
+    seen : Seen
+        Tracks.
+    detected : (M, 2) float64
+        Points that are matched by what they look like, px.
+    """
+
+    frame: int
+    seen: Seen
+    detected: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Views and points in one coordinate system.
+
+    Attributes
+    ----------
+    poses : dict of int to (4, 4) float64
+        Camera to world, by frame.
+    points : dict of int to (3,) float64
+        Positions of tracks, in the world.
+    """
+
+    poses: dict[int, np.ndarray]
+    points: dict[int, np.ndarray]
+
+
+def models_of(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+) -> list[Model]:
+    """Find poses of views and points of tracks.
+
+    Parameters
+    ----------
+    views : sequence of View
+        In the order of their frames.
+    matches : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views, the smaller first: indices of their detected points that
+        are the same.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+
+    Returns
+    -------
+    list of Model
+        The largest first; a view may be in several of them, or in none.
+
+    References
+    ----------
+    Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
+    doi 10.1109/CVPR.2016.445: pycolmap's incremental mapping.
+    """
+    database = pycolmap().Database.open(":memory:")
+    try:
+        _write_views(database, views, _camera(camera, shape))
+        _write_pairs(database, views, matches)
+        found = pycolmap().ReconstructionManager()
+        pycolmap().IncrementalPipeline(_options(), database, found).run()
+    finally:
+        database.close()
+    reconstructions = [found.get(k) for k in range(found.size())]
+    for reconstruction in reconstructions:
+        _adjust(reconstruction)
+    models = [_model(reconstruction, views) for reconstruction in reconstructions]
+    return sorted(models, key=lambda model: (-len(model.poses), min(model.poses)))
+
+
+def pose_from_points(
+    seen: Seen, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
+) -> np.ndarray | None:
+    """Return the pose of a frame, (4, 4) camera to world, from tracks whose points are known.
+
+    None if too few of them agree.
+    """
+    known = [k for k, track in enumerate(seen.tracks.tolist()) if track in points]
+    if len(known) < FEWEST:
+        return None
+    world = np.array([points[track] for track in seen.tracks[known].tolist()])
+    estimation = pycolmap().AbsolutePoseEstimationOptions()
+    estimation.ransac.max_error = INLIER
+    estimation.ransac.random_seed = 0
+    refinement = pycolmap().AbsolutePoseRefinementOptions()
+    refinement.loss_function_scale = OUTLYING
+    refinement.gradient_tolerance = 1e-4
+    found = pycolmap().estimate_and_refine_absolute_pose(
+        seen.points[known] + CENTRE, world, _camera(camera, shape), estimation, refinement
+    )
+    if found is None or found["num_inliers"] < max(FEWEST, LEAST_SEEN * len(known)):
+        return None
+    return _matrix(found["cam_from_world"])
+
+
+def _camera(camera: Camera, shape: tuple[int, int]) -> Any:
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    known = pycolmap().Camera(
+        model="PINHOLE",
+        width=width,
+        height=height,
+        params=[camera.focal, camera.focal, cx + CENTRE, cy + CENTRE],
+        camera_id=1,
+    )
+    known.has_prior_focal_length = True  # or the focal length would be refined
+    return known
+
+
+def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
+    database.write_camera(camera, use_camera_id=True)
+    rig = pycolmap().Rig(rig_id=1)
+    rig.add_ref_sensor(camera.sensor_id)
+    database.write_rig(rig, use_rig_id=True)
+    for number, view in enumerate(views, start=1):
+        image = pycolmap().Image(
+            name=str(view.frame), camera_id=1, image_id=number, frame_id=number
+        )
+        frame = pycolmap().Frame(frame_id=number, rig_id=1)
+        frame.add_data_id(image.data_id)
+        database.write_frame(frame, use_frame_id=True)
+        database.write_image(image, use_image_id=True)
+        points = np.vstack([view.seen.points, view.detected]) + CENTRE
+        database.write_keypoints(number, points.astype(np.float32))
+
+
+def _write_pairs(
+    database: Any, views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
+) -> None:
+    pairs = {(k, k + apart) for apart in APART for k in range(len(views) - apart)} | set(matches)
+    for first, second in sorted(pairs):
+        both = np.empty((0, 2), np.intp)
+        if second - first in APART:
+            both = _shared(views[first].seen, views[second].seen)
+        if (first, second) in matches:
+            begun = len(views[first].seen.points), len(views[second].seen.points)
+            both = np.vstack([both, matches[first, second] + begun])
+        if len(both) < FEWEST:
+            continue
+        pair = pycolmap().TwoViewGeometry()
+        pair.config = CALIBRATED
+        pair.inlier_matches = both.astype(np.uint32)
+        database.write_matches(first + 1, second + 1, both.astype(np.uint32))
+        database.write_two_view_geometry(first + 1, second + 1, pair)
+
+
+def _shared(first: Seen, second: Seen) -> np.ndarray:
+    """Return the indices in two views of the tracks that they share, (N, 2)."""
+    _, index0, index1 = np.intersect1d(
+        first.tracks, second.tracks, assume_unique=True, return_indices=True
+    )
+    if len(index0) < FEWEST_SHARED:
+        return np.empty((0, 2), np.intp)
+    return np.stack([index0, index1], axis=1)
+
+
+def _options() -> Any:
+    options = pycolmap().IncrementalPipelineOptions()
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.mapper.abs_pose_refine_focal_length = False
+    options.mapper.abs_pose_refine_extra_params = False
+    options.min_num_matches, options.min_model_size = FEWEST, 3
+    options.mapper.abs_pose_min_num_inliers = FEWEST
+    options.mapper.abs_pose_min_inlier_ratio = LEAST_SEEN
+    options.mapper.init_min_tri_angle = 4.0  # degrees: of frames of a video, which are near
+    # All views are adjusted again less often, and not to the last digit: once more at the end.
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.5
+    options.ba_global_max_refinements, options.ba_local_max_refinements = 2, 1
+    options.ba_global_function_tolerance, options.ba_local_function_tolerance = 1e-6, 1e-5
+    options.extract_colors = False
+    for part in (options, options.mapper):
+        part.num_threads = 1
+    for part in (options, options.mapper, options.triangulation):
+        part.random_seed = 0
+    return options
+
+
+def _adjust(reconstruction: Any) -> None:
+    """Adjust all poses and points, robustly."""
+    options = pycolmap().BundleAdjustmentOptions()
+    options.refine_focal_length = options.refine_extra_params = False
+    options.print_summary = False
+    options.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = OUTLYING
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.function_tolerance = 1e-6
+    config = pycolmap().BundleAdjustmentConfig()
+    for number in sorted(reconstruction.reg_image_ids()):
+        config.add_image(number)
+    config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap().create_default_bundle_adjuster(options, config, reconstruction).solve()
+
+
+def _model(reconstruction: Any, views: Sequence[View]) -> Model:
+    poses: dict[int, np.ndarray] = {}
+    points: dict[int, np.ndarray] = {}
+    for number, image in reconstruction.images.items():
+        if not image.has_pose:
+            continue
+        poses[views[number - 1].frame] = _matrix(image.cam_from_world())
+    # A track may have come apart into several points: the one that is seen most often counts.
+    for point in sorted(reconstruction.points3D.values(), key=lambda point: point.track.length()):
+        for element in point.track.elements:
+            tracks = views[element.image_id - 1].seen.tracks
+            if element.point2D_idx < len(tracks):
+                points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
+    return Model(poses=dict(sorted(poses.items())), points=points)
+
+
+def _matrix(cam_from_world: Any) -> np.ndarray:
+    """Return the (4, 4) matrix camera to world."""
+    return np.vstack([cam_from_world.inverse().matrix(), [0, 0, 0, 1]])

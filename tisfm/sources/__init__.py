@@ -1,0 +1,14 @@
+"""Sources of frames: video, folder, glob, list of files, iterable of arrays, webcam.
+
+`FrameSource` is the door: it opens a source, crops and shrinks its frames, gives each its time and
+its mask, and reads files ahead in a thread.
+
+May import: `tisfm.formats`, and of the top level `camera`, `checks`, `frames`, `interpretation`,
+`pair` and `settings`.
+"""
+
+from tisfm.sources.pairs import FramePair
+from tisfm.sources.reading import SourceFrame
+from tisfm.sources.source import BadFrames, FrameSource, Source
+
+__all__ = ["BadFrames", "FramePair", "FrameSource", "Source", "SourceFrame"]

@@ -1,0 +1,50 @@
+"""Arrays as a source."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tisfm.checks import unmasked
+from tisfm.sources.reading import RawFrame, is_path
+
+
+class Arrays:
+    """Frames that the caller holds or makes; they are made in the caller's thread."""
+
+    title = "frames"
+    files: tuple[Path, ...] = ()
+    names: tuple[str, ...] | None = None
+    prefix = "frame"
+    announced: int | None = None
+    ahead = False
+
+    def __init__(self, items: Iterable[Any]) -> None:
+        if isinstance(items, np.ndarray) and items.ndim not in (3, 4):
+            raise ValueError(
+                f"frames is {items.shape}: expected (N, H, W) or (N, H, W, 3), or a list of frames"
+            )
+        if not isinstance(items, Iterable):
+            raise TypeError(
+                f"source is {items!r}: expected a path, a list of paths, or an iterable of arrays"
+            )
+        self._items = items
+        sized = isinstance(items, (Sequence, np.ndarray))
+        self.count: int | None = len(items) if sized else None  # type: ignore[arg-type]
+
+    def read(self, chosen: slice) -> Iterator[RawFrame]:
+        """Take the frames of these numbers."""
+        numbers = count(chosen.start, chosen.step)
+        items = islice(self._items, chosen.start, chosen.stop, chosen.step)
+        for index, item in zip(numbers, items, strict=False):
+            if is_path(item):
+                raise TypeError(
+                    f"the source yields {item!r}: expected arrays; give paths as a list, in "
+                    "the order of the frames"
+                )
+            name = f"{self.prefix}_{index:06d}"
+            # Its mask is refused when the pair is interpreted.
+            frame = item if isinstance(item, np.ma.MaskedArray) else unmasked(item, name)
+            yield RawFrame(index=index, name=name, image=frame)

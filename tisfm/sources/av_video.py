@@ -1,0 +1,170 @@
+"""Videos that PyAV decodes: exact times, and which frames are damaged."""
+
+import re
+from collections.abc import Iterator
+from heapq import heappop, heappush
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.codec.context import ThreadType
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from tisfm.formats import FormatError
+from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
+from tisfm.sources.reading import BadFrame, RawFrame, is_chosen
+
+_TEXT = "tty"  # FFmpeg draws a text file as a video
+_HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")
+
+
+class AvVideo:
+    """A video that PyAV decodes.
+
+    Parameters
+    ----------
+    path : str
+        Its file.
+
+    Raises
+    ------
+    ValueError
+        If it has no frame that PyAV can decode.
+    """
+
+    names: tuple[str, ...] | None = None
+    count: int | None = None  # only reading tells: a video may announce a frame or two too many
+    ahead = True
+
+    def __init__(self, path: str) -> None:
+        self.title, self.prefix = path, Path(path).stem
+        self.files: tuple[Path, ...] = (Path(path),)
+        try:
+            with av.open(path) as container:
+                if not container.streams.video or container.format.name == _TEXT:
+                    raise ValueError(f"{path} is no video")
+                stream = container.streams.video[0]
+                self.announced: int | None = stream.frames or None
+                self._end = _end(stream)
+                decoding = _Decoding(container, stream)
+                if not any(isinstance(item, VideoFrame) for item in decoding):
+                    raise ValueError(f"{path} has no frame")
+        except (av.FFmpegError, OSError) as error:
+            raise ValueError(f"{path} cannot be decoded: {error}") from error
+
+    def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
+        """Decode the frames of these numbers."""
+        index, time, sound = 0, None, True
+        with av.open(self.title) as container:
+            stream = container.streams.video[0]
+            decoding = _Decoding(container, stream)
+            frames = iter(decoding)
+            try:
+                while index != chosen.stop and (frame := next(frames, None)) is not None:
+                    # What is predicted from a damaged frame shows it too, up to the next key frame.
+                    if isinstance(frame, VideoFrame):
+                        time = _time(frame, stream)
+                        sound = not frame.is_corrupt and (sound or frame.key_frame)
+                    else:
+                        sound = False
+                    if is_chosen(index, chosen):
+                        yield self._read(frame, index, time, sound)
+                    index += 1
+            except av.FFmpegError as error:
+                raise FormatError(
+                    f"{self.title} cannot be read beyond frame {index}: {error}"
+                ) from error
+        if index == chosen.stop:
+            return
+        early = ends_early(index, time, self._end)
+        if self.announced is None:
+            if early:
+                raise cut_off(self.title, f"{index} frames, {time:.2f}", f"{self._end:.2f} s")
+        # A file may leave out frames that repeat the one before: what is shown last tells.
+        elif misses_frames(decoding.packets, self.announced) and early is not False:
+            raise cut_off(self.title, f"{index}", f"{self.announced} frames")
+
+    def _read(
+        self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, sound: bool
+    ) -> RawFrame | BadFrame:
+        name = f"{self.prefix}_{index:06d}"
+        if not isinstance(frame, VideoFrame):
+            what = "cannot be decoded"
+        elif frame.is_corrupt:
+            what = "is damaged"
+        elif not sound:
+            what = "is predicted from a damaged one"
+        else:
+            return RawFrame(index=index, name=name, image=_pixels(frame), time=time)
+        error = FormatError(f"frame {index} of {self.title} {what}: the file is damaged there")
+        return BadFrame(index=index, name=name, error=error)
+
+
+class _Decoding:
+    """The frames of a video in the order they are shown in; for one that is lost, the error.
+
+    Attributes
+    ----------
+    packets : int
+        How many the file has had so far: one for each frame, those included that are not shown.
+    """
+
+    def __init__(self, container: InputContainer, stream: VideoStream) -> None:
+        # Threads over slices alone: those over frames say too late whose an error is.
+        stream.thread_type = ThreadType.SLICE
+        self._container, self._stream = container, stream
+        self.packets = 0
+
+    def __iter__(self) -> Iterator[VideoFrame | av.FFmpegError]:
+        lost: list[tuple[int, int, av.FFmpegError]] = []  # with the times they were to be shown at
+        for packet in self._container.demux(self._stream):
+            self.packets += packet.size > 0
+            try:
+                frames = packet.decode()
+            except av.FFmpegError as error:
+                if isinstance(error, MemoryError):
+                    raise
+                if packet.pts is None:
+                    yield error
+                else:
+                    heappush(lost, (packet.pts, self.packets, error))
+                continue
+            for frame in frames:
+                while lost and frame.pts is not None and lost[0][0] < frame.pts:
+                    yield heappop(lost)[2]
+                yield frame
+        while lost:
+            yield heappop(lost)[2]
+
+
+def _pixels(frame: VideoFrame) -> np.ndarray:
+    """Return a frame upright, (H, W, 3) uint8, red first, with the pixels that OpenCV gives."""
+    blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
+    image = cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB)
+    if frame.rotation % 90 == 0:
+        image = np.rot90(image, frame.rotation // 90)
+    return np.ascontiguousarray(image)
+
+
+def _time(frame: VideoFrame, stream: VideoStream) -> float | None:
+    """Return when a frame is shown, in seconds from the beginning of the video."""
+    if frame.pts is None or frame.time_base is None:
+        return None
+    return float((frame.pts - (stream.start_time or 0)) * frame.time_base)
+
+
+def _end(stream: VideoStream) -> float | None:
+    """Return when a video ends by its own account, s from its beginning, or None."""
+    # Not by the duration, which FFmpeg makes shorter for an AVI that is cut off.
+    if stream.frames and stream.average_rate:
+        return float(stream.frames / stream.average_rate)
+    if stream.duration is not None and stream.time_base is not None:
+        return float(stream.duration * stream.time_base)
+    written = _HOURS.match(stream.metadata.get("DURATION", ""))  # Matroska and WebM
+    if written is None:
+        return None
+    hours, minutes, seconds = map(float, written.groups())
+    return 3600 * hours + 60 * minutes + seconds

@@ -1,0 +1,75 @@
+"""Pairs of consecutive frames."""
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from tisfm.camera import Camera
+from tisfm.interpretation import Interpretation
+from tisfm.settings import Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePair:
+    """Two consecutive frames of a source, with their names (file stems, or frame numbers).
+
+    The pose, if there is one, is a known motion as for `tisfm.interpret`. `stretch` is False where
+    the frames so far show that float frames of the source are on the 8-bit scale, though those of
+    this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
+    they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
+    s, or None where the source does not say.
+    """
+
+    name0: str
+    name1: str
+    frame0: np.ndarray
+    frame1: np.ndarray
+    pose: npt.ArrayLike | None = None
+    stretch: bool = True
+    full: tuple[int, int] | None = None
+    times: tuple[float, float] | None = None
+    _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
+
+    def interpret(
+        self, *, camera: Camera | None = None, settings: Settings | None = None
+    ) -> Interpretation:
+        """Interpret the pair; errors name its frames."""
+        from tisfm.pair import interpret, interpret_pair
+
+        work = interpret if self.stretch else partial(interpret_pair, stretch=False)
+        try:
+            return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
+        except (TypeError, ValueError) as error:
+            error.args = (f"frames {self.name0} and {self.name1}: {error}",)
+            raise
+
+    @property
+    def digest(self) -> str:
+        """A short hash of both frames, and of the pose if there is one, to know them again by."""
+        both = hashlib.blake2b(digest_size=8)
+        for frame in self._digests or (Digest(self.frame0), Digest(self.frame1)):
+            both.update(frame.value)
+        if self.pose is not None:
+            both.update(np.array(self.pose, np.float64).tobytes())
+        return both.hexdigest()
+
+
+class Digest:
+    """The hash of a frame, computed once though the frame is in two pairs."""
+
+    def __init__(self, frame: np.ndarray) -> None:
+        self._frame: np.ndarray | None = frame
+        self._value = b""
+
+    @property
+    def value(self) -> bytes:
+        """Eight bytes or more that differ between frames."""
+        frame = self._frame
+        if frame is not None:
+            pixels = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)
+            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
+            self._value, self._frame = pixels.digest(), None
+        return self._value

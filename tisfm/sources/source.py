@@ -1,0 +1,296 @@
+"""Frames of any source, one after the other, and pairs of them."""
+
+import glob
+import os
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy.typing as npt
+
+from tisfm.camera import Camera
+from tisfm.formats import IMAGE_SUFFIXES
+from tisfm.frames import in_unit_range
+from tisfm.sources.ahead import read_ahead
+from tisfm.sources.arrays import Arrays
+from tisfm.sources.files import ImageFiles
+from tisfm.sources.folders import matching_files, pictures_of
+from tisfm.sources.masks import Ignored, Mask, Masks
+from tisfm.sources.pairs import Digest, FramePair
+from tisfm.sources.reading import BadFrame, RawFrame, Reader, SourceFrame, is_path, is_whole
+from tisfm.sources.video import open_video
+from tisfm.sources.view import View
+from tisfm.sources.webcam import Webcam, webcam_number
+
+Source = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Iterable[npt.ArrayLike]
+BadFrames = Literal["raise", "skip"]
+
+
+class FrameSource:
+    """A source of frames, checked when it is made and read as it is iterated.
+
+    Image files and videos are read and decoded ahead in a thread; arrays are not.
+
+    Parameters
+    ----------
+    source : path, sequence of paths, or iterable of arrays
+        A folder of images (in natural order of their names, hidden files apart), a glob pattern,
+        a video file, a list of image files, or any iterable of (H, W) or (H, W, 3) arrays; or
+        ``"webcam"``, ``"webcam:1"``, … for a camera.
+    step : int
+        Take every `step`-th frame.
+    start, stop : int
+        The first frame that is taken, and the first that is not any more, by their numbers in the
+        source, from 0. By default all.
+    size : int, optional
+        Longer side of the frames, px. Larger ones are shrunk by averaging over areas.
+    crop : (int, int, int, int), optional
+        Left, top, width and height of the part of the frames that is used, px. It is cut out before
+        the rest is shrunk.
+    mask : path, array, sequence of paths, or iterable of arrays, optional
+        Pixels that count: black, zero or False are those that are ignored. A picture or an array
+        for all frames, or one for every frame, as `tisfm.sources.masks.Masks` says. They have the
+        size of the frames before these are cropped and shrunk.
+    bad_frames : {"raise", "skip"}
+        What becomes of frames that are damaged: an error, or they are left out.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        All files of the source: the images, those between the steps included, or the video, and
+        the masks.
+    names : tuple of str or None
+        Names of the frames that are read, where frames have files of their own.
+    prefix : str
+        What the names begin with, where they are numbered.
+    count : int or None
+        Number of frames, those that are not taken included. None where only reading tells: a video
+        may announce a frame or two too many.
+    chosen : slice
+        Start, stop and step.
+    bad_frames : {"raise", "skip"}
+        As given.
+    skipped : list of (int, str)
+        Numbers of the frames that were skipped, and why, as far as it was read.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a path does not exist or a pattern matches nothing.
+    OSError
+        If a camera cannot be opened.
+    TypeError
+        If the source is none of these.
+    ValueError
+        If there is only one frame, or none; if another value is not one of those said here.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        step: int = 1,
+        start: int = 0,
+        stop: int | None = None,
+        size: int | None = None,
+        crop: tuple[int, int, int, int] | None = None,
+        mask: Mask | None = None,
+        bad_frames: BadFrames = "raise",
+    ) -> None:
+        self.chosen = _chosen(start, stop, step)
+        if bad_frames not in get_args(BadFrames):
+            raise ValueError(f'bad_frames is {bad_frames!r}: expected "raise" or "skip"')
+        self.bad_frames = bad_frames
+        self._view = View(crop=crop, size=size)
+        reader = _open(source)
+        self._reader = reader
+        for number in (reader.count, reader.announced):
+            if number is not None:
+                self._check_count(number)
+        self.title, self.prefix, self.count = reader.title, reader.prefix, reader.count
+        self.names = None if reader.names is None else reader.names[self.chosen]
+        self.files = reader.files
+        self._masks: Masks | None = None
+        if mask is not None:
+            frame_files = () if reader.names is None else reader.files
+            self._masks = Masks(mask, frame_files=frame_files, count=reader.count)
+            self.files += self._masks.files
+        self.skipped: list[tuple[int, str]] = []
+
+    @property
+    def first_file(self) -> Path | None:
+        """The image file of the first frame not skipped, where frames have files of their own."""
+        if self.names is None:
+            return None
+        skipped = {index for index, _ in self.skipped}
+        taken = range(len(self._reader.files))[self.chosen]
+        return next((self._reader.files[index] for index in taken if index not in skipped), None)
+
+    def __len__(self) -> int:
+        """Return the number of pairs, where it is known beforehand; TypeError where not.
+
+        It is smaller once frames are skipped.
+        """
+        count = self._reader.announced if self.count is None else self.count
+        if count is None:
+            raise TypeError(f"the length of {self.title} is not known before it is read")
+        return max(0, len(range(count)[self.chosen]) - 1)
+
+    def __iter__(self) -> Generator[FramePair, None, None]:
+        """Read the frames, and yield every pair of consecutive ones."""
+        previous: tuple[SourceFrame, Digest] | None = None
+        pairs = 0
+        with closing(self.frames()) as frames:
+            for frame in frames:
+                digest = Digest(frame.image)
+                if previous is not None:
+                    before, digest0 = previous
+                    times = None
+                    if before.time is not None and frame.time is not None:
+                        times = before.time, frame.time
+                    yield FramePair(
+                        name0=before.name,
+                        frame0=before.image,
+                        name1=frame.name,
+                        frame1=frame.image,
+                        stretch=frame.stretch,
+                        full=frame.full,
+                        times=times,
+                        _digests=(digest0, digest),
+                    )
+                    del before, digest0  # or the frame would be held while the next is read
+                    pairs += 1
+                previous = frame, digest
+        if pairs == 0:
+            skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
+            raise ValueError(
+                f"{self.title} ended before there was a pair{skipped}: expected more frames"
+            )
+
+    def frames(self) -> Generator[SourceFrame, None, None]:
+        """Read the frames, one after the other.
+
+        Close it, or use it up, to end the thread that reads ahead.
+
+        Yields
+        ------
+        SourceFrame
+
+        Raises
+        ------
+        OSError, tisfm.formats.FormatError
+            If a frame cannot be read; only where bad frames raise, if it is damaged.
+        TypeError, ValueError
+            If frames differ in size, do not contain the crop, or have no mask of their size; if a
+            video is cut off.
+        """
+        self.skipped = []
+        found = self._found()
+        ahead = self._reader.ahead and (self._masks is None or self._masks.ahead)
+        stretch = True
+        with closing(read_ahead(found) if ahead else found) as frames:
+            for frame in frames:
+                if isinstance(frame, BadFrame):
+                    if self.bad_frames == "raise":
+                        raise frame.error
+                    self.skipped.append((frame.index, str(frame.error)))
+                    continue
+                stretch = stretch and in_unit_range(frame.image)
+                yield replace(frame, stretch=stretch)
+
+    def camera_after(self, camera: Camera, full: tuple[int, int] | None) -> Camera:
+        """Return the camera of the frames as they are yielded.
+
+        Parameters
+        ----------
+        camera : Camera
+            That of the frames before they are cropped and shrunk.
+        full : (int, int) or None
+            Height and width of these, px, as a frame or pair has them; None where nothing changes.
+        """
+        return camera if full is None else self._view.camera_after(camera, *full)
+
+    def _found(self) -> Generator[BadFrame | SourceFrame, None, None]:
+        """Yield the frames with their masks, cropped and shrunk, and those that are damaged."""
+        masks = None if self._masks is None else self._masks.ignored()
+        before: tuple[str, tuple[int, ...]] | None = None
+        for raw in self._reader.read(self.chosen):
+            if isinstance(raw, BadFrame):
+                yield raw
+                continue
+            if before is not None and raw.image.shape != before[1]:
+                raise ValueError(
+                    f"frames {before[0]} and {raw.name}: the first is {before[1]}, the second "
+                    f"{raw.image.shape}, but they must have the same size and channels"
+                )
+            before = raw.name, raw.image.shape
+            yield self._seen(raw, masks)
+            del raw  # or it would be held while the next one is read
+
+    def _seen(self, raw: RawFrame, masks: Ignored | None) -> SourceFrame:
+        """Return a frame as it is yielded."""
+        image, full = raw.image, None
+        if not self._view.is_all:
+            image, full = self._view.apply(image, raw.name), image.shape[:2]
+        ignored = None
+        if masks is not None:
+            ignored = masks.of(raw.index, raw.name, raw.image.shape)
+            ignored = self._view.apply_to_mask(ignored, raw.name)
+        return SourceFrame(
+            index=raw.index,
+            name=raw.name,
+            time=raw.time,
+            image=image,
+            ignored=ignored,
+            full=full,
+        )
+
+    def _check_count(self, count: int) -> None:
+        enough = self.chosen.start + self.chosen.step + 1
+        if count < enough:
+            raise ValueError(
+                f"{self._reader.title} has {count} frame{'s' * (count != 1)}: expected at least "
+                f"{enough}, to make a pair"
+            )
+
+
+def _chosen(start: int, stop: int | None, step: int) -> slice:
+    """Return the numbers of the frames that are taken, once they are checked."""
+    for name, value, least, kind in (
+        ("step", step, 1, "a positive integer"),
+        ("start", start, 0, "the number of a frame, from 0"),
+    ):
+        if not is_whole(value) or value < least:
+            raise ValueError(f"{name} is {value!r}: expected {kind}")
+    if stop is not None and (not is_whole(stop) or stop < start + step + 1):
+        raise ValueError(
+            f"stop is {stop!r}: expected at least {start + step + 1}, to make a pair of frames "
+            f"from {start} on"
+        )
+    return slice(int(start), None if stop is None else int(stop), int(step))
+
+
+def _open(source: Source) -> Reader:
+    """Return what reads a source."""
+    if isinstance(source, (str, os.PathLike)):
+        return _open_path(os.fspath(source))
+    if isinstance(source, Sequence) and source and all(map(is_path, source)):
+        return ImageFiles([Path(item) for item in source], "frames")
+    return Arrays(source)
+
+
+def _open_path(source: str) -> Reader:
+    if os.path.isdir(source):
+        return ImageFiles(pictures_of(source), source)
+    if os.path.isfile(source):
+        if source.lower().endswith(IMAGE_SUFFIXES):
+            return ImageFiles([Path(source)], source)
+        return open_video(source)
+    if glob.has_magic(source):
+        return ImageFiles(matching_files(source), source)
+    number = webcam_number(source)
+    if number is not None:
+        return Webcam(number)
+    raise FileNotFoundError(f"there is no file or folder {source}: check the path")

@@ -1,0 +1,140 @@
+"""What is used of a frame: a part of it, at a smaller size."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.frames import MIN_SIDE, check_frame
+from tisfm.sources.reading import is_whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A part of a frame, and the size that it is brought to.
+
+    Parameters
+    ----------
+    crop : (int, int, int, int), optional
+        Left, top, width and height of the part, px of the frame. By default all of it.
+    size : int, optional
+        Longer side, px. A larger part is shrunk to it by averaging over areas; a smaller one stays
+        as it is. Pixels keep their shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If these are not whole numbers, or too small.
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    size: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.crop is not None:
+            object.__setattr__(self, "crop", _checked_crop(self.crop))
+        if self.size is not None and not (is_whole(self.size) and self.size >= MIN_SIDE):
+            raise ValueError(
+                f"size is {self.size!r}: expected the longer side as a whole number of px, at "
+                f"least {MIN_SIDE}"
+            )
+
+    @property
+    def is_all(self) -> bool:
+        """Whether frames are left as they are."""
+        return self.crop is None and self.size is None
+
+    def apply(self, frame: np.ndarray, name: str) -> np.ndarray:
+        """Return this part of a frame, at this size.
+
+        Parameters
+        ----------
+        frame : (H, W) or (H, W, 3) array
+            uint8, uint16 or float. Not modified.
+        name : str
+            What errors call it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not such an array, or the part is not in it or becomes too small.
+        """
+        image = check_frame(frame, name)
+        part = image[self._window(image.shape, name)]
+        scale = self._scale(part.shape, name)
+        if scale == 1:
+            return np.ascontiguousarray(part)
+        kind = image.dtype
+        if kind not in (np.uint8, np.uint16):  # what OpenCV shrinks
+            part = part.astype(np.float32 if kind.itemsize <= 4 else np.float64)
+        return _shrunk(part, scale).astype(kind, copy=False)
+
+    def apply_to_mask(self, ignored: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
+        """Return where pixels of the view are ignored: where any that they are made of is."""
+        part = ignored[self._window(ignored.shape, name)]
+        scale = self._scale(part.shape, name)
+        if scale == 1:
+            return np.ascontiguousarray(part)
+        return _shrunk(part.astype(np.float32), scale) > 0
+
+    def camera_after(self, camera: Camera, height: int, width: int) -> Camera:
+        """Return the camera of the view.
+
+        Parameters
+        ----------
+        camera : Camera
+            That of the whole frame. Its distortion stays the same.
+        height, width : int
+            Size of the whole frame, px.
+        """
+        rows, columns = self._window((height, width), "the frame")
+        cx, cy = camera.center_for(height, width)
+        part = replace(camera, center=(cx - columns.start, cy - rows.start))
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        scale = self._scale((height, width), "the frame")
+        return part if scale == 1 else part.scaled(scale, height, width)
+
+    def _window(self, shape: tuple[int, ...], name: str) -> tuple[slice, slice]:
+        height, width = shape[:2]
+        x, y, part_width, part_height = self.crop or (0, 0, width, height)
+        if x + part_width > width or y + part_height > height:
+            raise ValueError(
+                f"crop is {self.crop}, but {name} is {width} px wide and {height} px high: "
+                "expected (left, top, width, height) inside it"
+            )
+        return slice(y, y + part_height), slice(x, x + part_width)
+
+    def _scale(self, shape: tuple[int, ...], name: str) -> float:
+        height, width = shape[:2]
+        if self.size is None or self.size >= max(height, width):
+            return 1.0
+        scale = self.size / max(height, width)
+        if round(min(height, width) * scale) < MIN_SIDE:
+            raise ValueError(
+                f"size is {self.size}, which leaves less than {MIN_SIDE} px of the shorter side "
+                f"of {name}, {height} × {width} px: give a larger one"
+            )
+        return scale
+
+
+def _shrunk(image: np.ndarray, scale: float) -> np.ndarray:
+    """Return an image shrunk by averaging, by the same factor both ways whatever is rounded."""
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def _checked_crop(crop: Iterable[int]) -> tuple[int, int, int, int]:
+    values = tuple(crop) if isinstance(crop, Iterable) else ()
+    if len(values) != 4 or not all(map(is_whole, values)):
+        raise ValueError(
+            f"crop is {crop!r}: expected four whole numbers, (left, top, width, height), in px"
+        )
+    x, y, width, height = map(int, values)
+    if min(x, y) < 0 or min(width, height) < MIN_SIDE:
+        raise ValueError(
+            f"crop is {(x, y, width, height)}: expected (left, top, width, height) with a corner "
+            f"inside the frame and at least {MIN_SIDE} px each way"
+        )
+    return x, y, width, height
