@@ -1,8 +1,8 @@
 """``python -m bench.sequences``: paths and depth of whole sequences, beside other ways to them.
 
 `tisfm.reconstruct`, pairs chained by the overlap of their depths, and pycolmap, each in a process
-of its own. pycolmap needs an environment that has it, ``pip install pycolmap numpy``;
-``--peer-python`` names its interpreter. The tables and all numbers are left in bench/results.
+of its own. ``--peer-python`` names an interpreter with another version of pycolmap. The tables and
+all numbers are left in bench/results.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--poses-given", action="store_true", help="also tisfm with the true poses")
     add("--threads", type=int, default=2, metavar="N")
     add("--rounds", type=int, default=1, metavar="N", help="runs of each, all timed")
-    add("--peer-python", type=Path, metavar="PATH", help="an interpreter that has pycolmap")
+    add("--peer-python", type=Path, metavar="PATH", help="of another pycolmap")
     add("--output", default="sequences", metavar="NAME", help="of the files in bench/results")
     options = parser.parse_args(arguments)
     check_counts(parser, options)

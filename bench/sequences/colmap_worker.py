@@ -1,4 +1,4 @@
-"""pycolmap's incremental mapping of a sequence, in a process and an environment of its own.
+"""pycolmap's incremental mapping of a sequence, in a process of its own.
 
 It needs pycolmap and NumPy; neither tisfm nor the rest of the bench. ``colmap_worker.py survey``
 prints its version as JSON, or why there is none. ``colmap_worker.py`` reads a line of JSON,

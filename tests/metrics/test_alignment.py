@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.trajectory.paths import random_path
+from tests.trajectory.paths import PATIENT, random_path
 from tisfm.metrics import align
 from tisfm.rigid import rigid_motion
 
@@ -13,6 +13,7 @@ SCALES = st.floats(-3, 3).map(lambda power: 10**power)
 SPINS = st.tuples(*[st.floats(-1.7, 1.7)] * 3)
 
 
+@PATIENT
 @given(seed=st.integers(0, 999), count=st.integers(3, 30), scale=SCALES, spin=SPINS)
 def test_a_similarity_is_recovered(seed, count, scale, spin):
     rng = np.random.default_rng(seed)
@@ -27,6 +28,7 @@ def test_a_similarity_is_recovered(seed, count, scale, spin):
     np.testing.assert_allclose(found.apply(points), target, atol=1e-9 * max(1, scale))
 
 
+@PATIENT
 @given(seed=st.integers(0, 999), with_scale=st.booleans())
 def test_no_other_similarity_is_nearer(seed, with_scale):
     rng = np.random.default_rng(seed)

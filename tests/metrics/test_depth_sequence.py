@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.rendered import static_scene
+from tests.trajectory.paths import PATIENT
 from tisfm.metrics import certain_error, depth_errors, flicker, limited_error
 from tisfm.metrics.depth_sequence import depth_ratios, known_share
 from tisfm.metrics.spread import LogMedian
@@ -108,7 +109,7 @@ def test_nothing_in_common_has_no_flicker(pair):
         flicker(frame, (frame[0][1:], frame[1][1:]), behind, **options)
 
 
-@settings(max_examples=30)
+@PATIENT
 @given(
     powers=st.lists(st.floats(-30, 30), min_size=1, max_size=40),
     parts=st.integers(1, 4),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.trajectory.paths import random_path, similar
+from tests.trajectory.paths import PATIENT, random_path, similar
 from tisfm.metrics import absolute_errors, drift, path_length, relative_errors
 from tisfm.rigid import pose_matrix, rigid_motion
 
@@ -26,6 +26,7 @@ def shaken(path, rng, size=0.05):
     return np.array([pose @ pose_matrix(rng.normal(0, size, 6)) for pose in path])
 
 
+@PATIENT
 @given(seed=st.integers(0, 999), scale=st.floats(0.01, 100), gaps=st.sets(st.integers(0, 11)))
 def test_a_path_in_another_world_has_no_error(seed, scale, gaps):
     rng = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.trajectory.paths import PATIENT
 from tisfm.trajectory import associate
 
 TIMES = st.lists(st.integers(0, 300), max_size=30, unique=True).map(
@@ -12,6 +13,7 @@ TIMES = st.lists(st.integers(0, 300), max_size=30, unique=True).map(
 )
 
 
+@PATIENT
 @given(first=TIMES, second=TIMES)
 def test_pairs_are_nearest_to_one_another(first, second):
     mine, theirs = associate(first, second)

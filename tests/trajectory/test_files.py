@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.trajectory.paths import random_path
+from tests.trajectory.paths import PATIENT, random_path
 from tisfm.formats import FormatError
 from tisfm.rigid import rigid_motion
 from tisfm.trajectory import (
@@ -47,6 +47,7 @@ def test_tum_leaves_out_frames_without_a_pose(tmp_path):
     np.testing.assert_allclose(found.poses, PATH[kept], atol=1e-14)
 
 
+@PATIENT
 @given(spin=st.tuples(*[st.floats(-2, 2)] * 3), half_turns=st.sampled_from([0, 1]))
 def test_every_rotation_survives_its_quaternion(tmp_path_factory, spin, half_turns):
     pose = np.eye(4)
