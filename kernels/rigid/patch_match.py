@@ -320,8 +320,18 @@ def cost_in(
     m = 3 * view
     x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
     p1 = motion[m, 0] * x_hat + motion[m, 1] * y_hat + motion[m, 2] + motion[m, 3] * d
-    p2 = motion[m + 1, 0] * x_hat + motion[m + 1, 1] * y_hat + motion[m + 1, 2] + motion[m + 1, 3] * d
-    p3 = motion[m + 2, 0] * x_hat + motion[m + 2, 1] * y_hat + motion[m + 2, 2] + motion[m + 2, 3] * d
+    p2 = (
+        motion[m + 1, 0] * x_hat
+        + motion[m + 1, 1] * y_hat
+        + motion[m + 1, 2]
+        + motion[m + 1, 3] * d
+    )
+    p3 = (
+        motion[m + 2, 0] * x_hat
+        + motion[m + 2, 1] * y_hat
+        + motion[m + 2, 2]
+        + motion[m + 2, 3] * d
+    )
     nearness = 1.0 / ti.max(p3, NEAREST)
     x_there, y_there = p1 * nearness, p2 * nearness
     # The plane's homography, linear within the window.
@@ -337,10 +347,20 @@ def cost_in(
         across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
         across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
         grey0 = sampled(
-            packed1, view, height, width, u + ux * across0 + uy * down0, v + vx * across0 + vy * down0
+            packed1,
+            view,
+            height,
+            width,
+            u + ux * across0 + uy * down0,
+            v + vx * across0 + vy * down0,
         )
         grey1 = sampled(
-            packed1, view, height, width, u + ux * across1 + uy * down1, v + vx * across1 + vy * down1
+            packed1,
+            view,
+            height,
+            width,
+            u + ux * across1 + uy * down1,
+            v + vx * across1 + vy * down1,
         )
         cost = correlation_cost(
             weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1
