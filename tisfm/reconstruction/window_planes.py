@@ -10,7 +10,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import STEEPEST
 from tisfm.kernels.rigid.view_search import MOST_BEST, ViewSearch
-from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
+from tisfm.kernels.rigid.windows import LEVELS
 from tisfm.motion.matched_planes import (
     LARGEST,
     LEAST,
@@ -25,7 +25,8 @@ from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 PRESMOOTHING = 0.6  # px
 ROUNDS = (3, 2, 1)  # of improvement: on the coarsest grid, on the next, and on the last
 DRAWS = 2  # of planes that are nearly a cell's own
-SPREAD, TILT = (4.0, 1.0, 1.0), 0.05  # of those: of D, px, on each grid; of slopes, px per px
+SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest grid and others; of slopes
+SMALLEST = 8  # px: the shorter side of the coarsest level
 SHRINKING = 0.6  # of both, with every round
 COST = 0.25  # what is believed costs less,
 ISLAND, SIXTEENTHS = 200, 16  # and belongs to so many px that lie within 1 px of each other
@@ -79,6 +80,8 @@ class Window:
     Attributes
     ----------
     camera : Camera
+    size : (int, int)
+        H and W.
     motions : (M, 3, 4) float64
         With translations over `unit`.
     unit : float
@@ -107,20 +110,22 @@ class Window:
         self.unit = self._unit(motions, key.shape)
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
-        self._shape = key.shape
+        self.size = key.shape
         self.finest = self.level = 0
         while key.size >> 2 * self.finest > MOST:
             self.finest += 1
         while key.size >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
-        levels = self.level + len(ROUNDS)
+        smallest = int(np.log2(max(1, min(key.shape))))
+        levels = min(self.level + len(ROUNDS), smallest + 1)
+        self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
         self.frames = [
             gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
         ]
         height, width = self.shape
         self.counted = np.ones((height, width), bool)
         if key_mask is not None:
-            self.counted = _at_cells(key_mask.astype(np.float32), 2**self.level, 0) > 0.5
+            self.counted = _share_of_cells(key_mask, 2**self.level) > 0.5
             self.counted = self.counted[:height, :width]
         self._masks = masks or [None] * len(others)
 
@@ -133,15 +138,31 @@ class Window:
 
     def camera_of(self, level: int) -> Camera:
         """Return the camera of a level."""
-        return self.camera.scaled(0.5**level, *self._shape) if level else self.camera
+        return self.camera.scaled(0.5**level, *self.size) if level else self.camera
 
     def of_cells(self, frame: int) -> np.ndarray:
         """Return a frame, by its number, 0 for the keyframe, as densely sampled as cells are."""
         height, width = self.shape
         return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
 
-    def search(self, level: int, stride: int) -> ViewSearch:
-        """Return a search for planes in windows of a level, for cells of so many of its px."""
+    def searches(self) -> list[tuple[int, ViewSearch, int]]:
+        """Return the levels that are searched, the searches, and the sides of their cells, px.
+
+        Each has cells of half the side of those of the one before.
+        """
+        coarser = [
+            (level, self._search(level, 1), 1)
+            for level in range(self.level + len(ROUNDS) - 1, self.level, -1)
+            if min(self.frames[0][level].shape) >= SMALLEST
+        ]
+        return [*coarser, (self.finest, self.last_search, 2 ** (self.level - self.finest))]
+
+    @cached_property
+    def last_search(self) -> ViewSearch:
+        """The search of the finest windows, for the cells."""
+        return self._search(self.finest, 2 ** (self.level - self.finest))
+
+    def _search(self, level: int, stride: int) -> ViewSearch:
         low, gain, noise = self._greys
         density = 0.5 ** (level - self.finest)
         frames = [
@@ -165,13 +186,8 @@ class Window:
             noise=max(density * noise, QUIETEST),
             seen=SEEN,
             least=scale * LEAST,
-            largest=scale * LARGEST * max(self._shape),
+            largest=scale * LARGEST * max(self.size),
         )
-
-    @cached_property
-    def last_search(self) -> ViewSearch:
-        """The search of the finest windows, for the cells."""
-        return self.search(self.finest, 2 ** (self.level - self.finest))
 
     @cached_property
     def _greys(self) -> tuple[np.float32, np.float32, float]:
@@ -204,31 +220,24 @@ def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlan
     prior : (H, W) float32, optional
         Inverse depth to begin with, 1/unit of the poses; NaN where none is known.
     """
-    planes = None
-    before = (0, 1)
-    count = len(ROUNDS)
-    for turn, rounds in enumerate(ROUNDS):
-        coarser = count - 1 - turn
-        here = (window.level + coarser, 1) if coarser else (window.finest, 0)
-        level, stride = here[0], here[1] or 2 ** (window.level - window.finest)
-        search = window.last_search if not coarser else window.search(level, stride)
-        if planes is None:
-            planes = _drawn(window, search, level, prior)
-        else:
-            planes = _finer(planes, search.shape, 0.5 ** (level - before[0]))
+    searches = window.searches()
+    level, search, _ = searches[0]
+    planes = _drawn(window, search, level, prior)
+    for turn, (finer, search, stride) in enumerate(searches):
+        if turn:
+            planes = _finer(planes, search.shape, 2.0 ** (level - finer))
+        level = finer
         search.score(planes)
-        for repeat in range(rounds):
+        for repeat in range(ROUNDS[turn - len(searches)]):
             narrower = SHRINKING**repeat
             search.improve(
                 planes,
                 draws=DRAWS,
-                spread=SPREAD[turn] * narrower,
+                spread=(SPREAD[1] if turn else SPREAD[0]) * narrower,
                 tilt=stride * TILT * narrower,
                 seed=turn * max(ROUNDS) + repeat,
             )
-        before = (level, stride)
-    assert planes is not None
-    planes[..., :3] *= np.float32(0.5 ** (window.level - window.finest))
+    planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
     believed = (planes[..., 3] < COST) & (depth > 0) & window.counted
     return WindowPlanes(
@@ -259,13 +268,11 @@ def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> n
     return out
 
 
-def _drawn(
-    window: Window, search: ViewSearch, level: int, prior: np.ndarray | None
-) -> np.ndarray:
+def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | None) -> np.ndarray:
     """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
-    random[..., 0] *= 0.5**level * LARGEST * max(window._shape)
+    random[..., 0] *= 0.5**level * LARGEST * max(window.size)
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
     if prior is not None:
         side = 2**level
@@ -303,19 +310,18 @@ def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
     levels[~kept] = (LEVELS * random)[~kept]
 
 
-def _at_cells(image: np.ndarray, side: int, beyond: float) -> np.ndarray:
-    """Return the mean of every cell of so many pixels a side, (h, w) float32."""
-    height, width = (-(-length // side) for length in image.shape)
-    below, right = side * height - image.shape[0], side * width - image.shape[1]
-    padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_CONSTANT, value=beyond)
+def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return the share of a mask in every cell of so many px a side, (h, w) float32."""
+    height, width = (-(-length // side) for length in mask.shape)
+    below, right = side * height - mask.shape[0], side * width - mask.shape[1]
+    padded = cv2.copyMakeBorder(
+        mask.astype(np.float32), 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
+    )
     return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
-    """Return which of some cells lie among so many that are connected and differ by 1 px at most.
-
-    A cell that is seen in too few windows has a cost of `UNSEEN` and is not among them.
-    """
+    """Return which cells lie among so many that are connected and differ by 1 px at most."""
     fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     fixed = fixed.astype(np.int16)
     cv2.filterSpeckles(fixed, 0, island, SIXTEENTHS)
