@@ -122,9 +122,12 @@ def window_depth(
     Raises
     ------
     ValueError
-        If there is no other frame, a size differs, or no camera moves.
+        If there is no other frame, a size differs, a motion is not finite or has no translation, or
+        the effort is unknown.
     """
     others = list(others)
+    if effort not in CELLS:
+        raise ValueError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
     motions = _checked(key, others, motions, key_mask, masks, prior)
     runtime.start()
     window = Window(

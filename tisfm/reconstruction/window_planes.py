@@ -23,7 +23,9 @@ from tisfm.motion.matched_planes import (
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 PRESMOOTHING = 0.6  # px
-ROUNDS = (3, 2, 1)  # of improvement: on the coarsest grid, on the next, and on the last
+COARSER = 2  # levels that are searched besides that of the cells
+ROUNDS = (3, 2, 1)  # of improvement: of the coarsest level, of the next, and of all others
+MOST_SIDE = 2  # px of the finest level: larger cells are searched on their own level before
 DRAWS = 2  # of planes that are nearly a cell's own
 SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest grid and others; of slopes
 SMALLEST = 8  # px: the shorter side of the coarsest level
@@ -117,7 +119,7 @@ class Window:
         while key.size >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
         smallest = int(np.log2(max(1, min(key.shape))))
-        levels = min(self.level + len(ROUNDS), smallest + 1)
+        levels = min(self.level + COARSER + 1, smallest + 1)
         self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
         self.frames = [
             gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
@@ -148,14 +150,17 @@ class Window:
     def searches(self) -> list[tuple[int, ViewSearch, int]]:
         """Return the levels that are searched, the searches, and the sides of their cells, px.
 
-        Each has cells of half the side of those of the one before.
+        Each has cells of half the side of those of the one before, or the same cells again where
+        their windows are of a level that is much coarser than the finest.
         """
+        side = 2 ** (self.level - self.finest)
+        last = self.level + 1 if side <= MOST_SIDE else self.level
         coarser = [
             (level, self._search(level, 1), 1)
-            for level in range(self.level + len(ROUNDS) - 1, self.level, -1)
+            for level in range(self.level + COARSER, last - 1, -1)
             if min(self.frames[0][level].shape) >= SMALLEST
         ]
-        return [*coarser, (self.finest, self.last_search, 2 ** (self.level - self.finest))]
+        return [*coarser, (self.finest, self.last_search, side)]
 
     @cached_property
     def last_search(self) -> ViewSearch:
@@ -223,12 +228,16 @@ def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlan
     searches = window.searches()
     level, search, _ = searches[0]
     planes = _drawn(window, search, level, prior)
+    side = 0
     for turn, (finer, search, stride) in enumerate(searches):
         if turn:
-            planes = _finer(planes, search.shape, 2.0 ** (level - finer))
-        level = finer
+            if side > stride * 2**finer:
+                planes = _halved(planes)
+            planes = _fitted(planes, search.shape)
+            planes[..., :3] *= np.float32(2.0 ** (level - finer))
+        level, side = finer, stride * 2**finer
         search.score(planes)
-        for repeat in range(ROUNDS[turn - len(searches)]):
+        for repeat in range(ROUNDS[min(turn, len(ROUNDS) - 1)]):
             narrower = SHRINKING**repeat
             search.improve(
                 planes,
@@ -287,19 +296,23 @@ def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | N
     return random
 
 
-def _finer(planes: np.ndarray, shape: tuple[int, int], density: float) -> np.ndarray:
-    """Return planes of cells of half the side, of images so much more densely sampled."""
+def _halved(planes: np.ndarray) -> np.ndarray:
+    """Return planes of cells of half the side."""
     finer = planes.repeat(2, axis=0).repeat(2, axis=1)
     for k, axis in ((1, 1), (2, 0)):
         finer[..., k] *= 0.5
         side = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
         finer[..., 0] += finer[..., k] * (side if axis else side[:, None])
-    finer[..., :3] *= np.float32(density)
+    return finer
+
+
+def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return planes cut to a size, or with their last row and column repeated up to it."""
     height, width = shape
-    below, right = (max(0, a - b) for a, b in zip(shape, finer.shape, strict=False))
+    below, right = max(0, height - planes.shape[0]), max(0, width - planes.shape[1])
     if below or right:
-        finer = cv2.copyMakeBorder(finer, 0, below, 0, right, cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(finer[:height, :width])
+        planes = cv2.copyMakeBorder(planes, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    return np.ascontiguousarray(planes[:height, :width])
 
 
 def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
