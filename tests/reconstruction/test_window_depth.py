@@ -165,3 +165,21 @@ def test_arguments_are_checked(change, message):
 def test_options_are_checked(options, message):
     with pytest.raises(ValueError, match=message):
         found_in(views("sideways").first(2), **options)
+
+
+def test_cameras_that_look_at_one_point_are_searched_beyond_it():
+    from tisfm.reconstruction.window_planes import Window
+
+    key, others, _, camera = views("sideways").first(1)
+    turn = np.arctan(0.5)  # from 1 beside, at a point 2 ahead
+    rotation = np.array(
+        [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+    )
+    parallel = np.column_stack([np.eye(3), [-1.0, 0, 0]])
+    converging = np.column_stack([rotation, rotation @ [1.0, 0, 0]])
+    reach = [
+        Window(key, others, motion[None], camera, cells=2**17) for motion in (parallel, converging)
+    ]
+    met = 0.5 * camera.focal * reach[1].unit  # D of that point
+    assert reach[1].largest > met > 0
+    np.testing.assert_allclose(reach[1].largest - reach[0].largest, met, rtol=1e-6)

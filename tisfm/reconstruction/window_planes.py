@@ -91,6 +91,8 @@ class Window:
         focal length, on average over the image and for the frame in the middle.
     frames : list of list of (h, w) float32
         Of every frame, the keyframe first, all levels, the finest first.
+    largest : float
+        The largest D that is looked for, px of the finest level.
     finest, level : int
         The level whose windows are compared at last, and that of the cells.
     counted : (h, w) bool
@@ -113,6 +115,8 @@ class Window:
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
         self.size = key.shape
+        met = float(np.median([_where_axes_meet(motion) for motion in self.motions]))
+        self.largest = LARGEST * max(key.shape) + camera.focal * met
         self.finest = self.level = 0
         while key.size >> 2 * self.finest > MOST:
             self.finest += 1
@@ -191,7 +195,7 @@ class Window:
             noise=max(density * noise, QUIETEST),
             seen=SEEN,
             least=scale * LEAST,
-            largest=scale * LARGEST * max(self.size),
+            largest=scale * self.largest,
         )
 
     @cached_property
@@ -214,6 +218,13 @@ def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) ->
     y = (np.linspace(0, height - 1, 32)[:, None] - cy) / camera.focal
     t1, t2, t3 = motion[:, 3]
     return float(np.sqrt(np.mean((t1 - x * t3) ** 2 + (t2 - y * t3) ** 2)))
+
+
+def _where_axes_meet(motion: np.ndarray) -> float:
+    """Return the inverse depth at which two cameras look at one point, as far as they do; or 0."""
+    sight, translation = motion[:2, 2], motion[:2, 3]
+    square = float(translation @ translation)
+    return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
 
 
 def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlanes:
@@ -281,7 +292,7 @@ def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | N
     """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
-    random[..., 0] *= 0.5**level * LARGEST * max(window.size)
+    random[..., 0] *= 0.5**level * window.largest
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
     if prior is not None:
         side = 2**level
