@@ -54,6 +54,8 @@ DOUBTED = 3.0  # standard deviations: a prior that is further from a match is dr
 SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.08, 2.5, 0.08
 # And a share of how far matches nearby lie from D: less the closer that is to their own scatter.
 MOVED, SCATTER = 1.2, np.float32(0.2)
+# Of the pixels of rendered scenes 63 to 80 % then lie within one, of TartanAir 75 %, and of a
+# HoloLens, whose poses are not exact, 47 %.
 AROUND = (15, 15)  # cells: the window that these are averaged in
 
 
