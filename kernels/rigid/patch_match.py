@@ -317,30 +317,20 @@ def cost_in(
     plane,
 ):
     """Return 1 − c of a hypothesis in one of several frames, whose arrays lie one after another."""
-    m = 3 * view
+    i, j, k = 3 * view, 3 * view + 1, 3 * view + 2
     x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
-    p1 = motion[m, 0] * x_hat + motion[m, 1] * y_hat + motion[m, 2] + motion[m, 3] * d
-    p2 = (
-        motion[m + 1, 0] * x_hat
-        + motion[m + 1, 1] * y_hat
-        + motion[m + 1, 2]
-        + motion[m + 1, 3] * d
-    )
-    p3 = (
-        motion[m + 2, 0] * x_hat
-        + motion[m + 2, 1] * y_hat
-        + motion[m + 2, 2]
-        + motion[m + 2, 3] * d
-    )
+    p1 = motion[i, 0] * x_hat + motion[i, 1] * y_hat + motion[i, 2] + motion[i, 3] * d
+    p2 = motion[j, 0] * x_hat + motion[j, 1] * y_hat + motion[j, 2] + motion[j, 3] * d
+    p3 = motion[k, 0] * x_hat + motion[k, 1] * y_hat + motion[k, 2] + motion[k, 3] * d
     nearness = 1.0 / ti.max(p3, NEAREST)
     x_there, y_there = p1 * nearness, p2 * nearness
     # The plane's homography, linear within the window.
-    away_x = motion[m + 2, 0] + motion[m + 2, 3] * plane[1]
-    away_y = motion[m + 2, 1] + motion[m + 2, 3] * plane[2]
-    ux = nearness * (motion[m, 0] + motion[m, 3] * plane[1] - x_there * away_x)
-    uy = nearness * (motion[m, 1] + motion[m, 3] * plane[2] - x_there * away_y)
-    vx = nearness * (motion[m + 1, 0] + motion[m + 1, 3] * plane[1] - y_there * away_x)
-    vy = nearness * (motion[m + 1, 1] + motion[m + 1, 3] * plane[2] - y_there * away_y)
+    away_x = motion[k, 0] + motion[k, 3] * plane[1]
+    away_y = motion[k, 1] + motion[k, 3] * plane[2]
+    ux = nearness * (motion[i, 0] + motion[i, 3] * plane[1] - x_there * away_x)
+    uy = nearness * (motion[i, 1] + motion[i, 3] * plane[2] - x_there * away_y)
+    vx = nearness * (motion[j, 0] + motion[j, 3] * plane[1] - y_there * away_x)
+    vy = nearness * (motion[j, 1] + motion[j, 3] * plane[2] - y_there * away_y)
     u, v = cx + focal * x_there, cy + focal * y_there
     cost = NOWHERE
     if p3 > NEAREST and u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:

@@ -99,7 +99,10 @@ def correlation_cost(weight0, weight1, weighted0, weighted1, variance, centre, n
 
 @ti.func
 def sampled(packed1: ti.template(), view, height, width, u, v):
-    """Return a frame, of several one after another, interpolated bilinearly, at a vector of places; its border repeats."""
+    """Return a frame, interpolated bilinearly, at a vector of places; its border repeats.
+
+    It is one of several of the same size, packed one after another.
+    """
     u = ti.max(0.0, ti.min(u, width - 1.0))
     v = ti.max(0.0, ti.min(v, height - 1.0))
     column, row = ti.floor(u), ti.floor(v)

@@ -23,9 +23,12 @@ from tisfm.motion.matched_planes import (
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 PRESMOOTHING = 0.6  # px
-ROUNDS = (3, 2, 1)  # of improvement: on the coarsest grid, on the next, and on the last
+COARSER = 2  # levels that are searched besides that of the cells
+ROUNDS = (3, 2, 1)  # of improvement: of the coarsest level, of the next, and of all others
+MOST_SIDE = 2  # px of the finest level: larger cells are searched on their own level before
 DRAWS = 2  # of planes that are nearly a cell's own
-SPREAD, TILT = (4.0, 1.0, 1.0), 0.05  # of those: of D, px, on each grid; of slopes, px per px
+SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest grid and others; of slopes
+SMALLEST = 8  # px: the shorter side of the coarsest level
 SHRINKING = 0.6  # of both, with every round
 COST = 0.25  # what is believed costs less,
 ISLAND, SIXTEENTHS = 200, 16  # and belongs to so many px that lie within 1 px of each other
@@ -79,6 +82,8 @@ class Window:
     Attributes
     ----------
     camera : Camera
+    size : (int, int)
+        H and W.
     motions : (M, 3, 4) float64
         With translations over `unit`.
     unit : float
@@ -86,6 +91,8 @@ class Window:
         focal length, on average over the image and for the frame in the middle.
     frames : list of list of (h, w) float32
         Of every frame, the keyframe first, all levels, the finest first.
+    largest : float
+        The largest D that is looked for, px of the finest level.
     finest, level : int
         The level whose windows are compared at last, and that of the cells.
     counted : (h, w) bool
@@ -107,20 +114,24 @@ class Window:
         self.unit = self._unit(motions, key.shape)
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
-        self._shape = key.shape
+        self.size = key.shape
+        met = float(np.median([_where_axes_meet(motion) for motion in self.motions]))
+        self.largest = LARGEST * max(key.shape) + camera.focal * met
         self.finest = self.level = 0
         while key.size >> 2 * self.finest > MOST:
             self.finest += 1
         while key.size >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
-        levels = self.level + len(ROUNDS)
+        smallest = int(np.log2(max(1, min(key.shape))))
+        levels = min(self.level + COARSER + 1, smallest + 1)
+        self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
         self.frames = [
             gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
         ]
         height, width = self.shape
         self.counted = np.ones((height, width), bool)
         if key_mask is not None:
-            self.counted = _at_cells(key_mask.astype(np.float32), 2**self.level, 0) > 0.5
+            self.counted = _share_of_cells(key_mask, 2**self.level) > 0.5
             self.counted = self.counted[:height, :width]
         self._masks = masks or [None] * len(others)
 
@@ -133,15 +144,34 @@ class Window:
 
     def camera_of(self, level: int) -> Camera:
         """Return the camera of a level."""
-        return self.camera.scaled(0.5**level, *self._shape) if level else self.camera
+        return self.camera.scaled(0.5**level, *self.size) if level else self.camera
 
     def of_cells(self, frame: int) -> np.ndarray:
         """Return a frame, by its number, 0 for the keyframe, as densely sampled as cells are."""
         height, width = self.shape
         return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
 
-    def search(self, level: int, stride: int) -> ViewSearch:
-        """Return a search for planes in windows of a level, for cells of so many of its px."""
+    def searches(self) -> list[tuple[int, ViewSearch, int]]:
+        """Return the levels that are searched, the searches, and the sides of their cells, px.
+
+        Each has cells of half the side of those of the one before, or the same cells again where
+        their windows are of a level that is much coarser than the finest.
+        """
+        side = 2 ** (self.level - self.finest)
+        last = self.level + 1 if side <= MOST_SIDE else self.level
+        coarser = [
+            (level, self._search(level, 1), 1)
+            for level in range(self.level + COARSER, last - 1, -1)
+            if min(self.frames[0][level].shape) >= SMALLEST
+        ]
+        return [*coarser, (self.finest, self.last_search, side)]
+
+    @cached_property
+    def last_search(self) -> ViewSearch:
+        """The search of the finest windows, for the cells."""
+        return self._search(self.finest, 2 ** (self.level - self.finest))
+
+    def _search(self, level: int, stride: int) -> ViewSearch:
         low, gain, noise = self._greys
         density = 0.5 ** (level - self.finest)
         frames = [
@@ -165,13 +195,8 @@ class Window:
             noise=max(density * noise, QUIETEST),
             seen=SEEN,
             least=scale * LEAST,
-            largest=scale * LARGEST * max(self._shape),
+            largest=scale * self.largest,
         )
-
-    @cached_property
-    def last_search(self) -> ViewSearch:
-        """The search of the finest windows, for the cells."""
-        return self.search(self.finest, 2 ** (self.level - self.finest))
 
     @cached_property
     def _greys(self) -> tuple[np.float32, np.float32, float]:
@@ -195,6 +220,13 @@ def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) ->
     return float(np.sqrt(np.mean((t1 - x * t3) ** 2 + (t2 - y * t3) ** 2)))
 
 
+def _where_axes_meet(motion: np.ndarray) -> float:
+    """Return the inverse depth at which two cameras look at one point, as far as they do; or 0."""
+    sight, translation = motion[:2, 2], motion[:2, 3]
+    square = float(translation @ translation)
+    return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
+
+
 def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlanes:
     """Match planes of a keyframe in several frames at once, from coarse cells to fine ones.
 
@@ -204,31 +236,28 @@ def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlan
     prior : (H, W) float32, optional
         Inverse depth to begin with, 1/unit of the poses; NaN where none is known.
     """
-    planes = None
-    before = (0, 1)
-    count = len(ROUNDS)
-    for turn, rounds in enumerate(ROUNDS):
-        coarser = count - 1 - turn
-        here = (window.level + coarser, 1) if coarser else (window.finest, 0)
-        level, stride = here[0], here[1] or 2 ** (window.level - window.finest)
-        search = window.last_search if not coarser else window.search(level, stride)
-        if planes is None:
-            planes = _drawn(window, search, level, prior)
-        else:
-            planes = _finer(planes, search.shape, 0.5 ** (level - before[0]))
+    searches = window.searches()
+    level, search, _ = searches[0]
+    planes = _drawn(window, search, level, prior)
+    side = 0
+    for turn, (finer, search, stride) in enumerate(searches):
+        if turn:
+            if side > stride * 2**finer:
+                planes = _halved(planes)
+            planes = _fitted(planes, search.shape)
+            planes[..., :3] *= np.float32(2.0 ** (level - finer))
+        level, side = finer, stride * 2**finer
         search.score(planes)
-        for repeat in range(rounds):
+        for repeat in range(ROUNDS[min(turn, len(ROUNDS) - 1)]):
             narrower = SHRINKING**repeat
             search.improve(
                 planes,
                 draws=DRAWS,
-                spread=SPREAD[turn] * narrower,
+                spread=(SPREAD[1] if turn else SPREAD[0]) * narrower,
                 tilt=stride * TILT * narrower,
                 seed=turn * max(ROUNDS) + repeat,
             )
-        before = (level, stride)
-    assert planes is not None
-    planes[..., :3] *= np.float32(0.5 ** (window.level - window.finest))
+    planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
     believed = (planes[..., 3] < COST) & (depth > 0) & window.counted
     return WindowPlanes(
@@ -263,7 +292,7 @@ def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | N
     """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
-    random[..., 0] *= 0.5**level * LARGEST * max(window._shape)
+    random[..., 0] *= 0.5**level * window.largest
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
     if prior is not None:
         side = 2**level
@@ -278,19 +307,23 @@ def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | N
     return random
 
 
-def _finer(planes: np.ndarray, shape: tuple[int, int], density: float) -> np.ndarray:
-    """Return planes of cells of half the side, of images so much more densely sampled."""
+def _halved(planes: np.ndarray) -> np.ndarray:
+    """Return planes of cells of half the side."""
     finer = planes.repeat(2, axis=0).repeat(2, axis=1)
     for k, axis in ((1, 1), (2, 0)):
         finer[..., k] *= 0.5
         side = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
         finer[..., 0] += finer[..., k] * (side if axis else side[:, None])
-    finer[..., :3] *= np.float32(density)
+    return finer
+
+
+def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return planes cut to a size, or with their last row and column repeated up to it."""
     height, width = shape
-    below, right = (max(0, a - b) for a, b in zip(shape, finer.shape, strict=False))
+    below, right = max(0, height - planes.shape[0]), max(0, width - planes.shape[1])
     if below or right:
-        finer = cv2.copyMakeBorder(finer, 0, below, 0, right, cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(finer[:height, :width])
+        planes = cv2.copyMakeBorder(planes, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    return np.ascontiguousarray(planes[:height, :width])
 
 
 def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
@@ -301,19 +334,18 @@ def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
     levels[~kept] = (LEVELS * random)[~kept]
 
 
-def _at_cells(image: np.ndarray, side: int, beyond: float) -> np.ndarray:
-    """Return the mean of every cell of so many pixels a side, (h, w) float32."""
-    height, width = (-(-length // side) for length in image.shape)
-    below, right = side * height - image.shape[0], side * width - image.shape[1]
-    padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_CONSTANT, value=beyond)
+def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return the share of a mask in every cell of so many px a side, (h, w) float32."""
+    height, width = (-(-length // side) for length in mask.shape)
+    below, right = side * height - mask.shape[0], side * width - mask.shape[1]
+    padded = cv2.copyMakeBorder(
+        mask.astype(np.float32), 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
+    )
     return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
-    """Return which of some cells lie among so many that are connected and differ by 1 px at most.
-
-    A cell that is seen in too few windows has a cost of `UNSEEN` and is not among them.
-    """
+    """Return which cells lie among so many that are connected and differ by 1 px at most."""
     fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     fixed = fixed.astype(np.int16)
     cv2.filterSpeckles(fixed, 0, island, SIXTEENTHS)

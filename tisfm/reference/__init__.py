@@ -54,6 +54,7 @@ from tisfm.reference.minimisation import (
     minimise,
 )
 from tisfm.reference.patch_match import (
+    best_mean,
     improved_planes,
     plane_cost,
     plane_disagreement,
@@ -98,6 +99,7 @@ __all__ = [
     "anchor_energy",
     "anchor_tensor",
     "aubert",
+    "best_mean",
     "brightness_tensor",
     "coarse_to_fine",
     "constancy_constraints",
