@@ -8,11 +8,13 @@ frame, its depth eliminated. Frames are in several stars, which carries one scal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
+from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.motion.matched_planes import noise_deviation
@@ -31,10 +33,12 @@ PRESMOOTHING = 0.6  # px
 TEXTURE, WINDOW = 50.0, 11  # times the variance of noise: of a window whose pixels weigh half
 OUTLYING = 3.0  # times the root of the median squared residual: what has more weighs a quarter
 UNSURE = 0.05  # relative deviation of a pixel's depth that weighs half
-HELD = 0.02  # of a pixel's own mean datum: by that its depth is held
-DAMPING = 1e-4  # of the diagonal
+HELD = 1e-3  # of a pixel's own mean datum: by that its depth is held
+DAMPING = 1e-6  # of the diagonal
+TOGETHER = 9  # px across, of which depth moves together
 FURTHEST = 0.1  # of a pixel's inverse depth: it moves by no more at a time
-TOGETHER = 200  # frames that are adjusted at a time
+ROUNDS = 2  # of Gauss–Newton: what is left to gain after them is less than other errors
+LOT = 200  # frames that are adjusted at a time
 
 Frames = Callable[[int], np.ndarray]
 
@@ -114,7 +118,7 @@ def adjusted(
     camera: Camera,
     settings: Settings,
     *,
-    rounds: int = 3,
+    rounds: int = ROUNDS,
 ) -> dict[int, np.ndarray]:
     """Return poses that meet the images better; depth of the stars is moved with them, in place.
 
@@ -163,8 +167,8 @@ class _System:
         Of the pixels' depth and each motion, jointly.
     gradient, curvature : (P,) float32
         Of the pixels' depth alone.
-    unit : float
-        D = f · unit · inverse depth.
+    scale : float
+        D over the inverse depth, px · unit of the poses.
     """
 
     star: Star
@@ -181,11 +185,15 @@ class _System:
         """Let the depth of the keyframe follow the motions."""
         own = np.concatenate([steps.get(frame, np.zeros(6)) for frame in self.frames])
         motion = (self.to_members @ own).reshape(-1, 6).astype(np.float32)
-        change = self.gradient + np.einsum("jk,jkp->p", motion, self.slopes)
-        depth = self.star.inverse_depth.ravel()
-        change = -change / self.curvature / np.float32(self.scale)
-        moved = depth + np.clip(change, -FURTHEST * depth, FURTHEST * depth)
-        self.star.inverse_depth = moved.reshape(self.star.inverse_depth.shape)
+        depth = self.star.inverse_depth
+        pull = self.gradient + np.einsum("jk,jkp->p", motion, self.slopes)
+        # Single pixels are noisy: a neighbourhood moves together.
+        pull, curvature = (
+            cv2.blur(values.reshape(depth.shape), (TOGETHER, TOGETHER))
+            for values in (pull, self.curvature)
+        )
+        change = -pull / curvature / np.float32(self.scale)
+        self.star.inverse_depth = depth + np.clip(change, -FURTHEST * depth, FURTHEST * depth)
 
 
 def _system(
@@ -211,7 +219,7 @@ def _system(
     constancy = depth_problem(settings, small.focal).constancy
     cx, cy = small.center_for(height, width)
     x_hat = ((np.arange(width, dtype=np.float32) - np.float32(cx)) / np.float32(small.focal))[None]
-    y_hat = ((np.arange(height, dtype=np.float32) - np.float32(cy)) / np.float32(small.focal))
+    y_hat = (np.arange(height, dtype=np.float32) - np.float32(cy)) / np.float32(small.focal)
     rays = np.stack(np.broadcast_arrays(x_hat, y_hat[:, None], np.float32(1))).reshape(3, -1)
     flat, weight = (depth / np.float32(small.focal)).ravel(), star.weight.ravel()
     count = len(members)
@@ -248,7 +256,6 @@ def _system(
         curvature += mine.curvature
         turn, shift = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
-        to_members[block, :3] = -np.hstack([turn, _cross(shift) @ turn])[:3]
         to_members[block, :6] = -np.block([[turn, _cross(shift) @ turn], [np.zeros((3, 3)), turn]])
     # Steps are in the unit of the poses.
     for j in range(count + 1):
@@ -273,7 +280,14 @@ def _system(
 class _Member:
     """What one frame of a star says, (P,) or (2, P) each: its tensor, and its depth's share."""
 
-    def __init__(self, grid, tensor, flow, direction, weight: np.ndarray) -> None:
+    def __init__(
+        self,
+        grid: LaneGrid,
+        tensor: LaneData,
+        flow: LaneData,
+        direction: LaneData,
+        weight: np.ndarray,
+    ) -> None:
         size = grid.height, grid.width
         values = [np.empty((n, *size), np.float32) for n in (6, 2, 2)]
         for lanes, images in zip((tensor, flow, direction), values, strict=True):
@@ -286,7 +300,6 @@ class _Member:
         trust = weight / (1 + residual / max(OUTLYING**2 * usual, 1e-12)) ** 2
         self._tensor = trust * j11, trust * j12, trust * j22
         self._pull = trust * ex, trust * ey
-        self._a = a, b
         s11, s12, s22 = self._tensor
         self._along = s11 * a + s12 * b, s12 * a + s22 * b
         self.curvature = self._along[0] * a + self._along[1] * b
@@ -302,9 +315,7 @@ class _Member:
         return slopes, whole.astype(np.float64), pull.astype(np.float64)
 
 
-def _jacobian(
-    motion: np.ndarray, rays: np.ndarray, depth: np.ndarray, focal: float
-) -> np.ndarray:
+def _jacobian(motion: np.ndarray, rays: np.ndarray, depth: np.ndarray, focal: float) -> np.ndarray:
     """Return ∂(u, v)/∂(δt, δω) of a small motion after `motion`, (2, 6, P) float32, px."""
     y1, y2, y3 = motion[:, :3] @ rays + depth * motion[:, 3:]
     near = np.float32(focal) / np.maximum(y3, np.float32(1e-6))
@@ -324,15 +335,14 @@ def _jacobian(
 def _solved(systems: Sequence[_System], frames: Sequence[int]) -> dict[int, np.ndarray]:
     """Return the step of every frame but the first of each lot that is solved together."""
     steps: dict[int, np.ndarray] = {}
-    for begin in range(0, len(frames), TOGETHER):
-        lot = frames[begin : begin + TOGETHER]
+    for begin in range(0, len(frames), LOT):
+        lot = frames[begin : begin + LOT]
         number = {frame: k for k, frame in enumerate(lot)}
         matrix, vector = np.zeros((6 * len(lot),) * 2), np.zeros(6 * len(lot))
         for system in systems:
-            own = [(k, number[f]) for k, f in enumerate(system.frames) if f in number]
-            rows = np.concatenate([np.arange(6 * k, 6 * k + 6) for k, _ in own] or [[]]).astype(int)
-            there = np.concatenate([np.arange(6 * n, 6 * n + 6) for _, n in own] or [[]])
-            there = there.astype(int)
+            own = [k for k, frame in enumerate(system.frames) if frame in number]
+            rows = _six(own)
+            there = _six([number[system.frames[k]] for k in own])
             matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
             vector[there] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
@@ -343,6 +353,11 @@ def _solved(systems: Sequence[_System], frames: Sequence[int]) -> dict[int, np.n
         step[free] = -np.linalg.solve(matrix[free, free], vector[free])
         steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in number.items()})
     return steps
+
+
+def _six(numbers: Sequence[int]) -> np.ndarray:
+    """Return the six indices of each frame, one frame after the other."""
+    return (6 * np.array(numbers, np.intp)[:, None] + np.arange(6)).ravel()
 
 
 def _shrunk(frame: np.ndarray, level: int) -> np.ndarray:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.rendering import rendered
+from tisfm.reconstruction.adjustment import Star, star_of
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.path import Piece
@@ -77,7 +78,7 @@ class PieceDepths:
         """Yield the depth of every frame that has any: keyframes as soon as they are known."""
         previous: int | None = None
         for key in list(self.keyframes):
-            found = self._keyframe(key, previous)
+            found = self._keyframe(key, previous, self._effort)
             if found is None:
                 self.keyframes.remove(key)
                 continue
@@ -92,6 +93,29 @@ class PieceDepths:
         if previous is not None:
             yield from self._between(previous, max(self._piece.poses) + 1)
 
+    def stars(self) -> list[Star]:
+        """Return the keyframes with a rough depth, each with the frames up to the next ones."""
+        frames = sorted(self._piece.poses)
+        limits = [frames[0], *self.keyframes, frames[-1]]
+        stars = []
+        for number, key in enumerate(self.keyframes):
+            found = self._keyframe(key, None, "fast")
+            if found is None:
+                continue
+            first, last = limits[number], limits[number + 2]
+            members = [frame for frame in frames if first <= frame <= last and frame != key]
+            stars.append(
+                star_of(
+                    key,
+                    members,
+                    self._frames.grey(key),
+                    found.inverse_depth,
+                    found.deviation,
+                    self._frames.counted(key),
+                )
+            )
+        return stars
+
     def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
         for frame in sorted(self._piece.poses):
             if after < frame < before:
@@ -99,7 +123,7 @@ class PieceDepths:
                 if np.isfinite(inverse_depth).any():
                     yield FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
-    def _keyframe(self, key: int, previous: int | None) -> WindowDepth | None:
+    def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
         """Return the depth of a keyframe from its neighbours and the keyframe before."""
         poses = self._piece.poses
         places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
@@ -116,7 +140,7 @@ class PieceDepths:
             rough,
             self._camera,
             self._frames.shape,
-            most=MOST[self._effort],
+            most=MOST[effort],
         )
         chosen = [near[k] for k in neighbours]
         if not chosen:
@@ -128,7 +152,7 @@ class PieceDepths:
             motions,
             self._camera,
             self._settings,
-            effort=self._effort,
+            effort=effort,
             key_mask=self._frames.counted(key),
             masks=[self._frames.counted(f) for f in chosen],
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +73,7 @@ class Run:
         keyframes: list[int] = []
         done = 0
         for number, part in enumerate(path.pieces):
+            part = self._adjusted(part, path.seen)
             found, unit = self._depths(part, path.seen, done)
             done += len(part.poses)
             keyframes += [frame for frame, kind in found.items() if kind == "keyframe"]
@@ -158,6 +159,19 @@ class Run:
         }
         piece = Piece(poses=known, views=tuple(known), points=points)
         return CameraPath(pieces=(piece,) if known else (), lost=lost, seen=tuple(seen))
+
+    def _adjusted(self, piece: Piece, seen: tuple[Seen, ...]) -> Piece:
+        """Return the piece with poses adjusted to the images, if there are any to adjust."""
+        from tisfm.reconstruction.adjustment import adjusted
+        from tisfm.reconstruction.depths import PieceDepths, effort_of
+
+        effort = effort_of(self._settings)
+        if self._given is not None or effort == "fast":
+            return piece
+        stars = PieceDepths(self._frames, piece, seen, self._settings, effort="fast").stars()
+        frames, camera = self._frames.grey, self._frames.camera
+        poses = adjusted(piece.poses, stars, frames, camera, self._settings)
+        return replace(piece, poses=poses)
 
     def _depths(
         self, piece: Piece, seen: tuple[Seen, ...], done: int
