@@ -87,7 +87,7 @@ def test_what_has_no_depth_is_told(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film))
     assert code == 0
     assert err.startswith(f"0 of {COUNT} frames have a pose")
-    assert "little_parallax" in err
+    assert "no_motion" in err
 
 
 @pytest.mark.parametrize(
