@@ -10,6 +10,8 @@ from types import ModuleType
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
+from tisfm.reconstruction.entry import reconstruct
+from tisfm.reconstruction.result import Reconstruction
 from tisfm.sequence import interpret_sequence
 from tisfm.settings import Settings
 from tisfm.version import __version__
@@ -17,10 +19,12 @@ from tisfm.version import __version__
 __all__ = [
     "Camera",
     "Interpretation",
+    "Reconstruction",
     "Settings",
     "__version__",
     "interpret",
     "interpret_sequence",
+    "reconstruct",
 ]
 
 _SUBMODULES = (
@@ -36,6 +40,7 @@ _SUBMODULES = (
     "runtime",
     "scenes",
     "show",
+    "trajectory",
 )
 
 

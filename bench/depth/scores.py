@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
 from tisfm.evaluation.record import LITTLE_PARALLAX
-from tisfm.metrics import depth_errors, pose_errors
+from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.known import is_known
 
-CERTAIN = 0.4  # share of the pixels: those of the least relative deviation
-WORST = 3.0  # relative error at which a pixel's is limited
 HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
 
 
@@ -42,8 +40,8 @@ class Score:
         As in `tisfm.metrics.DepthErrors`: no pixel is left out. 1 where the method says that there
         is no depth.
     abs_rel_certain : float or None
-        Where the pose is given and deviations are: of the `CERTAIN` share of the pixels with the
-        least relative deviation, each limited to `WORST`, in the unit of the pose.
+        Where the pose is given and deviations are: as `tisfm.metrics.certain_error`, in the unit
+        of the pose.
     parallax : float or None
         Median over the pixels of known depth of the displacement that the true rotation leaves, px.
     within : float or None
@@ -163,14 +161,7 @@ def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
     if not pair.pose_given or estimate.deviation is None or estimate.inverse_depth is None:
         return None
     assert pair.depth is not None
-    known = known_depth(pair.depth)
-    inverse, true = estimate.inverse_depth[known], pair.depth[known]
-    deviation = np.where(inverse > 0, estimate.deviation[known], np.inf)
-    relative = deviation / np.where(inverse > 0, inverse, 1)
-    order = np.argsort(relative, kind="stable")[: max(1, round(CERTAIN * len(true)))]
-    depth = 1 / np.maximum(inverse[order], 1e-12)
-    error = np.abs(depth - true[order]) / true[order]
-    return float(np.minimum(error, WORST).mean())
+    return certain_error(estimate.inverse_depth, estimate.deviation, pair.depth)
 
 
 def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:

@@ -1,1 +1,1 @@
-"""Sequences: what a run of the command line costs besides interpreting its pairs."""
+"""Sequences: paths and depth beside other ways to them, and what the command line costs."""

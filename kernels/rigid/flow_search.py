@@ -240,8 +240,8 @@ def _cost(
     if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
         across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
         across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
-        grey0 = sampled(packed1, height, width, u + across0, v + down0)
-        grey1 = sampled(packed1, height, width, u + across1, v + down1)
+        grey0 = sampled(packed1, 0, height, width, u + across0, v + down0)
+        grey1 = sampled(packed1, 0, height, width, u + across1, v + down1)
         cost = correlation_cost(
             weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1
         )

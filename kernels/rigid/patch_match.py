@@ -197,8 +197,8 @@ def _score(
         weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
         plane[3] = UNSEEN
         if variance > seen * noise:
-            plane[3] = _cost(
-                packed1, height, width, motion, cx, cy, focal, noise,
+            plane[3] = cost_in(
+                packed1, 0, height, width, motion, cx, cy, focal, noise,
                 weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
             )  # fmt: skip
         planes[y, x] = plane
@@ -235,7 +235,7 @@ def _improve(
                 for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
                     plane = best
                     if n < 4:
-                        plane = _neighbour(planes, y, x, n, best)
+                        plane = neighbour(planes, y, x, n, best)
                     else:
                         a, b, c = (
                             unit(random),
@@ -253,9 +253,9 @@ def _improve(
                             plane[1] += span * tilt * (2.0 * b - 1.0)
                             plane[2] += span * tilt * (2.0 * c - 1.0)
                             span *= 0.5
-                    if plane[0] > least and plane[0] < largest and _apart(plane, best):
-                        plane[3] = _cost(
-                            packed1, height, width, motion, cx, cy, focal, noise,
+                    if plane[0] > least and plane[0] < largest and apart_from(plane, best):
+                        plane[3] = cost_in(
+                            packed1, 0, height, width, motion, cx, cy, focal, noise,
                             weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
                         )  # fmt: skip
                         if plane[3] < best[3]:
@@ -264,7 +264,7 @@ def _improve(
 
 
 @ti.func
-def _neighbour(planes: ti.template(), y, x, way, best):
+def neighbour(planes: ti.template(), y, x, way, best):
     """Return the plane of the neighbour on one side that costs least, as it is here.
 
     D is `NONE` if there is none, or it differs by too little to be tried.
@@ -288,7 +288,7 @@ def _neighbour(planes: ti.template(), y, x, way, best):
 
 
 @ti.func
-def _apart(plane, other):
+def apart_from(plane, other):
     """Return whether two planes differ by more than what is too little to try."""
     apart = ti.abs(plane[0] - other[0])
     apart += RADIUS * (ti.abs(plane[1] - other[1]) + ti.abs(plane[2] - other[2]))
@@ -296,8 +296,9 @@ def _apart(plane, other):
 
 
 @ti.func
-def _cost(
+def cost_in(
     packed1: ti.template(),
+    view,
     height,
     width,
     motion: ti.template(),
@@ -315,30 +316,41 @@ def _cost(
     x,
     plane,
 ):
-    """Return 1 − c of a hypothesis."""
+    """Return 1 − c of a hypothesis in one of several frames, whose arrays lie one after another."""
+    i, j, k = 3 * view, 3 * view + 1, 3 * view + 2
     x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
-    p1 = motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2] + motion[0, 3] * d
-    p2 = motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2] + motion[1, 3] * d
-    p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2] + motion[2, 3] * d
+    p1 = motion[i, 0] * x_hat + motion[i, 1] * y_hat + motion[i, 2] + motion[i, 3] * d
+    p2 = motion[j, 0] * x_hat + motion[j, 1] * y_hat + motion[j, 2] + motion[j, 3] * d
+    p3 = motion[k, 0] * x_hat + motion[k, 1] * y_hat + motion[k, 2] + motion[k, 3] * d
     nearness = 1.0 / ti.max(p3, NEAREST)
     x_there, y_there = p1 * nearness, p2 * nearness
     # The plane's homography, linear within the window.
-    away_x = motion[2, 0] + motion[2, 3] * plane[1]
-    away_y = motion[2, 1] + motion[2, 3] * plane[2]
-    ux = nearness * (motion[0, 0] + motion[0, 3] * plane[1] - x_there * away_x)
-    uy = nearness * (motion[0, 1] + motion[0, 3] * plane[2] - x_there * away_y)
-    vx = nearness * (motion[1, 0] + motion[1, 3] * plane[1] - y_there * away_x)
-    vy = nearness * (motion[1, 1] + motion[1, 3] * plane[2] - y_there * away_y)
+    away_x = motion[k, 0] + motion[k, 3] * plane[1]
+    away_y = motion[k, 1] + motion[k, 3] * plane[2]
+    ux = nearness * (motion[i, 0] + motion[i, 3] * plane[1] - x_there * away_x)
+    uy = nearness * (motion[i, 1] + motion[i, 3] * plane[2] - x_there * away_y)
+    vx = nearness * (motion[j, 0] + motion[j, 3] * plane[1] - y_there * away_x)
+    vy = nearness * (motion[j, 1] + motion[j, 3] * plane[2] - y_there * away_y)
     u, v = cx + focal * x_there, cy + focal * y_there
     cost = NOWHERE
     if p3 > NEAREST and u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
         across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
         across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
         grey0 = sampled(
-            packed1, height, width, u + ux * across0 + uy * down0, v + vx * across0 + vy * down0
+            packed1,
+            view,
+            height,
+            width,
+            u + ux * across0 + uy * down0,
+            v + vx * across0 + vy * down0,
         )
         grey1 = sampled(
-            packed1, height, width, u + ux * across1 + uy * down1, v + vx * across1 + vy * down1
+            packed1,
+            view,
+            height,
+            width,
+            u + ux * across1 + uy * down1,
+            v + vx * across1 + vy * down1,
         )
         cost = correlation_cost(
             weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1

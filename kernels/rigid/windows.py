@@ -98,17 +98,21 @@ def correlation_cost(weight0, weight1, weighted0, weighted1, variance, centre, n
 
 
 @ti.func
-def sampled(packed1: ti.template(), height, width, u, v):
-    """Return frame 1, interpolated bilinearly, at a vector of places; its border repeats."""
+def sampled(packed1: ti.template(), view, height, width, u, v):
+    """Return a frame, interpolated bilinearly, at a vector of places; its border repeats.
+
+    It is one of several of the same size, packed one after another.
+    """
     u = ti.max(0.0, ti.min(u, width - 1.0))
     v = ti.max(0.0, ti.min(v, height - 1.0))
     column, row = ti.floor(u), ti.floor(v)
     a, b = u - column, v - row
+    first = view * height * width
     # Whole, and below 2²⁴: searches take no more pixels.
     place = row * ti.cast(width, ti.f32) + column
     here, east, south, both = 0.0 * u, 0.0 * u, 0.0 * u, 0.0 * u
     for n in ti.static(range(VECTOR)):  # compiled to gathering loads, where a CPU has them
-        found = packed1[ti.cast(place[n], ti.i32)]
+        found = packed1[first + ti.cast(place[n], ti.i32)]
         here[n] = ti.cast(found & LEVELS, ti.f32)
         east[n] = ti.cast((found >> 8) & LEVELS, ti.f32)
         south[n] = ti.cast((found >> 16) & LEVELS, ti.f32)

@@ -14,7 +14,7 @@ def options_of(text):
 def test_help_names_the_commands(tisfm_run):
     code, out, _ = tisfm_run("--help")
     assert code == 0
-    for word in ("run", "demo", "eval", "figures", "tisfm run --help"):
+    for word in ("run", "reconstruct", "demo", "eval", "figures", "tisfm run --help"):
         assert word in out
 
 
@@ -58,9 +58,16 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
             {"--output", "--threads", "--focal", "--center", "--distortion", "--aspect", "--help"},
         ),
         (
+            "reconstruct",
+            {"--output", "--preset", "--poses", "--mask", "--scale", "--ply", "--no-ply", "--arch"}
+            | {"--threads", "--step", "--start", "--stop", "--size", "--crop", "--bad-frames"}
+            | {"--focal", "--center", "--distortion", "--aspect", "--help"},
+        ),
+        (
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
             | {"--give-poses", "--no-give-poses", "--max-depth"}
+            | {"--sequence", "--no-sequence", "--result"}
             | {"--arch", "--no-joint-edges", "--no-align-scales", "--help"}
             | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),

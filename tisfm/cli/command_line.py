@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
-from tisfm.datasets import Layout
+from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
 from tisfm.stated import is_stated
@@ -153,7 +153,12 @@ class Eval:
     a factor below 1.25. Of the pose, with --motion camera: the angles between the directions of
     translation and between the rotations. Known layouts are those of Middlebury, KITTI 2012 and
     2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, stereo pairs with a disparity, and folders of
-    images/ with camera.txt, and poses.txt or depth/.
+    images/ with camera.txt, and poses.txt or depth/. With --sequence those of New Tsukuba,
+    7-Scenes, TUM RGB-D, KITTI's odometry and such folders.
+
+    With --sequence, every sequence is reconstructed as a whole, and its path (ATE, RPE, drift) and
+    depth, in one scale for all frames, are compared. DIR receives NAME.tum, the path of
+    the largest piece, NAME-piece2.tum of the next one, and eval.json.
 
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
     (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
@@ -168,7 +173,7 @@ class Eval:
     """Folders of datasets, or folders above them."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
     """Folder for pictures, flow and eval.json; made if need be. By default nothing is written."""
-    layout: Layout | None = None
+    layout: Layout | SequenceLayout | None = None
     """Layout of the folders; by default every one that is recognised."""
     step: int | None = None
     """Frames from the first to the second of a pair, in sequences; by default 3 for 7-Scenes and 1
@@ -177,6 +182,11 @@ class Eval:
     """Give every true pose, and compare only the depth; with --motion camera."""
     max_depth: float | None = None
     """True depth beyond it does not count, in the unit of the dataset. By default all counts."""
+    sequence: bool = False
+    """Reconstruct whole sequences instead of pairs, and compare their paths and depth."""
+    result: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Compare this with one sequence instead: a trajectory in TUM's or KITTI's format, of whatever
+    program, or a folder of tisfm.Reconstruction.save. With --sequence."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
     arch: Arch | None = None
@@ -189,20 +199,96 @@ class Eval:
     def __call__(self) -> int:
         """Run the command and return the exit code."""
         from tisfm.cli.commands import evaluate
+        from tisfm.cli.sequences import evaluate_sequences
 
         if not self.folders:
             raise ValueError(
                 "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
             )
+        if self.sequence:
+            return evaluate_sequences(
+                self.folders,
+                self.output,
+                layout=self.layout,
+                camera=self.camera.camera(),
+                settings=self.settings.settings(),
+                step=self.step,
+                give_poses=self.give_poses,
+                max_depth=self.max_depth,
+                result=self.result,
+                arch=self.arch,
+                threads=self.threads,
+            )
+        if self.result is not None:
+            raise ValueError(f"result is {self.result}, but pairs are compared: give --sequence")
         return evaluate(
             self.folders,
             self.output,
-            layout=self.layout,
+            layout=_layout_of_pairs(self.layout),
             camera=self.camera.camera(),
             settings=self.settings.settings(),
             step=self.step,
             give_poses=self.give_poses,
             max_depth=self.max_depth,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+
+@dataclass(kw_only=True)
+class Reconstruct:
+    """Reconstruct a sequence: one path of the camera, and depth of every frame in its scale.
+
+    SOURCE is a video, a folder of images in order, a quoted glob, or images. DIR receives
+    reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load; the path as
+    trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
+    world), of the largest piece where the sequence fell into several; and with --ply points.ply, a
+    coloured point cloud of its keyframes. Motion is that of the camera alone.
+    """
+
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
+    """A video, a folder, a quoted glob, two or more images in order, or a webcam."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the results, new or empty, or of an earlier reconstruction, which is replaced."""
+    preset: Preset = "balanced"
+    """How much effort: fast, balanced or accurate."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
+    mask: Annotated[str | None, arg(metavar="MASK")] = None
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
+    """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
+    ply: bool = False
+    """Write points.ply, a coloured point cloud."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores. Results do not depend on it."""
+    frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.reconstruct_command import reconstruct
+
+        if not self.source:
+            raise ValueError(
+                "SOURCE is missing: give a video, a folder, a quoted glob or images, as in: "
+                "tisfm reconstruct VIDEO -o DIR"
+            )
+        return reconstruct(
+            self.source[0] if len(self.source) == 1 else self.source,
+            self.output,
+            camera=None if self.camera.guess("camera") else self.camera.camera(),
+            settings=Settings.preset(self.preset, motion="camera"),
+            frames=self.frames,
+            poses=self.poses,
+            mask=self.mask,
+            scale=self.scale,
+            ply=self.ply,
             arch=self.arch,
             threads=self.threads,
         )
@@ -310,6 +396,12 @@ def _fail(text: str) -> int:
     return 1
 
 
+def _layout_of_pairs(layout: str | None) -> Layout | None:
+    if layout is None or layout in LAYOUTS:
+        return layout  # type: ignore[return-value]
+    raise ValueError(f"layout is {layout!r}, which has sequences alone: give --sequence")
+
+
 def _numbers(text: str, name: str) -> tuple[float, ...]:
     """Read numbers with commas or spaces between."""
     try:
@@ -318,13 +410,17 @@ def _numbers(text: str, name: str) -> tuple[float, ...]:
         raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
 
 
-def _parse(arguments: list[str]) -> Run | Eval | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Demo | Figures:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
-    evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=settings)
+    of_path = settings  # a sequence has one motion, that of the camera
+    if "--sequence" in arguments:
+        of_path = SettingsOptions(**asdict(Settings.preset(preset, motion="camera")))
+    evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=of_path)
     commands = (
         Annotated[Run, subcommand("run", default=run, prefix_name=False)]
+        | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]

@@ -1,15 +1,30 @@
-"""Frame pairs with true motion, depth or pose, in the folder layouts of the usual benchmarks.
+"""Frame pairs and sequences with true motion, depth or pose, as the usual benchmarks lay them out.
 
 Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, stereo pairs with a disparity, and sequences with
-poses: New Tsukuba, 7-Scenes, and any that comes as a folder of images with camera, poses and
-depth maps. Nothing is downloaded: `find_pairs` finds what lies in a folder,
-and reads it when asked to.
+poses: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI's odometry, and any that comes as a folder of images
+with camera, poses and depth maps. Nothing is downloaded: `find_pairs` and `find_sequences` find
+what lies in a folder, and read it when asked to.
 
-May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `camera` and `rigid`.
+May import: `tisfm.formats`, `tisfm.metrics`, `tisfm.trajectory`, and of the top level `camera`,
+`checks` and `rigid`.
 """
 
 from tisfm.datasets.finding import find_pairs
 from tisfm.datasets.layouts import LAYOUTS, Layout
 from tisfm.datasets.pair import DatasetPair, LoadedPair
+from tisfm.datasets.sequence import LoadedSequence
+from tisfm.datasets.sequence_layouts import SEQUENCE_LAYOUTS, SequenceLayout
+from tisfm.datasets.sequences import DatasetSequence, find_sequences
 
-__all__ = ["LAYOUTS", "DatasetPair", "Layout", "LoadedPair", "find_pairs"]
+__all__ = [
+    "LAYOUTS",
+    "SEQUENCE_LAYOUTS",
+    "DatasetPair",
+    "DatasetSequence",
+    "Layout",
+    "LoadedPair",
+    "LoadedSequence",
+    "SequenceLayout",
+    "find_pairs",
+    "find_sequences",
+]

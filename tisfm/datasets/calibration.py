@@ -23,6 +23,21 @@ STATED = {
 }
 """Cameras of layouts that have one for all their frames, which no file says."""
 
+TUM = {
+    "1": Camera(
+        focal=(517.3, 516.5),
+        center=(318.6, 255.3),
+        distortion=(0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
+    ),
+    "2": Camera(
+        focal=(520.9, 521.0),
+        center=(325.1, 249.7),
+        distortion=(0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
+    ),
+    "3": Camera(focal=(535.4, 539.2), center=(320.1, 247.6)),
+}
+"""Colour cameras of TUM's sequences, by the number after "freiburg" in the folder's name."""
+
 DEPTH_CAMERA = Camera(focal=585.0, center=(320.0, 240.0))
 """The depth camera of "sevenscenes"; its maps and the frames are not of one view."""
 

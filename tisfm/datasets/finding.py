@@ -51,18 +51,12 @@ def find_pairs(
         )
     if step is not None and (not isinstance(step, int) or isinstance(step, bool) or step < 1):
         raise ValueError(f"step is {step!r}: expected a positive whole number")
-    root = Path(folder)
-    if not root.exists():
-        raise FileNotFoundError(
-            f"there is no folder {root}: check the path (relative paths start at {os.getcwd()})"
-        )
-    if not root.is_dir():
-        raise NotADirectoryError(f"{root} is a file: give the folder of a dataset")
+    root = root_of(folder)
     rules = list(LAYOUTS.values()) if layout is None else [LAYOUTS[layout]]
     # Datasets are named after folders, and "." and ".." are no names.
     pairs = [
         pair
-        for place in _folders(Path(os.path.abspath(root)))
+        for place in folders_below(Path(os.path.abspath(root)))
         for rule in rules
         for pair in _find(rule, place, step)
     ]
@@ -76,12 +70,24 @@ def find_pairs(
     return pairs
 
 
+def root_of(folder: str | os.PathLike[str]) -> Path:
+    """Return a folder that exists, or raise as `find_pairs` does."""
+    root = Path(folder)
+    if not root.exists():
+        raise FileNotFoundError(
+            f"there is no folder {root}: check the path (relative paths start at {os.getcwd()})"
+        )
+    if not root.is_dir():
+        raise NotADirectoryError(f"{root} is a file: give the folder of a dataset")
+    return root
+
+
 def _find(rule: Rule, folder: Path, step: int | None) -> Iterator[DatasetPair]:
     """Yield the pairs of a layout in one folder."""
     return rule.find(folder) if rule.step is None else rule.find(folder, step=step or rule.step)
 
 
-def _folders(root: Path) -> Iterator[Path]:
+def folders_below(root: Path) -> Iterator[Path]:
     """Yield a folder and all below it, each once, in order of their names."""
     seen = set()
     for place, below, _ in os.walk(root, followlinks=True):

@@ -27,7 +27,7 @@ Layout = Literal[
 
 _KITTI_FRAMES = ("image_2", "colored_0", "image_0")
 _KITTI_CALIBRATIONS = ("calib_cam_to_cam", "calib")
-_TSUKUBA_POSES = "poses_camera_to_world_3x4_cm.txt"
+TSUKUBA_POSES = "poses_camera_to_world_3x4_cm.txt"
 _DISPARITY_NAMES = ("disp", "disparity", "gt")
 _DISPARITY_SUFFIXES = (".npz", ".npy", ".png", ".tif", ".tiff")
 
@@ -57,7 +57,7 @@ def find_kitti(folder: Path) -> Iterator[DatasetPair]:
     truths = with_occlusion if with_occlusion.is_dir() else without
     frames = _first_folder(folder, _KITTI_FRAMES) or folder / _KITTI_FRAMES[0]
     calibrations = _first_folder(folder, _KITTI_CALIBRATIONS)
-    for truth in _sorted_files(truths, "*_10.png"):
+    for truth in sorted_files(truths, "*_10.png"):
         name = truth.stem.removesuffix("_10")
         yield DatasetPair(
             layout="kitti",
@@ -76,7 +76,7 @@ def find_sintel(folder: Path) -> Iterator[DatasetPair]:
     """Find flow/SCENE/frame_NNNN.flo with passes clean or final, or gt/frame_NNNN.flo."""
     passes = [name for name in ("clean", "final") if (folder / name).is_dir()]
     for name in passes:
-        for truth in _sorted_files(folder / "flow", "*/frame_*.flo"):
+        for truth in sorted_files(folder / "flow", "*/frame_*.flo"):
             scene = truth.parent.name
             yield from _sintel_pair(
                 truth,
@@ -86,7 +86,7 @@ def find_sintel(folder: Path) -> Iterator[DatasetPair]:
                 dataset=f"{_above_training(folder).name} {name}",
             )
     if not passes:
-        for truth in _sorted_files(folder / "gt", "frame_*.flo"):
+        for truth in sorted_files(folder / "gt", "frame_*.flo"):
             yield from _sintel_pair(truth, frames=folder, masks=folder / "gt", dataset=folder.name)
 
 
@@ -117,15 +117,15 @@ def find_yosemite(folder: Path) -> Iterator[DatasetPair]:
     """Find flowNN*.flo beside frames yos*N and yos*N+1, and a sky mask."""
     frames: dict[int, Path] = {}
     pattern = None
-    for file in _sorted_files(folder, "yos*"):
+    for file in sorted_files(folder, "yos*"):
         number = re.search(r"\d+$", file.stem)
         if number is not None and file.suffix.lower() in IMAGE_SUFFIXES:
             frames[int(number.group())] = file
             pattern = f"{file.stem[: number.start()]}{{}}{file.suffix}"
     if pattern is None:
         return
-    sky = next(iter(_sorted_files(folder, "sky_mask*.png")), None)
-    for truth in _sorted_files(folder, "flow*.flo"):
+    sky = next(iter(sorted_files(folder, "sky_mask*.png")), None)
+    for truth in sorted_files(folder, "flow*.flo"):
         digits = re.match(r"flow(\d+)", truth.stem)
         if digits is not None:
             first = int(digits.group(1))
@@ -144,7 +144,7 @@ def find_yosemite(folder: Path) -> Iterator[DatasetPair]:
 def find_stereo(folder: Path) -> Iterator[DatasetPair]:
     """Find NAME_left and NAME_right, or left and right, with a disparity of the left view."""
     views: dict[str, dict[str, Path]] = {}
-    for file in _sorted_files(folder, "*"):
+    for file in sorted_files(folder, "*"):
         view = re.fullmatch(r"(|.*_)(left|right)", file.stem)
         if view is not None and file.suffix.lower() in IMAGE_SUFFIXES:
             views.setdefault(view.group(1), {})[view.group(2)] = file
@@ -172,10 +172,10 @@ def find_stereo(folder: Path) -> Iterator[DatasetPair]:
 
 def find_new_tsukuba(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     """Find rgb_NNNNN.png beside a file with a row of the pose of each."""
-    poses = folder / _TSUKUBA_POSES
+    poses = folder / TSUKUBA_POSES
     if not poses.is_file():
         return
-    frames = _numbered(folder, "rgb_*.png", r"rgb_(\d+)\.png")
+    frames = numbered(folder, "rgb_*.png", r"rgb_(\d+)\.png")
     for first in sorted(frames):
         if first + step in frames:
             yield DatasetPair(
@@ -192,8 +192,8 @@ def find_new_tsukuba(folder: Path, *, step: int) -> Iterator[DatasetPair]:
 
 def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     """Find frame-NNNNNN.color, .depth.png and .pose.txt."""
-    poses = _numbered(folder, "frame-*.pose.txt", r"frame-(\d+)\.pose\.txt")
-    frames = _numbered(folder, "frame-*.color.*", r"frame-(\d+)\.color\.(?:png|jpg)")
+    poses = numbered(folder, "frame-*.pose.txt", r"frame-(\d+)\.pose\.txt")
+    frames = numbered(folder, "frame-*.color.*", r"frame-(\d+)\.color\.(?:png|jpg)")
     if not poses or not frames:
         return
     suffix = next(iter(frames.values())).suffix  # of the others, should one be missing
@@ -224,9 +224,9 @@ def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     images, depth = folder / "images", folder / "depth"
     if not camera.is_file() or not images.is_dir():
         return
-    frames = [file for file in _sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
+    frames = [file for file in sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
     frames.sort(key=natural_order)
-    maps = {file.stem: file for file in _sorted_files(depth, "*.png")}
+    maps = {file.stem: file for file in sorted_files(depth, "*.png")}
     posed = poses.is_file()
     for first in range(len(frames) - step):
         frame0, frame1 = frames[first], frames[first + step]
@@ -276,7 +276,7 @@ LAYOUTS: dict[str, Rule] = {
         "NAME_left.png and NAME_right.png, or left.png and right.png, with NAME_disp, "
         "NAME_disparity or NAME_gt (.npz, .npy, .png or .tif)",
     ),
-    "new_tsukuba": Rule(find_new_tsukuba, f"rgb_NNNNN.png with {_TSUKUBA_POSES}", step=1),
+    "new_tsukuba": Rule(find_new_tsukuba, f"rgb_NNNNN.png with {TSUKUBA_POSES}", step=1),
     "sevenscenes": Rule(
         find_sevenscenes,
         "frame-NNNNNN.color.png or .jpg with frame-NNNNNN.depth.png and frame-NNNNNN.pose.txt",
@@ -295,9 +295,9 @@ def _first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_dir()), None)
 
 
-def _numbered(folder: Path, pattern: str, name: str) -> dict[int, Path]:
+def numbered(folder: Path, pattern: str, name: str) -> dict[int, Path]:
     """Return the files of a pattern by the number in their names, the group of an expression."""
-    matches = ((file, re.fullmatch(name, file.name)) for file in _sorted_files(folder, pattern))
+    matches = ((file, re.fullmatch(name, file.name)) for file in sorted_files(folder, pattern))
     return {int(match.group(1)): file for file, match in matches if match is not None}
 
 
@@ -306,5 +306,6 @@ def _above_training(folder: Path) -> Path:
     return folder.parent if folder.name == "training" else folder
 
 
-def _sorted_files(folder: Path, pattern: str) -> list[Path]:
+def sorted_files(folder: Path, pattern: str) -> list[Path]:
+    """Return the files of a pattern in order of their names, without hidden ones."""
     return sorted(path for path in folder.glob(pattern) if not path.name.startswith("."))

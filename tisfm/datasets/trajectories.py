@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.formats.reading import read_bytes
-from tisfm.rigid import is_rotation
+from tisfm.trajectory.rows import checked_pose, pose_of_twelve, read_rows
 
 
 def read_pose(path: Path) -> NDArray[np.float64]:
@@ -29,13 +28,13 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     OSError
         If the file does not exist or cannot be read.
     """
-    rows = [numbers for _, numbers in _rows(path, columns=4)]
+    rows = [numbers for _, numbers in read_rows(path, columns=4)]
     if len(rows) != 4:
         raise FormatError(f"{path} has {len(rows)} rows of numbers, expected a 4 × 4 matrix")
     pose = np.array(rows)
     if np.isfinite(pose).all() and not np.array_equal(pose[3], [0, 0, 0, 1]):
         raise FormatError(f"{path} has the last row {pose[3].tolist()}, expected 0 0 0 1")
-    return _checked(pose, str(path))
+    return checked_pose(pose, str(path))
 
 
 def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
@@ -60,13 +59,13 @@ def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
     OSError
         If the file does not exist or cannot be read.
     """
-    rows = [numbers for _, numbers in _rows(path, columns=12)]
+    rows = [numbers for _, numbers in read_rows(path, columns=12)]
     if row >= len(rows):
         raise FormatError(
             f"{path} has {len(rows)} rows, so there is no pose of frame {row}: expected a row for "
             "every frame, from 0"
         )
-    return _checked(_of_twelve(rows[row]), f"{path}, row {row}")
+    return checked_pose(pose_of_twelve(rows[row]), f"{path}, row {row}")
 
 
 def read_poses(path: Path) -> list[NDArray[np.float64]]:
@@ -90,8 +89,8 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
         If the file does not exist or cannot be read.
     """
     return [
-        _checked(_of_twelve(numbers), f"{path}, line {line}")
-        for line, numbers in _rows(path, columns=12)
+        checked_pose(pose_of_twelve(numbers), f"{path}, line {line}")
+        for line, numbers in read_rows(path, columns=12)
     ]
 
 
@@ -111,36 +110,3 @@ def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> N
     motion: NDArray[np.float64] = np.linalg.inv(second) @ first
     motion[3] = 0, 0, 0, 1  # but for rounding
     return motion
-
-
-def _of_twelve(numbers: list[float]) -> NDArray[np.float64]:
-    return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
-
-
-def _rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
-    """Return the rows of a text with the numbers of their lines; empty lines do not count."""
-    rows = []
-    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
-        words = line.split()
-        if not words:
-            continue
-        try:
-            values = [float(word) for word in words]
-        except ValueError as error:
-            raise FormatError(f"{path}, line {number}: {error}, expected numbers") from error
-        if len(values) != columns:
-            raise FormatError(
-                f"{path}, line {number} has {len(values)} numbers, expected {columns}"
-            )
-        rows.append((number, values))
-    return rows
-
-
-def _checked(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    if not np.isfinite(pose).all():
-        raise FormatError(f"{where} is not finite: there is no pose of this frame")
-    if not is_rotation(pose[:3, :3]):
-        raise FormatError(
-            f"{where} holds no rotation: expected an orthonormal matrix in the first three columns"
-        )
-    return pose

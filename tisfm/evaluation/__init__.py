@@ -1,10 +1,20 @@
 """Interpretations against known flow, depth and motion.
 
-Here: pairs of datasets evaluated, the means of their errors, tables and files.
+Here: pairs and whole sequences of datasets evaluated, the means of their errors, tables and files.
 May import: all of `tisfm` but `tisfm.cli`.
 """
 
 from tisfm.evaluation.pairs import Evaluation, evaluate
 from tisfm.evaluation.record import PairEvaluation
+from tisfm.evaluation.sequence_depth import SequenceDepthErrors
+from tisfm.evaluation.sequences import PieceErrors, SequenceEvaluation, compare_sequence
 
-__all__ = ["Evaluation", "PairEvaluation", "evaluate"]
+__all__ = [
+    "Evaluation",
+    "PairEvaluation",
+    "PieceErrors",
+    "SequenceDepthErrors",
+    "SequenceEvaluation",
+    "compare_sequence",
+    "evaluate",
+]

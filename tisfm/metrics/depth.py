@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.metrics.depth_sequence import FARTHEST, NEAREST
 from tisfm.metrics.known import counting, is_known
 
 
@@ -84,7 +85,7 @@ def depth_errors(
     """
     d, true, valid, known, scale = _depths(depth, truth, mask, align)
     all_true = true[known]
-    nearest, farthest = 0.1 * all_true.min(), 10 * all_true.max()
+    nearest, farthest = NEAREST * all_true.min(), FARTHEST * all_true.max()
     everywhere = np.where(valid, d, farthest)[known].clip(nearest, farthest)
     d, true = d[valid], true[valid]
     log_ratio = np.log(d) - np.log(true)

@@ -222,8 +222,11 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
     return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
 
 
-def texture_weight(frame: np.ndarray) -> np.ndarray:
-    """Return how much more than noise a window shows, (H, W) float32, from 0 to 1."""
+def texture_weight(frame: np.ndarray, *, half: float = TEXTURE) -> np.ndarray:
+    """Return how much more than noise a window shows, (H, W) float32, from 0 to 1.
+
+    A window that varies by `half` times the variance of the noise has ½.
+    """
     noise = noise_deviation(frame)
     variance = window_variance(frame, WINDOW)
-    return variance / (variance + np.float32(TEXTURE * noise**2))
+    return variance / (variance + np.float32(half * noise**2))

@@ -96,7 +96,7 @@ def alike(first: Described, second: Described) -> tuple[np.ndarray, np.ndarray]:
     return index[taken], forward[taken]
 
 
-def described(frame: np.ndarray) -> Described:
+def described(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Described:
     """Detect and describe points of a frame, (H, W) float32 with grey levels in [0, 255]."""
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
     image = np.rint(frame).astype(np.uint8)
@@ -106,19 +106,20 @@ def described(frame: np.ndarray) -> Described:
         return Described(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
     points = np.array([point.pt for point in found])
     strength = np.array([point.response for point in found])
-    kept = _spread(points, strength, side=(frame.size / CELLS**2) ** 0.5)
+    side = (frame.size / CELLS**2) ** 0.5
+    kept = _spread(points, strength, side=side, most=per_cell)
     descriptors = descriptors[kept]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # they have no negative entries
     return Described(points=points[kept], roots=np.sqrt(descriptors / total))
 
 
-def _spread(points: np.ndarray, response: np.ndarray, *, side: float) -> np.ndarray:
+def _spread(points: np.ndarray, response: np.ndarray, *, side: float, most: int) -> np.ndarray:
     """Return the indices of the strongest points of every square of this side, in order."""
     column, row = (points // side).astype(np.int64).T
     cell = row * (column.max() + 1) + column
     order = np.lexsort((-response, cell))
     first = np.searchsorted(cell[order], cell[order])  # where the cell of each begins
-    strongest = np.arange(len(order)) - first < PER_CELL
+    strongest = np.arange(len(order)) - first < most
     return np.sort(order[strongest])
 
 

@@ -11,17 +11,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
-FEWEST = 15  # observations that two views, or a view and the points, share
 FEWEST_SHARED = 20  # tracks of two views
 # Of views in the order of their frames: those so far apart are compared by the tracks they share.
 APART = (1, 2, 3, 4, 6, 8, 12, 16)
-OUTLYING = 0.5  # px: residuals beyond count less and less in the last adjustment
 CENTRE = 0.5  # px: pycolmap's upper left pixel has its centre at (0.5, 0.5)
-LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
-INLIER = 6.0  # px: of a view that is added
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,26 +78,22 @@ def models_of(
     Returns
     -------
     list of Model
-        The largest first; a view may be in several of them, or in none.
+        The largest first. A view is in one of them at most.
 
     References
     ----------
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
-    doi 10.1109/CVPR.2016.445: pycolmap's incremental mapping.
+    doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
+    pairs = _pairs(views, matches)
     database = pycolmap().Database.open(":memory:")
     try:
         _write_views(database, views, _camera(camera, shape))
-        _write_pairs(database, views, matches)
-        found = pycolmap().ReconstructionManager()
-        pycolmap().IncrementalPipeline(_options(), database, found).run()
+        _write_pairs(database, pairs)
+        reconstructions = grown(database, _directions(views, pairs, camera, shape), len(views))
     finally:
         database.close()
-    reconstructions = [found.get(k) for k in range(found.size())]
-    for reconstruction in reconstructions:
-        _adjust(reconstruction)
-    models = [_model(reconstruction, views) for reconstruction in reconstructions]
-    return sorted(models, key=lambda model: (-len(model.poses), min(model.poses)))
+    return [_model(reconstruction, views) for reconstruction in reconstructions]
 
 
 def pose_from_points(
@@ -159,24 +152,50 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
         database.write_keypoints(number, points.astype(np.float32))
 
 
-def _write_pairs(
-    database: Any, views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
-) -> None:
-    pairs = {(k, k + apart) for apart in APART for k in range(len(views) - apart)} | set(matches)
-    for first, second in sorted(pairs):
+def _pairs(
+    views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
+) -> dict[tuple[int, int], np.ndarray]:
+    """Return, for pairs of indices of views, indices of points that are the same, (N, 2)."""
+    near = {(k, k + apart) for apart in APART for k in range(len(views) - apart)}
+    pairs = {}
+    for first, second in sorted(near | set(matches)):
         both = np.empty((0, 2), np.intp)
-        if second - first in APART:
+        if (first, second) in near:
             both = _shared(views[first].seen, views[second].seen)
         if (first, second) in matches:
             begun = len(views[first].seen.points), len(views[second].seen.points)
             both = np.vstack([both, matches[first, second] + begun])
-        if len(both) < FEWEST:
-            continue
+        if len(both) >= FEWEST:
+            pairs[first, second] = both
+    return pairs
+
+
+def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
+    for (first, second), both in pairs.items():
         pair = pycolmap().TwoViewGeometry()
         pair.config = CALIBRATED
         pair.inlier_matches = both.astype(np.uint32)
         database.write_matches(first + 1, second + 1, both.astype(np.uint32))
         database.write_two_view_geometry(first + 1, second + 1, pair)
+
+
+def _directions(
+    views: Sequence[View],
+    pairs: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
+    """Return, for pairs of numbers of views, unit directions to the same points."""
+    center = np.array(camera.center_for(*shape))
+    rays = []
+    for view in views:
+        x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
+        ray = np.column_stack([x, np.ones(len(x))])
+        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+    return {
+        (first + 1, second + 1): (rays[first][both[:, 0]], rays[second][both[:, 1]])
+        for (first, second), both in pairs.items()
+    }
 
 
 def _shared(first: Seen, second: Seen) -> np.ndarray:
@@ -187,43 +206,6 @@ def _shared(first: Seen, second: Seen) -> np.ndarray:
     if len(index0) < FEWEST_SHARED:
         return np.empty((0, 2), np.intp)
     return np.stack([index0, index1], axis=1)
-
-
-def _options() -> Any:
-    options = pycolmap().IncrementalPipelineOptions()
-    options.ba_refine_focal_length = options.ba_refine_extra_params = False
-    options.mapper.abs_pose_refine_focal_length = False
-    options.mapper.abs_pose_refine_extra_params = False
-    options.min_num_matches, options.min_model_size = FEWEST, 3
-    options.mapper.abs_pose_min_num_inliers = FEWEST
-    options.mapper.abs_pose_min_inlier_ratio = LEAST_SEEN
-    options.mapper.init_min_tri_angle = 4.0  # degrees: of frames of a video, which are near
-    # All views are adjusted again less often, and not to the last digit: once more at the end.
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.5
-    options.ba_global_max_refinements, options.ba_local_max_refinements = 2, 1
-    options.ba_global_function_tolerance, options.ba_local_function_tolerance = 1e-6, 1e-5
-    options.extract_colors = False
-    for part in (options, options.mapper):
-        part.num_threads = 1
-    for part in (options, options.mapper, options.triangulation):
-        part.random_seed = 0
-    return options
-
-
-def _adjust(reconstruction: Any) -> None:
-    """Adjust all poses and points, robustly."""
-    options = pycolmap().BundleAdjustmentOptions()
-    options.refine_focal_length = options.refine_extra_params = False
-    options.print_summary = False
-    options.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = OUTLYING
-    options.ceres.solver_options.num_threads = 1
-    options.ceres.solver_options.function_tolerance = 1e-6
-    config = pycolmap().BundleAdjustmentConfig()
-    for number in sorted(reconstruction.reg_image_ids()):
-        config.add_image(number)
-    config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    pycolmap().create_default_bundle_adjuster(options, config, reconstruction).solve()
 
 
 def _model(reconstruction: Any, views: Sequence[View]) -> Model:

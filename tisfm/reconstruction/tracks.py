@@ -13,6 +13,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 FLOW_PIXELS = 2**16  # at least, of the level that the image motion is found on
 CELLS = 32  # along the longer side: a point is begun in every cell that has none
+APART = 0.6  # of a cell: of tracks that have come into one square of this side, the oldest goes on
 STRUCTURE = 5  # px: the window in which a point is to stand out
 STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
 BORDER = 4  # px that no point comes nearer to
@@ -67,11 +68,13 @@ class Tracker:
         ignored : (H, W) bool, optional
             Pixels that no track may lie on.
         """
-        small = _smaller(grey)
+        small = smaller(grey)
         points, tracks = self._seen.points, self._seen.tracks
         if self._grey is not None and self._small is not None:
             there, back = self._flows(self._small, small)
             points, kept = carried(self._grey, grey, points, there, back)
+            points, tracks = points[kept], tracks[kept]
+            kept = _spread(points, APART * _cell(grey))
             points, tracks = points[kept], tracks[kept]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
@@ -168,7 +171,7 @@ def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> n
     Shi and Tomasi, "Good features to track", CVPR 1994, doi 10.1109/CVPR.1994.323794.
     """
     height, width = grey.shape
-    cell = max(BORDER, round(max(height, width) / CELLS))
+    cell = _cell(grey)
     rows, columns = height // cell, width // cell
     if not rows * columns:
         return np.empty((0, 2))
@@ -190,7 +193,18 @@ def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> n
     return np.stack([column * cell + x, row * cell + y], axis=1).astype(np.float64)
 
 
-def _smaller(grey: np.ndarray) -> np.ndarray:
+def _cell(grey: np.ndarray) -> int:
+    """Return the side of the cells that points are begun in, px."""
+    return max(BORDER, round(max(grey.shape) / CELLS))
+
+
+def _spread(points: np.ndarray, side: float) -> np.ndarray:
+    """Return the indices of the first points in squares of this side, ascending."""
+    _, first = np.unique(points // side, axis=0, return_index=True)
+    return np.sort(first)
+
+
+def smaller(grey: np.ndarray) -> np.ndarray:
     """Return the frame as float32, halved as often as `FLOW_PIXELS` allows."""
     small: np.ndarray = grey.astype(np.float32)
     while small.size >= 4 * FLOW_PIXELS:

@@ -54,6 +54,7 @@ from tisfm.reference.minimisation import (
     minimise,
 )
 from tisfm.reference.patch_match import (
+    best_mean,
     improved_planes,
     plane_cost,
     plane_disagreement,
@@ -64,6 +65,7 @@ from tisfm.reference.pyramid import (
     coarse_to_fine,
     prolong,
 )
+from tisfm.reference.rendering import rendered
 from tisfm.reference.second_order import (
     SecondOrder,
     anchor_energy,
@@ -97,6 +99,7 @@ __all__ = [
     "anchor_energy",
     "anchor_tensor",
     "aubert",
+    "best_mean",
     "brightness_tensor",
     "coarse_to_fine",
     "constancy_constraints",
@@ -123,6 +126,7 @@ __all__ = [
     "plane_cost",
     "plane_disagreement",
     "prolong",
+    "rendered",
     "residual",
     "robust_energy",
     "robust_tensor",

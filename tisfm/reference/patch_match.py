@@ -98,6 +98,11 @@ def plane_cost(
     return window_cost(levels0, levels1, place, east, south, noise=noise)
 
 
+def best_mean(costs: np.ndarray, best: int) -> np.ndarray:
+    """Return the mean of the least of several frames' costs, (M, …), so many of them."""
+    return np.sort(costs, axis=0)[:best].mean(axis=0)
+
+
 def improved_planes(
     state: np.ndarray,
     cost: Callable[[np.ndarray], np.ndarray],

@@ -18,12 +18,13 @@ from tisfm.rigid import rigid_motion
 from .geometry import Box, Plane
 from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
-from .room import room
+from .room import Film, room, room_film
 from .texture import Patch, Texture
 
 __all__ = [
     "STATIC_KINDS",
     "Box",
+    "Film",
     "Patch",
     "Plane",
     "Scene",
@@ -32,6 +33,7 @@ __all__ = [
     "bare_patches",
     "rigid_motion",
     "room",
+    "room_film",
     "static_scene",
     "three_blocks",
     "two_blocks",

@@ -4,10 +4,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera, check_pinhole
-from tisfm.checks import Floats, whole
+from tisfm.checks import Floats, finite, whole
+from tisfm.rigid import rigid_twist
 
 from .geometry import Box, Plane, View
 
@@ -149,6 +150,37 @@ class Scene:
             visible=visible,
             textured=textured,
         )
+
+    def seen_from(self, pose: ArrayLike, *, samples: int = 3) -> tuple[NDArray, Floats]:
+        """Cast the rays of one view of the scene as it is at the first instant.
+
+        Parameters
+        ----------
+        pose : array_like, shape (4, 4)
+            Camera to world, the world's axes being those of frame 0.
+        samples : int, default 3
+            As in `render`.
+
+        Returns
+        -------
+        frame : (H, W) float32
+        depth : (H, W) float64
+            Z in the axes of that view.
+
+        Raises
+        ------
+        ValueError
+            If the pose is no rigid motion, or some ray meets no object.
+        """
+        whole(1, samples=samples)
+        matrix = finite(pose, (4, 4), "pose")
+        turn = matrix[:3, :3].T
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+            raise ValueError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
+        motion = rigid_twist(turn, -turn @ matrix[:3, 3])
+        views = [View(item, motion) for item in self.objects]
+        depth = [depth for _, depth, _ in self._bands(views, np.zeros((1, 2)))]
+        return self._frame(views, samples), np.concatenate(depth).reshape(self.height, self.width)
 
     def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
         """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""

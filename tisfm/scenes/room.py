@@ -140,6 +140,68 @@ def room(
     return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _BARE)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Film:
+    """Frames of a scene at rest from a camera that moves, with exact truth.
+
+    Attributes
+    ----------
+    frames : (N, H, W) uint8
+    depth : (N, H, W) float32
+        Z in the axes of each frame, in the scene's unit.
+    poses : (N, 4, 4) float64
+        Camera to world.
+    camera : Camera
+    """
+
+    frames: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    poses: Floats
+    camera: Camera
+
+
+def room_film(
+    poses: ArrayLike,
+    height: int = 240,
+    width: int = 320,
+    *,
+    seed: int = 0,
+    focal: float | None = None,
+    noise: float = 1.5,
+    blur: float = 0.0,
+    samples: int = 3,
+) -> Film:
+    """Render the room from a path of the camera.
+
+    Parameters
+    ----------
+    poses : array_like, shape (N, 4, 4)
+        Camera to world, in m; the identity is where `room` has frame 0.
+    height, width, seed, focal, noise, blur, samples
+        As for `room`. Noise is another one in every frame.
+
+    Raises
+    ------
+    ValueError
+        If an option is impossible, or a pose is no rigid motion or outside of the room.
+    """
+    whole(1, height=height, width=width)
+    path = np.asarray(poses, np.float64)
+    if path.ndim != 3 or len(path) == 0:
+        raise ValueError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
+    camera = Camera(focal=_FOCAL * width if focal is None else focal)
+    still = np.zeros(6)
+    objects: list[Plane | Box] = [*_shell(still, width, seed), *_things(still, width, seed)]
+    scene = Scene(objects=objects, camera=camera, height=height, width=width)
+    random = np.random.default_rng(seed)
+    frames = np.empty((len(path), height, width), np.uint8)
+    depth = np.empty((len(path), height, width), np.float32)
+    for k, pose in enumerate(path):
+        frame, depth[k] = scene.seen_from(pose, samples=samples)
+        frames[k] = _taken(frame, random, noise, blur, "uint8")
+    return Film(frames=frames, depth=depth, poses=path, camera=camera)
+
+
 def _shell(motion: Floats, width: int, seed: int) -> list[Plane]:
     """Return walls, ceiling and floor, in the order of their labels."""
 

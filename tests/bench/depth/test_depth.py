@@ -40,10 +40,11 @@ from bench.depth.report import (
     thresholds,
     write,
 )
-from bench.depth.scores import CERTAIN, HORIZON, WORST, Score, limited, parallax_of, score
+from bench.depth.scores import HORIZON, Score, limited, parallax_of, score
 from bench.depth.two_stage import NoMotion, triangulated, two_stage
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors
+from tisfm.metrics.depth_sequence import CERTAIN, WORST
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 from tisfm.scenes.ready import STATIC_KINDS

@@ -1,0 +1,325 @@
+"""Methods on sequences, each in a process of its own, and their scores."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any, Protocol, get_args
+
+import numpy as np
+
+from bench.sequences.entries import FARTHEST, Entry
+from bench.sequences.stored import Stored, store
+from bench.shared.contest import MethodFailure
+from bench.shared.machine import ROOT
+from bench.shared.peer_process import POOLS
+from bench.shared.worker import LAST_WORDS
+from tisfm.camera import Camera
+from tisfm.datasets import LoadedSequence
+from tisfm.evaluation.sequences import SequenceEvaluation, as_record, compare_sequence
+from tisfm.formats import read_image, write_png
+from tisfm.lens import undistort
+from tisfm.settings import Preset
+
+COLMAP_WORKER = Path(__file__).with_name("colmap_worker.py")
+TIMEOUT = 3600.0  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One run of a method: names of its results → NAME of `Stored`, s, and bytes at the peak."""
+
+    results: dict[str, str]
+    seconds: float
+    peak: int
+
+
+class Method(Protocol):
+    """A method in the comparison."""
+
+    @property
+    def name(self) -> str:
+        """What the tables call it."""
+
+    def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
+        """Leave results in a folder, which is empty; or raise MethodFailure."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Own:
+    """`tisfm.reconstruct`, or chained pairs, in a process of its own.
+
+    `poses_given` tells it the true poses.
+    """
+
+    preset: Preset
+    method: str  # "reconstruct" or "chain"
+    threads: int
+    poses_given: bool = False
+
+    @property
+    def name(self) -> str:
+        """The preset and the method."""
+        if self.method == "chain":
+            return f"chained pairs, {self.preset}"
+        return f"tisfm {self.preset}{', poses given' if self.poses_given else ''}"
+
+    def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
+        """Start the process, and wait for it."""
+        if self.poses_given and not loaded.posed.all():
+            raise MethodFailure("not all poses are known")
+        answer = _asked(
+            [sys.executable, "-m", "bench.sequences.worker"],
+            {
+                "method": self.method,
+                "preset": self.preset,
+                "threads": self.threads,
+                "frames": list(map(str, loaded.frames)),
+                "camera": asdict(camera),
+                "poses": loaded.poses.tolist() if self.poses_given else None,
+                "output": str(output),
+            },
+            self.threads,
+        )
+        results = {
+            self.name if not name else f"{name}, {self.preset}": file
+            for name, file in answer["results"].items()
+        }
+        return Outcome(results=results, seconds=answer["seconds"], peak=answer["peak"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Colmap:
+    """pycolmap, with an interpreter that has it."""
+
+    python: Path
+    threads: int
+    name: str = "pycolmap"
+    poses_given: bool = False
+
+    def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
+        """Give it frames without distortion, and wait for its process."""
+        images = output / "images"
+        images.mkdir()
+        names = [f"{index:06d}.png" for index in range(len(loaded.frames))]
+        for name, path in zip(names, loaded.frames, strict=True):
+            picture = undistort(read_image(path), camera)
+            write_png(images / name, picture)
+        answer = _asked(
+            [self.python, COLMAP_WORKER],
+            {
+                "images": str(images),
+                "output": str(output),
+                "camera": [camera.focal, *camera.center_for(*picture.shape[:2])],
+                "names": names,
+                "threads": self.threads,
+            },
+            self.threads,
+        )
+        poses = [np.full((4, 4), np.nan) if p is None else np.array(p) for p in answer["poses"]]
+        piece = answer["piece"]
+        status = ["mapped" if number >= 0 else "no pose" for number in piece]
+        store(output, "result", poses=np.array(poses), piece=piece, status=status)
+        return Outcome(
+            results={self.name: "result"}, seconds=answer["seconds"], peak=answer["peak"]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """A method on a sequence.
+
+    Attributes
+    ----------
+    method, sequence : str
+    evaluation : SequenceEvaluation or None
+        Of the first round; None where it failed.
+    seconds : tuple of float
+        Of every round, for the whole sequence.
+    peak : int or None
+        Most resident memory of its process, bytes.
+    failure : str
+    """
+
+    method: str
+    sequence: str
+    evaluation: SequenceEvaluation | None = None
+    seconds: tuple[float, ...] = ()
+    peak: int | None = None
+    failure: str = ""
+
+    @property
+    def per_frame(self) -> float | None:
+        """Median over the rounds of the seconds per frame."""
+        if not self.seconds or self.evaluation is None:
+            return None
+        return median(self.seconds) / self.evaluation.frames
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as plain values; the folder by its name alone."""
+        record = None
+        if self.evaluation is not None:
+            record = as_record(self.evaluation)
+            del record["folder"]
+        return {
+            "method": self.method,
+            "sequence": self.sequence,
+            "evaluation": record,
+            "seconds": self.seconds,
+            "per_frame": self.per_frame,
+            "peak": self.peak,
+            "failure": self.failure,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceContest:
+    """All that one run measured."""
+
+    conditions: dict[str, Any]
+    scores: tuple[Score, ...]
+    missing: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Return "method on sequence" → what happened."""
+        return {f"{s.method} on {s.sequence}": s.failure for s in self.scores if s.failure}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "conditions": self.conditions,
+            "missing": self.missing,
+            "scores": [score.as_json() for score in self.scores],
+        }
+
+
+def hold(
+    methods: Sequence[Method],
+    entries: Sequence[Entry],
+    *,
+    rounds: int,
+    conditions: dict[str, Any],
+    missing: dict[str, str],
+    step: Callable[[str], None] = lambda text: None,
+    keep: Callable[[list[Score]], None] = lambda scores: None,
+) -> SequenceContest:
+    """Run every method on every sequence, in turns: in each round, each method once.
+
+    Parameters
+    ----------
+    methods, entries : sequence
+    rounds : int
+        Runs of each; the first is scored, all are timed.
+    conditions, missing : dict
+        As in `SequenceContest`.
+    step : callable
+        Called with what comes next, before every run.
+    keep : callable
+        Called with all scores so far after every sequence, so that none is lost.
+
+    Raises
+    ------
+    ValueError
+        If there is no sequence, or no method.
+    """
+    if not entries or not methods:
+        raise ValueError("there is no sequence or no method to measure")
+    scores: list[Score] = []
+    for entry in entries:
+        loaded = entry.load()
+        if loaded.camera is None:
+            missing = missing | {entry.name: "nothing states its camera"}
+            continue
+        of_entry: dict[str, Score] = {}
+        for turn in range(rounds):
+            for method in methods:
+                step(f"{entry.name}: {method.name}")
+                for score in _scores(method, entry, loaded, loaded.camera, scored=turn == 0):
+                    of_entry[score.method] = _together(of_entry.get(score.method), score)
+        scores += of_entry.values()
+        keep(scores)
+    return SequenceContest(conditions=conditions, scores=tuple(scores), missing=missing)
+
+
+def presets() -> tuple[Preset, ...]:
+    """Return the names of all presets."""
+    return get_args(Preset)
+
+
+def _scores(
+    method: Method, entry: Entry, loaded: LoadedSequence, camera: Camera, *, scored: bool
+) -> list[Score]:
+    """Run a method once; a result of its own has a score each."""
+    with tempfile.TemporaryDirectory(prefix="tisfm-sequences-") as place:
+        output = Path(place)
+        try:
+            outcome = method.run(loaded, camera, output)
+        except MethodFailure as failure:
+            return [Score(method=method.name, sequence=entry.name, failure=str(failure))]
+        found = []
+        for name, file in outcome.results.items():
+            evaluation = None
+            if scored:
+                stored = Stored(output, file)
+                evaluation = compare_sequence(
+                    entry.sequence,
+                    loaded,
+                    stored,
+                    camera=camera,
+                    step=entry.step,
+                    poses_given=getattr(method, "poses_given", False),
+                    max_depth=FARTHEST,
+                    with_depth=stored.has_depth,
+                )
+            found.append(
+                Score(
+                    method=name,
+                    sequence=entry.name,
+                    evaluation=evaluation,
+                    seconds=(outcome.seconds,),
+                    peak=outcome.peak,
+                )
+            )
+        return found
+
+
+def _together(before: Score | None, after: Score) -> Score:
+    """Return the score of the first round with the times of the next one."""
+    if before is None or after.failure:
+        return after
+    return Score(
+        method=before.method,
+        sequence=before.sequence,
+        evaluation=before.evaluation,
+        seconds=before.seconds + after.seconds,
+        peak=max(before.peak or 0, after.peak or 0),
+    )
+
+
+def _asked(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
+    """Ask a process one question, and return its answer."""
+    try:
+        done = subprocess.run(
+            command,
+            input=json.dumps(question) + "\n",
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            env=os.environ | dict.fromkeys(POOLS, str(threads)),
+            timeout=TIMEOUT,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise MethodFailure(str(error)) from None
+    lines = done.stdout.splitlines()
+    if done.returncode or not lines:
+        words = " ".join(done.stderr.strip().splitlines()[-LAST_WORDS:])
+        raise MethodFailure(f"its process ended with status {done.returncode}: {words}")
+    answer: dict[str, Any] = json.loads(lines[-1])
+    return answer

@@ -1,0 +1,79 @@
+"""The sequences of the comparison: those of a folder of real data, and any that are named."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
+
+# Folder, and every how many frames. What drives is also seen with every second frame dropped from
+# one on, as if it had become fast.
+SELECTED = (
+    ("new_tsukuba", 1),
+    ("tartanair", 1),
+    ("hololens", 1),
+    ("sevenscenes", 1),
+    ("sevenscenes", 2),
+    ("tum_fr1_rpy", 1),
+    ("tum_fr1_rpy", 2),
+    ("fountain", 1),
+    ("kitti_odometry_06", 1),
+)
+THINNED = (("kitti_odometry_06", 25),)
+FARTHEST = 40.0  # m: true depth beyond does not count
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A sequence of the comparison.
+
+    Attributes
+    ----------
+    sequence : DatasetSequence
+    step : int
+        Every so many frames are taken.
+    thinned : int or None
+        From this frame on, every second one is left out.
+    """
+
+    sequence: DatasetSequence
+    step: int = 1
+    thinned: int | None = None
+
+    @property
+    def name(self) -> str:
+        """The folder's, and which frames are taken."""
+        name = self.sequence.name
+        if self.step > 1:
+            name += f", every {self.step}"
+        return name if self.thinned is None else f"{name}, every 2 from {self.thinned} on"
+
+    def load(self) -> LoadedSequence:
+        """Read all but frames and depth maps."""
+        loaded = self.sequence.load(self.step)
+        if self.thinned is None:
+            return loaded
+        count = len(loaded.frames)
+        return loaded.take([*range(min(self.thinned, count)), *range(self.thinned, count, 2)])
+
+
+def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
+    """Return the sequences found in a folder, and why others are missing, by name."""
+    entries: list[Entry] = []
+    missing: dict[str, str] = {}
+    wanted: list[tuple[str, int, int | None]] = [(name, step, None) for name, step in SELECTED]
+    wanted += [(name, 1, thinned) for name, thinned in THINNED]
+    for name, step, thinned in wanted:
+        try:
+            (sequence,) = find_sequences(data / name)
+        except FileNotFoundError as error:
+            missing[name] = str(error)
+            continue
+        entries.append(Entry(sequence=sequence, step=step, thinned=thinned))
+    return entries, missing
+
+
+def folder_entries(folders: Sequence[Path], steps: Sequence[int]) -> list[Entry]:
+    """Return the sequences in folders, with every step."""
+    found = [sequence for folder in folders for sequence in find_sequences(folder)]
+    return [Entry(sequence=sequence, step=step) for sequence in found for step in steps]

@@ -1,0 +1,154 @@
+"""A comparison on sequences as tables: one of each figure, and one of each sequence."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from bench.sequences.contest import Score, SequenceContest
+from bench.shared.contest_report import NOTHING, Cells
+
+NOTES = (
+    "ATE: root mean square distance of the centres of the largest piece after the best similarity, "
+    "in % of the true path of the whole sequence. Frames with a pose: in all pieces; pieces: each "
+    "has a world and a scale of its own; largest: its share of the frames.",
+    "Depth error: |ΔZ|/Z over all pixels of known depth, in one scale for the whole sequence, the "
+    "median of true over estimated depth (1 where the poses were given), limited to [0.1 min Z, 10 "
+    "max Z]; a pixel without depth has the latter, a frame without depth counts as 1; truth beyond "
+    "40 m is left out. Surest 40 %: of the pixels with the least relative deviation, each limited "
+    "to 3. Medians over frames. Pixels: share of those of known depth that have one.",
+    "Spread: standard deviation of the logarithm of the best scale of a frame. Flicker: mean "
+    "change of relative inverse depth (estimated times true depth) from a frame to the next, along "
+    "the true flow.",
+    "Chained pairs: pairs of consecutive frames, each scaled by the depth that those before carry "
+    "to it; pairs: the same without a scale in common. pycolmap: SIFT, sequential matching, "
+    "incremental mapping, intrinsics given.",
+    "Seconds per frame: from files to path and depth, outputs apart; a median over the rounds. "
+    "Memory: most resident memory of the process, libraries included.",
+)
+
+Column = tuple[str, Callable[[Score], str]]
+
+
+def _ate(score: Score) -> str:
+    pieces = score.evaluation.pieces if score.evaluation else ()
+    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else NOTHING
+
+
+def _metres(score: Score) -> str:
+    pieces = score.evaluation.pieces if score.evaluation else ()
+    absolute = pieces[0].absolute if pieces else None
+    return NOTHING if absolute is None else f"{absolute.similarity:.4f}"
+
+
+def _posed(score: Score) -> str:
+    found = score.evaluation
+    return f"{found.posed} of {found.frames}" if found else NOTHING
+
+
+def _pieces(score: Score) -> str:
+    found = score.evaluation
+    return str(len(found.pieces)) if found and found.pieces else NOTHING
+
+
+def _largest(score: Score) -> str:
+    found = score.evaluation
+    return f"{100 * found.largest_share:.0f}" if found and found.pieces else NOTHING
+
+
+def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
+    def text(score: Score) -> str:
+        depth = score.evaluation.depth if score.evaluation else None
+        value = None if depth is None else getattr(depth, name)
+        return NOTHING if value is None else format(factor * value, form)
+
+    return text
+
+
+def _seconds(score: Score) -> str:
+    return NOTHING if score.per_frame is None else f"{score.per_frame:.2f}"
+
+
+def _memory(score: Score) -> str:
+    return NOTHING if score.peak is None else f"{score.peak / 1e6:.0f}"
+
+
+COLUMNS: tuple[Column, ...] = (
+    ("ATE, %", _ate),
+    ("m", _metres),
+    ("frames with a pose", _posed),
+    ("pieces", _pieces),
+    ("largest, %", _largest),
+    ("depth error", _depth("error", ".3f")),
+    ("surest 40 %", _depth("certain", ".3f")),
+    ("pixels, %", _depth("share", ".1f", 100)),
+    ("spread", _depth("scale_spread", ".3f")),
+    ("flicker", _depth("flicker", ".4f")),
+    ("s per frame", _seconds),
+    ("memory, MB", _memory),
+)
+SUMMARY = ("ATE, %", "depth error", "flicker")
+
+
+def summary(contest: SequenceContest, heading: str) -> Cells:
+    """Return one figure: a row for every method, a column for every sequence."""
+    text = dict(COLUMNS)[heading]
+    sequences, methods = _names(contest)
+    found = {(score.method, score.sequence): text(score) for score in contest.scores}
+    rows = [
+        [method, *(found.get((method, sequence), NOTHING) for sequence in sequences)]
+        for method in methods
+    ]
+    rows = [row for row in rows if any(cell != NOTHING for cell in row[1:])]
+    return Cells(["method", *sequences], rows)
+
+
+def details(contest: SequenceContest, sequence: str) -> Cells:
+    """Return all figures of a sequence, without the columns that no method fills."""
+    scores = [score for score in contest.scores if score.sequence == sequence]
+    rows = [[score.method, *(text(score) for _, text in COLUMNS)] for score in scores]
+    head = ["method", *(name for name, _ in COLUMNS)]
+    filled = [k for k in range(len(head)) if any(row[k] != NOTHING for row in rows)]
+    return Cells([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
+
+
+def show(contest: SequenceContest, console: Console) -> None:
+    """Print the summaries, and what is missing or failed."""
+    for heading, table in _summaries(contest).items():
+        console.print(heading)
+        console.print(table.rich())
+    for title, entries in (("missing", contest.missing), ("FAILED", contest.failures)):
+        for name, reason in entries.items():
+            console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)
+
+
+def write(contest: SequenceContest, path: Path) -> None:
+    """Write PATH.md and PATH.json."""
+    lines = ["# Sequences: path and depth", ""]
+    lines += [f"- {name}: {value}" for name, value in contest.conditions.items()]
+    for heading, table in _summaries(contest).items():
+        lines += ["", f"## {heading[0].upper()}{heading[1:]}", "", *table.markdown()]
+    lines += ["", *(f"- {note}" for note in NOTES)]
+    for heading, entries in (("Missing", contest.missing), ("Failed", contest.failures)):
+        if entries:
+            lines += ["", f"## {heading}", ""]
+            lines += [f"- {name}: {reason}" for name, reason in entries.items()]
+    for sequence in _names(contest)[0]:
+        lines += ["", f"## {sequence}", "", *details(contest, sequence).markdown()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    content = json.dumps(contest.as_json(), indent=1, ensure_ascii=False)
+    path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+
+
+def _summaries(contest: SequenceContest) -> dict[str, Cells]:
+    """Return the tables of one figure each that have any."""
+    tables = {heading: summary(contest, heading) for heading in SUMMARY}
+    return {heading: table for heading, table in tables.items() if table.rows}
+
+
+def _names(contest: SequenceContest) -> tuple[list[str], list[str]]:
+    """Return sequences and methods, in the order of their scores."""
+    sequences = list(dict.fromkeys(score.sequence for score in contest.scores))
+    return sequences, list(dict.fromkeys(score.method for score in contest.scores))

@@ -1,0 +1,78 @@
+"""What a method made of a sequence, as it goes from its process to that which compares."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Stored:
+    """A result on disk, as `tisfm.evaluation.compare_sequence` takes it.
+
+    Parameters
+    ----------
+    folder : Path
+        With NAME.json: the poses, (N, 4, 4), None where there is none; the piece of each frame,
+        its status, and its unit, by which its inverse depth is divided; and with maps of inverse
+        depth and of its deviation, NNNNNN.npy and NNNNNN_std.npy, of those frames that have any.
+    name : str
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder = folder
+        content = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+        poses = [np.full((4, 4), np.nan) if pose is None else pose for pose in content["poses"]]
+        self.poses: NDArray[np.float64] = np.array(poses, dtype=float)
+        self.piece: NDArray[np.int32] = np.array(content["piece"], np.int32)
+        self.status: list[str] = content["status"]
+        self._units: list[float] = content["units"]
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether any frame has one."""
+        return any(self._folder.glob("*.npy"))
+
+    def inverse_depth(self, index: int) -> NDArray[np.float32]:
+        """Return that of a frame, (H, W); NaN where there is none."""
+        return self._map(index, "")
+
+    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
+        """Return its standard deviation, (H, W)."""
+        return self._map(index, "_std")
+
+    def _map(self, index: int, ending: str) -> NDArray[np.float32]:
+        path = self._folder / f"{index:06d}{ending}.npy"
+        if not path.exists():
+            some = next(iter(sorted(self._folder.glob("*.npy"))))
+            return np.full(np.load(some, mmap_mode="r").shape, np.nan, np.float32)
+        return np.asarray(np.load(path) / np.float32(self._units[index]))
+
+
+def store(
+    folder: Path,
+    name: str,
+    *,
+    poses: NDArray[np.float64],
+    piece: list[int],
+    status: list[str],
+    units: list[float] | None = None,
+) -> None:
+    """Write NAME.json."""
+    content: dict[str, Any] = {
+        "poses": [pose.tolist() if np.isfinite(pose).all() else None for pose in poses],
+        "piece": piece,
+        "status": status,
+        "units": units or [1.0] * len(piece),
+    }
+    (folder / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def store_map(
+    folder: Path, index: int, inverse_depth: NDArray, deviation: NDArray | None = None
+) -> None:
+    """Write the maps of a frame."""
+    np.save(folder / f"{index:06d}.npy", np.asarray(inverse_depth, np.float32))
+    if deviation is not None:
+        np.save(folder / f"{index:06d}_std.npy", np.asarray(deviation, np.float32))

@@ -1,0 +1,331 @@
+"""PatchMatch in several frames: at every pixel the plane by which the best of them look alike.
+
+A hypothesis costs the mean of its costs in the frames that show it best, so many of all: in the
+others the surface may be hidden, or out of sight. A plane may stand for a square of pixels, a cell
+of a grid, of which the window around one is compared. All else is as in
+`tisfm.kernels.rigid.patch_match`.
+
+The state is an (h, w, 4) array: D at the centre of a cell, px, how it changes from cell to cell,
+east and south, and the cost.
+
+References
+----------
+Galliani, Lasinger, Schindler, "Massively parallel multiview stereopsis by surface normal
+diffusion", ICCV 2015, doi 10.1109/ICCV.2015.106, eq. 10 (the best of several frames).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.lanes import check_array
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.rigid.patch_match import STEEPEST, apart_from, cost_in, neighbour
+from tisfm.kernels.rigid.windows import (
+    MOST_PIXELS,
+    UNSEEN,
+    mixed,
+    packed,
+    unit,
+    window,
+    with_margin,
+)
+
+MOST_BEST = 4  # frames that take part in a mean
+
+_Plane = ti.types.vector(4, ti.f32)
+
+
+class ViewSearch:
+    """A search for planes that take a keyframe to several other frames, on one level.
+
+    Parameters
+    ----------
+    key : (H, W) float32
+        Grey levels of the keyframe, in [0, 255].
+    others : sequence of (H, W) float32
+        Those of the other frames, M of them.
+    motions : (M, 3, 4) array
+        R and t of each: from the keyframe to there.
+    best : int
+        How many frames a cost is the mean of; 1 to `MOST_BEST`, and M at most.
+    stride : int
+        Side of a cell, px; cells that reach over the border are left out.
+    center : (float, float)
+        Principal point, px.
+    focal : float
+        px.
+    noise : float
+        Standard deviation of the noise of a frame, levels; above 0.
+    seen : float
+        Times the variance of the noise: what a window has to vary by to be compared.
+    least, largest : float
+        D is sought between them, px.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        h and w: rows and columns of cells.
+    count : int
+        M.
+    """
+
+    def __init__(
+        self,
+        key: np.ndarray,
+        others: Sequence[np.ndarray],
+        motions: np.ndarray,
+        *,
+        best: int,
+        stride: int,
+        center: tuple[float, float],
+        focal: float,
+        noise: float,
+        seen: float,
+        least: float,
+        largest: float,
+    ) -> None:
+        check_array(key, key.shape, "key", aligned=False)
+        for number, levels in enumerate(others):
+            check_array(levels, key.shape, f"others[{number}]", aligned=False)
+        self.count = len(others)
+        if key.size > MOST_PIXELS:
+            raise ValueError(f"key has {key.size} pixels: expected {MOST_PIXELS} at most")
+        if np.shape(motions) != (self.count, 3, 4):
+            raise ValueError(f"motions is {np.shape(motions)}: expected ({self.count}, 3, 4)")
+        if not 1 <= best <= min(MOST_BEST, self.count):
+            raise ValueError(f"best is {best}: expected 1 to {min(MOST_BEST, self.count)}")
+        if not 1 <= stride <= min(key.shape):
+            raise ValueError(f"stride is {stride}: expected 1 to {min(key.shape)} px")
+        if not noise > 0:
+            raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
+        if not least < largest:
+            raise ValueError(f"D is sought from {least} to {largest}: expected from < to")
+        self.shape = (key.shape[0] // stride, key.shape[1] // stride)
+        height, width = key.shape
+        self._images = (
+            with_margin(key),
+            np.concatenate([packed(levels) for levels in others]),
+            np.ascontiguousarray(np.concatenate(list(motions)), np.float32),
+        )
+        self._view = (height, width, stride, *map(float, center), float(focal), float(noise) ** 2)
+        self._best, self._seen = best, float(seen)
+        self._bounds = float(least), float(largest)
+
+    def score(self, planes: np.ndarray) -> None:
+        """Compute the cost of the planes (h, w, 4) float32, in place."""
+        self._check(planes)
+        _score(*self._images, *self._view, self.count, self._best, self._seen, planes)
+
+    def improve(
+        self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
+    ) -> None:
+        """Replace planes by better ones, in place, as `PlaneSearch.improve`.
+
+        Parameters
+        ----------
+        planes : (h, w, 4) float32
+            Of `score`.
+        draws : int
+        spread, tilt : float
+            How far the first of these may be in D, px, and in its changes from cell to cell.
+        seed : int
+            Of the random numbers.
+        """
+        self._check(planes)
+        for color in range(2):
+            _improve(
+                *self._images,
+                *self._view,
+                self.count,
+                self._best,
+                *self._bounds,
+                color,
+                draws,
+                spread,
+                tilt,
+                2 * seed + color,
+                planes,
+            )
+
+    def costs(self, planes: np.ndarray, out: np.ndarray) -> None:
+        """Write what planes (h, w, 4) float32 cost in every frame, (M, h, w) float32."""
+        self._check(planes)
+        check_array(out, (self.count, *self.shape), "out", aligned=False)
+        _costs(*self._images, *self._view, planes, out)
+
+    def _check(self, planes: np.ndarray) -> None:
+        check_array(planes, (*self.shape, 4), "planes", aligned=False)
+
+
+@Kernel
+def _score(
+    key: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    others: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (M·H·W,)
+    motions: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3 M, 4)
+    height: ti.i32,
+    width: ti.i32,
+    stride: ti.i32,
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    noise: ti.f32,
+    count: ti.i32,
+    best: ti.i32,
+    seen: ti.f32,
+    planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (h, w), in place
+):
+    for row, column in ti.ndrange(planes.shape[0], planes.shape[1]):
+        plane = planes[row, column]
+        y, x = stride * row, stride * column
+        weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
+        plane[3] = UNSEEN
+        if variance > seen * noise:
+            plane[3] = _cost_of_best(
+                others, count, best, height, width, motions, cx, cy, focal, noise,
+                weight0, weight1, weighted0, weighted1, variance, centre, y, x,
+                _at_first(plane, stride),
+            )  # fmt: skip
+        planes[row, column] = plane
+
+
+@Kernel
+def _costs(
+    key: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    others: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (M·H·W,)
+    motions: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3 M, 4)
+    height: ti.i32,
+    width: ti.i32,
+    stride: ti.i32,
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    noise: ti.f32,
+    planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (h, w)
+    out: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (M, h, w)
+):
+    for row, column in ti.ndrange(planes.shape[0], planes.shape[1]):
+        plane = _at_first(planes[row, column], stride)
+        y, x = stride * row, stride * column
+        weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
+        for j in range(out.shape[0]):
+            out[j, row, column] = cost_in(
+                others, j, height, width, motions, cx, cy, focal, noise,
+                weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
+            )  # fmt: skip
+
+
+@Kernel
+def _improve(
+    key: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    others: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (M·H·W,)
+    motions: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3 M, 4)
+    height: ti.i32,
+    width: ti.i32,
+    stride: ti.i32,
+    cx: ti.f32,
+    cy: ti.f32,
+    focal: ti.f32,
+    noise: ti.f32,
+    count: ti.i32,
+    best_frames: ti.i32,
+    least: ti.f32,
+    largest: ti.f32,
+    color: ti.i32,
+    draws: ti.i32,
+    spread: ti.f32,
+    tilt: ti.f32,
+    seed: ti.i32,
+    planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (h, w), in place
+):
+    columns = planes.shape[1]
+    for row, pair in ti.ndrange(planes.shape[0], (columns + 1) // 2):
+        column = 2 * pair + (row + color) % 2
+        if column < columns:
+            best = planes[row, column]
+            if best[3] < UNSEEN:
+                y, x = stride * row, stride * column
+                weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
+                random = ti.cast(4 * (row * columns + column), ti.u32) * ti.cast(draws + 1, ti.u32)
+                random = mixed(random + mixed(ti.cast(seed, ti.u32)))
+                span = 1.0
+                for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
+                    plane = best
+                    if n < 4:
+                        plane = neighbour(planes, row, column, n, best)
+                    else:
+                        a, b, c = (
+                            unit(random),
+                            unit(random + ti.u32(1)),
+                            unit(random + ti.u32(2)),
+                        )
+                        random += ti.u32(4)
+                        if n == 4:
+                            plane[0] = least + (largest - least) * a
+                            steepest = stride * (STEEPEST / focal) * ti.max(plane[0], 0.0)
+                            plane[1] = steepest * (2.0 * b - 1.0)
+                            plane[2] = steepest * (2.0 * c - 1.0)
+                        else:
+                            plane[0] += span * spread * (2.0 * a - 1.0)
+                            plane[1] += span * tilt * (2.0 * b - 1.0)
+                            plane[2] += span * tilt * (2.0 * c - 1.0)
+                            span *= 0.5
+                    if plane[0] > least and plane[0] < largest and apart_from(plane, best):
+                        plane[3] = _cost_of_best(
+                            others, count, best_frames, height, width, motions, cx, cy, focal,
+                            noise, weight0, weight1, weighted0, weighted1, variance, centre, y, x,
+                            _at_first(plane, stride),
+                        )  # fmt: skip
+                        if plane[3] < best[3]:
+                            best = plane
+                planes[row, column] = best
+
+
+@ti.func
+def _at_first(plane, stride):
+    """Return the plane of a cell at the first of its pixels, with slopes per px."""
+    first, side = plane, ti.cast(stride, ti.f32)
+    first[1] = plane[1] / side
+    first[2] = plane[2] / side
+    first[0] = plane[0] - 0.5 * (side - 1.0) * (first[1] + first[2])
+    return first
+
+
+@ti.func
+def _cost_of_best(
+    others: ti.template(),
+    count,
+    best,
+    height,
+    width,
+    motions: ti.template(),
+    cx,
+    cy,
+    focal,
+    noise,
+    weight0,
+    weight1,
+    weighted0,
+    weighted1,
+    variance,
+    centre,
+    y,
+    x,
+    plane,
+):
+    """Return the mean of 1 − c in the frames where it is least."""
+    lowest = ti.Vector([UNSEEN] * MOST_BEST)  # in order
+    for j in range(count):
+        cost = cost_in(
+            others, j, height, width, motions, cx, cy, focal, noise,
+            weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
+        )  # fmt: skip
+        for n in ti.static(range(MOST_BEST)):
+            lower = ti.min(lowest[n], cost)
+            cost = ti.max(lowest[n], cost)
+            lowest[n] = lower
+    total = 0.0
+    for n in ti.static(range(MOST_BEST)):
+        total += ti.select(n < best, lowest[n], 0.0)
+    return total / ti.cast(best, ti.f32)

@@ -1,0 +1,128 @@
+"""`tisfm reconstruct`: the folder it writes, and what it tells."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.cli.command_line import assert_one_line
+from tests.reconstruction.walks import along, depth_error, walk
+from tisfm.trajectory import read_kitti, read_tum, write_kitti
+
+COUNT = 6
+
+
+@pytest.fixture
+def film(place):
+    """The folder `film` with images of a walk, and the film."""
+    film = walk()
+    (place / "film").mkdir()
+    for k in range(COUNT):
+        cv2.imwrite(str(place / "film" / f"f{k}.png"), film.frames[k])
+    return film
+
+
+def options(film, *more):
+    return ("-o", "out", "--preset", "fast", "--focal", str(film.camera.focal), *more)
+
+
+def test_the_folder_holds_what_is_promised(tisfm_run, film, place):
+    code, out, err = tisfm_run("reconstruct", "film", *options(film, "--ply"))
+    assert code == 0 and out == ""
+    told = re.fullmatch(
+        rf"{COUNT} of {COUNT} frames have a pose, in 1 piece; (\d+) keyframes\. Results in out\.\n",
+        err,
+    )
+    assert told
+    assert sorted(path.name for path in (place / "out").iterdir()) == [
+        "depth", "frames", "path.npz", "points.ply", "poses.txt", "reconstruction.json",
+        "trajectory.txt",
+    ]  # fmt: skip
+    result = tisfm.Reconstruction.load("out")
+    assert len(result) == COUNT and len(result.keyframes) == int(told[1])
+    np.testing.assert_allclose(read_kitti("out/poses.txt").poses, result.poses, atol=1e-9)
+    tum = read_tum("out/trajectory.txt")
+    np.testing.assert_allclose(tum.poses, result.poses, atol=1e-9)
+    np.testing.assert_array_equal(tum.times, np.arange(COUNT))
+
+
+def test_an_earlier_reconstruction_is_replaced(tisfm_run, film, place):
+    assert tisfm_run("reconstruct", "film", *options(film, "--ply"))[0] == 0
+    assert tisfm_run("reconstruct", "film", *options(film, "--stop", "4"))[0] == 0
+    assert len(tisfm.Reconstruction.load("out")) == 4
+    assert len(list((place / "out" / "depth").iterdir())) == 4
+    assert not (place / "out" / "points.ply").exists()
+
+
+def test_poses_are_given_and_depth_is_in_their_unit(tisfm_run, film):
+    write_kitti("known.txt", film.poses[:COUNT])
+    code, _, _ = tisfm_run("reconstruct", "film", *options(film, "--poses", "known.txt"))
+    result = tisfm.Reconstruction.load("out")
+    assert code == 0
+    np.testing.assert_allclose(result.poses, film.poses[:COUNT], atol=1e-6)
+    assert depth_error(result.depth(3), film.depth[3]) < 0.15
+
+
+def test_the_unit_is_chosen(tisfm_run, film):
+    code, _, _ = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "5", "2.5"))
+    result = tisfm.Reconstruction.load("out")
+    assert code == 0
+    moved = np.linalg.norm(result.poses[5, :3, 3] - result.poses[0, :3, 3])
+    assert moved == pytest.approx(2.5)
+
+
+def test_a_mask_leaves_pixels_out(tisfm_run, film, place):
+    mask = np.full(film.frames[0].shape, 255, np.uint8)
+    mask[100:] = 0
+    cv2.imwrite("mask.png", mask)
+    assert tisfm_run("reconstruct", "film", *options(film, "--mask", "mask.png"))[0] == 0
+    assert len(tisfm.Reconstruction.load("out")) == COUNT
+
+
+def test_what_has_no_depth_is_told(tisfm_run, film, place):
+    for k in range(COUNT):
+        cv2.imwrite(str(place / "film" / f"f{k}.png"), film.frames[0])
+    code, _, err = tisfm_run("reconstruct", "film", *options(film))
+    assert code == 0
+    assert err.startswith(f"0 of {COUNT} frames have a pose")
+    assert "no_motion" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["gone"], "gone"),
+        (["film", "--poses", "gone.txt"], "gone.txt"),
+        (["film", "--mask", "gone.png"], "gone.png"),
+        (["film", "--stop", "1"], "stop is 1"),
+    ],
+)
+def test_faults_are_one_line(tisfm_run, film, place, arguments, words):
+    code, _, err = tisfm_run("reconstruct", *arguments, *options(film))
+    assert code == 1
+    assert_one_line(code, err, words)
+    assert not (place / "out" / "reconstruction.json").exists()
+
+
+def test_poses_of_another_number_are_refused(tisfm_run, film):
+    write_kitti("known.txt", along(3))
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "known.txt"))
+    assert code == 1
+    assert_one_line(code, err, "poses are 3")
+
+
+def test_other_files_stay(tisfm_run, film, place):
+    (place / "out").mkdir()
+    (place / "out" / "letter.txt").write_text("dear")
+    code, _, err = tisfm_run("reconstruct", "film", *options(film))
+    assert code == 1
+    assert_one_line(code, err, "letter.txt")
+    assert (place / "out" / "letter.txt").read_text() == "dear"
+
+
+def test_without_a_source_it_says_what_to_give(tisfm_run):
+    code, _, err = tisfm_run("reconstruct", "-o", "out")
+    assert code == 1
+    assert_one_line(code, err, "SOURCE is missing")

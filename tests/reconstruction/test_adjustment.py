@@ -1,0 +1,112 @@
+"""Poses adjusted to the images, jointly with the depth of keyframes."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.reconstruction.walks import path_error, walk
+from tisfm.reconstruction.adjustment import _jacobian, adjusted, star_of
+from tisfm.rigid import pose_matrix, rigid_motion
+from tisfm.settings import Settings
+
+SETTINGS = Settings.preset("balanced", motion="camera")
+
+
+def stars_of(film, keys, noise=0.0):
+    random = np.random.default_rng(5)
+    stars = []
+    for key in keys:
+        inverse = 1 / film.depth[key]
+        inverse = inverse * (1 + noise * random.standard_normal(inverse.shape))
+        members = [k for k in range(len(film.frames)) if k != key and abs(k - key) <= 4]
+        frame = film.frames[key].astype(np.float32)
+        stars.append(star_of(key, members, frame, inverse.astype("f4"), 0.02 * inverse))
+    return stars
+
+
+def shaken(poses, amount, seed=1):
+    random = np.random.default_rng(seed)
+    twists = amount * random.standard_normal((len(poses), 6))
+    twists[0] = 0
+    return {
+        k: pose @ pose_matrix(twist)
+        for k, (pose, twist) in enumerate(zip(poses, twists, strict=True))
+    }
+
+
+def adjusted_path(film, start, stars, rounds=3):
+    found = adjusted(
+        start, stars, lambda k: film.frames[k].astype(np.float32), film.camera, SETTINGS,
+        rounds=rounds,
+    )  # fmt: skip
+    return np.array([found[k] for k in sorted(found)])
+
+
+def test_shaken_poses_come_nearer_to_the_truth():
+    film = walk()
+    start = shaken(film.poses, 0.003)
+    before = path_error(np.array(list(start.values())), film.poses)
+    found = adjusted_path(film, start, stars_of(film, (0, 4, 8), noise=0.02))
+    assert path_error(found, film.poses) < before / 3
+    np.testing.assert_array_equal(found[0], start[0])
+
+
+def test_the_true_path_stays():
+    film = walk()
+    start = dict(enumerate(film.poses))
+    found = adjusted_path(film, start, stars_of(film, (0, 4, 8)))
+    assert path_error(found, film.poses) < 0.004
+
+
+def test_depth_of_a_star_is_found_with_its_motions():
+    film = walk()
+    (star,) = stars = stars_of(film, (4,))
+    (true,) = stars_of(film, (4,))
+    bumps = np.random.default_rng(4).normal(0, 0.06, (4, 5)).astype(np.float32)
+    star.inverse_depth = true.inverse_depth * (1 + cv2.resize(bumps, true.weight.shape[::-1]))
+
+    def off():
+        ratio = star.inverse_depth / true.inverse_depth
+        return np.average(np.abs(ratio / np.median(ratio) - 1), weights=star.weight)
+
+    before = off()
+    adjusted_path(film, dict(enumerate(film.poses)), stars)
+    assert off() < before / 1.5
+
+
+def test_without_stars_nothing_moves():
+    film = walk()
+    start = dict(enumerate(film.poses))
+    found = adjusted(start, [], lambda k: film.frames[k], film.camera, SETTINGS)
+    assert all((found[k] == start[k]).all() for k in start)
+
+
+def test_frames_that_no_star_has_stay():
+    film = walk()
+    start = {k: pose for k, pose in enumerate(film.poses)}
+    stars = stars_of(film, (0,))
+    found = adjusted(
+        start, stars, lambda k: film.frames[k].astype(np.float32), film.camera, SETTINGS
+    )
+    np.testing.assert_allclose(found[8], start[8], atol=1e-12)
+
+
+@pytest.mark.parametrize("component", range(6))
+def test_jacobian_is_the_change_of_the_place(component):
+    motion = np.column_stack(rigid_motion((0.3, -0.1, 0.2, 0.02, -0.05, 0.03)))
+    random = np.random.default_rng(0)
+    rays = np.vstack([random.uniform(-0.6, 0.6, (2, 50)), np.ones(50)])
+    depth, focal, step = random.uniform(0.3, 2, 50), 400.0, 1e-5
+
+    def places(change):
+        turn, shift = rigid_motion(change)
+        moved = np.column_stack([turn @ motion[:, :3], turn @ motion[:, 3] + shift])
+        there = moved[:, :3] @ rays + depth * moved[:, 3:]
+        return focal * there[:2] / there[2]
+
+    change = step * np.eye(6)[component]
+    expected = (places(change) - places(-change)) / (2 * step)
+    found = _jacobian(motion.astype("f4"), rays.astype("f4"), depth.astype("f4"), focal)[
+        :, component
+    ]
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-2)

@@ -1,0 +1,73 @@
+"""Which frames show the depth of a keyframe best."""
+
+import numpy as np
+import pytest
+
+from tisfm import Camera
+from tisfm.reconstruction.neighbours import choose_neighbours
+
+CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
+
+
+def line(positions):
+    """Return poses (N, 4, 4) of a camera that goes to the right, looking ahead."""
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, 0, 3] = positions
+    return poses
+
+
+def test_frames_of_enough_parallax_are_chosen_and_from_both_sides():
+    poses = line(0.01 * np.arange(-40, 41))  # 3 px a frame at depth 1
+    chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, most=4)
+    apart = np.array(chosen) - 40
+    assert len(chosen) == 4
+    assert (apart < 0).any() and (apart > 0).any()
+    assert (np.abs(3 * apart) >= 0.02 * SHAPE[1]).all()  # 6 px
+    assert (np.abs(3 * apart) <= 0.2 * SHAPE[1]).all()
+
+
+def test_what_is_farther_takes_frames_that_are_farther_apart():
+    poses = line(0.01 * np.arange(-40, 41))
+    near, far = (
+        np.abs(np.array(choose_neighbours(poses, 40, d, CAMERA, SHAPE)) - 40).mean()
+        for d in (2.0, 0.3)
+    )
+    assert far > 3 * near
+
+
+def test_frames_that_look_elsewhere_or_turn_only_are_not_chosen():
+    poses = line([0.0, 0.05, 0.0, 0.05, 0.0])
+    poses[3, :3, :3] = np.diag([-1.0, 1.0, -1.0])  # looks back
+    turn = 0.1
+    poses[2, :3, :3] = [
+        [np.cos(turn), 0, np.sin(turn)],
+        [0, 1, 0],
+        [-np.sin(turn), 0, np.cos(turn)],
+    ]
+    assert choose_neighbours(poses, 0, 1.0, CAMERA, SHAPE) == [1]
+
+
+def test_frames_without_a_pose_are_not_chosen():
+    poses = line([0.0, 0.05, -0.05])
+    poses[1] = np.nan
+    assert choose_neighbours(poses, 0, 1.0, CAMERA, SHAPE) == [2]
+    with pytest.raises(ValueError, match=r"poses\[1\] is not finite"):
+        choose_neighbours(poses, 1, 1.0, CAMERA, SHAPE)
+
+
+def test_unknown_depth_counts_as_the_median():
+    poses = line(0.01 * np.arange(-40, 41))
+    depth = np.full(SHAPE, 1.0)
+    whole = choose_neighbours(poses, 40, depth, CAMERA, SHAPE)
+    depth[::2] = np.nan
+    depth[:, :50] = 0
+    assert choose_neighbours(poses, 40, depth, CAMERA, SHAPE) == whole
+    with pytest.raises(ValueError, match="inverse_depth is nowhere positive"):
+        choose_neighbours(poses, 40, np.zeros(SHAPE), CAMERA, SHAPE)
+
+
+def test_no_more_than_asked_for():
+    poses = line(0.01 * np.arange(-40, 41))
+    for most in (1, 6):
+        chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, most=most)
+        assert len(chosen) == most == len(set(chosen))

@@ -1,0 +1,220 @@
+"""`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.walks import along, depth_error, path_error, walk
+from tisfm import Camera, Reconstruction, Settings
+
+FAST = Settings.preset("fast", motion="camera")
+
+
+@pytest.fixture(scope="module")
+def film():
+    return walk()
+
+
+@pytest.fixture(scope="module")
+def found(film):
+    return tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
+
+
+def scale_of(found, film):
+    ratio = [np.nanmedian(true / found.depth(k)) for k, true in enumerate(film.depth)]
+    return np.median(ratio)
+
+
+def test_every_frame_has_a_pose_and_depth_in_one_scale(film, found):
+    assert len(found) == len(film.frames)
+    assert found.poses.shape == (len(film.frames), 4, 4) and found.poses.dtype == np.float64
+    assert found.piece.dtype == np.int32 and (found.piece == 0).all()
+    np.testing.assert_allclose(found.poses[0], np.eye(4), atol=1e-12)
+    assert path_error(found.poses, film.poses) < 0.02
+    scale = scale_of(found, film)
+    errors = [depth_error(found.depth(k), true, scale) for k, true in enumerate(film.depth)]
+    assert np.median(errors) < 0.1 and max(errors) < 0.25
+    assert all(status == "converged" for status in found.status)
+    assert found.keyframes[0] == 0 and set(found.keyframes) <= set(range(len(found)))
+    assert found.names == tuple(f"frame_{k:06d}" for k in range(len(found)))
+
+
+def test_depth_is_in_the_unit_of_the_poses(found):
+    first = found.depth(found.keyframes[0])
+    assert np.nanmedian(first) == pytest.approx(1, abs=2e-3)
+    inverse = found.inverse_depth(1)
+    assert inverse.dtype == np.float32 and inverse.shape == found.shape
+    np.testing.assert_allclose(found.depth(1), 1 / inverse, rtol=1e-6)
+    assert (found.inverse_depth_std(1) > 0).all()
+
+
+def test_given_poses_are_kept_and_depth_is_in_their_unit(film):
+    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses)
+    np.testing.assert_allclose(found.poses, film.poses, atol=1e-12)
+    errors = [depth_error(found.depth(k), true) for k, true in enumerate(film.depth)]
+    assert np.median(errors) < 0.08 and max(errors) < 0.2
+
+
+def test_frames_without_a_given_pose_have_no_depth(film):
+    poses = film.poses.copy()
+    poses[4] = np.nan
+    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=poses)
+    assert found.piece[4] == -1 and np.isnan(found.poses[4]).all()
+    assert np.isnan(found.depth(4)).all() and np.isinf(found.inverse_depth_std(4)).all()
+    assert found.status[4] == "unrelated" and found.status[4].message
+
+
+def test_it_is_the_same_every_time(film, found):
+    again = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
+    np.testing.assert_array_equal(again.poses, found.poses)
+    for frame in (0, 4, 8):
+        np.testing.assert_array_equal(again.inverse_depth(frame), found.inverse_depth(frame))
+
+
+def test_saved_and_loaded(found, tmp_path):
+    found.save(tmp_path / "kept")
+    loaded = Reconstruction.load(tmp_path / "kept")
+    np.testing.assert_array_equal(loaded.poses, found.poses)
+    np.testing.assert_array_equal(loaded.piece, found.piece)
+    assert loaded.status == found.status and loaded.camera == found.camera
+    assert [s.message for s in loaded.status] == [s.message for s in found.status]
+    assert loaded.keyframes == found.keyframes and loaded.settings == found.settings
+    for frame in range(len(found)):
+        np.testing.assert_array_equal(loaded.inverse_depth(frame), found.inverse_depth(frame))
+        np.testing.assert_array_equal(loaded.picture(frame), found.picture(frame))
+    found.save(tmp_path / "kept")  # in place of itself
+    assert Reconstruction.load(tmp_path / "kept").keyframes == found.keyframes
+
+
+def test_other_files_are_not_overwritten(found, tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(FileExistsError, match=r"letter\.txt"):
+        found.save(tmp_path)
+    assert (tmp_path / "letter.txt").read_text() == "dear"
+
+
+def test_folders_that_are_not_complete_are_refused(found, tmp_path):
+    with pytest.raises(FileNotFoundError, match="not that of a reconstruction"):
+        Reconstruction.load(tmp_path)
+    found.save(tmp_path)
+    (tmp_path / "reconstruction.json").unlink()
+    with pytest.raises(FileNotFoundError, match="not complete"):
+        Reconstruction.load(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{}", "not json", '{"format": 99}'])
+def test_damaged_records_are_refused(found, tmp_path, text):
+    found.save(tmp_path)
+    (tmp_path / "reconstruction.json").write_text(text)
+    with pytest.raises(tisfm.formats.FormatError, match=r"reconstruction\.json"):
+        Reconstruction.load(tmp_path)
+
+
+def test_the_scale_from_a_known_distance(found, film, tmp_path):
+    moved = np.linalg.norm(film.poses[8, :3, 3] - film.poses[0, :3, 3])
+    metric = found.rescaled(0, 8, moved)
+    factor = moved / np.linalg.norm(found.poses[8, :3, 3] - found.poses[0, :3, 3])
+    np.testing.assert_allclose(metric.depth(3), factor * found.depth(3), rtol=1e-5)
+    np.testing.assert_allclose(
+        metric.inverse_depth_std(3), found.inverse_depth_std(3) / factor, rtol=1e-5
+    )
+    assert depth_error(metric.depth(3), film.depth[3]) < 0.2
+    metric.save(tmp_path)
+    np.testing.assert_allclose(Reconstruction.load(tmp_path).depth(3), metric.depth(3), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("frames", "text"),
+    [((0, 0, 1.0), "one place"), ((0, 1, -1.0), "positive"), ((0, 99, 1.0), "expected 0 to 8")],
+)
+def test_scales_that_say_nothing_are_refused(found, frames, text):
+    with pytest.raises((ValueError, IndexError), match=text):
+        found.rescaled(*frames)
+
+
+def test_points_lie_in_the_world(found, film):
+    cloud = found.points()
+    assert len(cloud) > 1000 and cloud.positions.dtype == np.float32
+    one = found.points([0])
+    depth = found.depth(0)
+    assert one.positions[:, 2].max() <= np.nanmax(depth) * (1 + 1e-5)
+    assert len(found.points([0], max_relative_std=0.01)) < len(one)
+
+
+def test_masked_pixels_are_left_out(film):
+    mask = np.full(film.frames[0].shape, 255, np.uint8)
+    mask[:40, :60] = 0
+    frames = film.frames.copy()
+    frames[:, :40, :60] = np.random.default_rng(0).integers(0, 255, (40, 60), np.uint8)  # a logo
+    found = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, mask=mask)
+    assert (found.piece == 0).all()
+    assert path_error(found.poses, film.poses) < 0.03
+
+
+def test_distortion_is_removed(film):
+    camera = Camera(focal=film.camera.focal, distortion=(-0.05, 0.01, 0.0, 0.0))
+    found = tisfm.reconstruct(film.frames[:5], camera=camera, settings=FAST)
+    assert found.camera == camera.pinhole()
+    assert (found.piece == 0).all()
+
+
+def test_a_folder_of_images_and_of_results(film, tmp_path):
+    for k, frame in enumerate(film.frames[:6]):
+        cv2.imwrite(str(tmp_path / f"f{k}.png"), frame)
+    told = []
+    found = tisfm.reconstruct(
+        tmp_path / "f*.png",
+        camera=film.camera,
+        settings=FAST,
+        folder=tmp_path / "out",
+        progress=lambda *step: told.append(step),
+    )
+    assert found.names == tuple(f"f{k}" for k in range(6))
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "depth", "frames", "path.npz", "reconstruction.json",
+    ]  # fmt: skip
+    assert told[0] == ("reading", 1, 6) and told[-1] == ("depth", 6, 6)
+    assert [stage for stage, done, total in told if done == 6].count("reading") == 1
+
+
+def test_a_failure_leaves_no_complete_folder(film, tmp_path):
+    def broken():
+        yield from film.frames[:3]
+        raise OSError("the camera is gone")
+
+    with pytest.raises(OSError, match="gone"):
+        tisfm.reconstruct(broken(), camera=film.camera, settings=FAST, folder=tmp_path)
+    assert not (tmp_path / "reconstruction.json").exists()
+    assert not (tmp_path / "cache").exists()
+
+
+def test_a_camera_at_rest_is_told(film):
+    found = tisfm.reconstruct(np.stack([film.frames[0]] * 4), camera=film.camera, settings=FAST)
+    assert (found.piece == -1).all() and not found.keyframes
+    assert all(status == "no_motion" and status.message for status in found.status)
+    assert np.isnan(found.depth(0)).all()
+    assert len(found.points()) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"settings": Settings()}, ValueError, 'motion is "field"'),
+        ({"settings": "fast"}, TypeError, "settings"),
+        ({"camera": 600}, TypeError, "camera"),
+        ({"poses": np.eye(4)}, ValueError, "poses is"),
+        ({"poses": np.zeros((9, 4, 4))}, ValueError, r"poses\[0\]"),
+        ({"poses": along(3)}, ValueError, "poses are 3"),
+        ({"poses": along(9), "bad_frames": "skip"}, ValueError, "skip"),
+    ],
+)  # fmt: skip
+def test_wrong_arguments_are_refused(film, changes, error, text):
+    options = {"camera": film.camera, "settings": FAST, **changes}
+    with pytest.raises(error, match=text):
+        tisfm.reconstruct(film.frames, **options)
+
+
+def test_one_frame_is_refused(film):
+    with pytest.raises(ValueError, match="1 frame"):
+        tisfm.reconstruct(film.frames[:1], camera=film.camera)

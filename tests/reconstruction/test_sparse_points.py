@@ -1,0 +1,63 @@
+"""Points of tracks under known poses."""
+
+import numpy as np
+
+from tests.reconstruction.walks import along
+from tisfm import Camera
+from tisfm.reconstruction.sparse_points import depths_of, triangulated
+from tisfm.reconstruction.tracks import Seen
+
+CAMERA, SHAPE = Camera(focal=200.0), (120, 160)
+
+
+def seen_by(poses, points, noise=0.0, seed=0):
+    random = np.random.default_rng(seed)
+    frames = []
+    for pose in poses:
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        places = local[:, :2] / local[:, 2:] * CAMERA.focal + CAMERA.center_for(*SHAPE)
+        places += noise * random.standard_normal(places.shape)
+        frames.append(Seen(points=places, tracks=np.arange(len(points))))
+    return frames
+
+
+def points_ahead(count=40, seed=2):
+    random = np.random.default_rng(seed)
+    return random.uniform((-1, -0.7, 3), (1, 0.7, 6), (count, 3))
+
+
+def test_exact_rays_meet_in_their_points():
+    poses, points = along(5), points_ahead()
+    found = triangulated(seen_by(poses, points), dict(enumerate(poses)), CAMERA, SHAPE)
+    assert sorted(found) == list(range(len(points)))
+    np.testing.assert_allclose([found[k] for k in sorted(found)], points, atol=1e-9)
+
+
+def test_noise_moves_them_little():
+    poses, points = along(9), points_ahead()
+    found = triangulated(seen_by(poses, points, noise=0.3), dict(enumerate(poses)), CAMERA, SHAPE)
+    depth = np.array([found[k][2] / points[k, 2] for k in found])
+    assert len(found) > 30 and np.median(np.abs(depth - 1)) < 0.05
+
+
+def test_what_no_ray_shows_is_left_out():
+    poses, points = along(5), points_ahead()
+    seen = seen_by(poses, points)
+    far = [0]  # a track that jumps
+    for k, frame in enumerate(seen):
+        frame.points[far] += 40 * (k % 2)
+    found = triangulated(seen, dict(enumerate(poses)), CAMERA, SHAPE)
+    assert 0 not in found and 1 in found
+    still = triangulated(seen[:1] * 3, dict.fromkeys(range(3), poses[0]), CAMERA, SHAPE)
+    assert still == {}
+    assert triangulated(seen, {}, CAMERA, SHAPE) == {}
+
+
+def test_depths_are_those_before_the_camera():
+    poses, points = along(5), points_ahead()
+    seen = seen_by(poses, points)
+    known = {k: points[k] for k in range(10)} | {11: np.array([0.0, 0.0, -5.0])}
+    places, depth = depths_of(seen[2], known, poses[2])
+    expected = ((points[:10] - poses[2, :3, 3]) @ poses[2, :3, :3])[:, 2]
+    np.testing.assert_allclose(depth, expected)
+    np.testing.assert_allclose(places, seen[2].points[:10])

@@ -1,0 +1,185 @@
+"""Inverse depth of a keyframe from several frames whose poses are known."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from tests.one_thread import bits_on_one_thread, several_threads
+from tests.reconstruction.views import views
+from tisfm import Settings
+
+SETTINGS = Settings.preset("balanced")
+
+
+def found_in(arguments, **options):
+    from tisfm.reconstruction.window_depth import window_depth
+
+    return window_depth(*arguments, SETTINGS, **options)
+
+
+def bits():
+    found = found_in(views("room").first(3))
+    return hashlib.sha256(found.inverse_depth.tobytes() + found.deviation.tobytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit"), [("sideways", 0.01), ("forward+rotation", 0.014), ("room", 0.032)]
+)
+def test_depth_of_rendered_scenes(kind, limit):
+    scene = views(kind, 240, 320)
+    found = found_in(scene.first(4))
+    errors = scene.errors(found)
+    assert errors.mean() < limit
+    assert (found.inverse_depth > 0).all()
+    assert found.inverse_depth.dtype == found.deviation.dtype == np.float32
+    relative = found.deviation / found.inverse_depth
+    surest = relative <= np.quantile(relative, 0.4)
+    assert errors[surest].mean() < 0.5 * errors.mean()
+    off = np.abs(found.inverse_depth - 1 / scene.depth)
+    assert 0.6 < (off <= found.deviation).mean() < 0.85
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
+def test_the_error_falls_with_frames(kind):
+    scene = views(kind, 240, 320, 8)
+    errors = [scene.errors(found_in(scene.first(count))).mean() for count in (1, 2, 4, 8)]
+    assert (np.diff(errors) < 0).all()
+    assert errors[-1] < 0.5 * errors[0]
+
+
+def test_the_unit_is_that_of_the_motions():
+    key, others, motions, camera = views("sideways").first(2)
+    found = found_in((key, others, motions, camera))
+    longer = motions.copy()
+    longer[:, :, 3] *= 100
+    same = found_in((key, others, longer, camera))
+    np.testing.assert_allclose(100 * same.inverse_depth, found.inverse_depth, rtol=1e-3)
+    np.testing.assert_allclose(100 * same.deviation, found.deviation, rtol=1e-2)
+
+
+def test_effort_is_how_dense_cells_are():
+    scene = views("sideways", 240, 320, 2)
+    found = {effort: found_in(scene.first(2), effort=effort) for effort in ("fast", "balanced")}
+    assert [found[effort].level for effort in found] == [1, 0]
+    assert found["fast"].believed.shape == (120, 160)
+    assert scene.errors(found["balanced"]).mean() < scene.errors(found["fast"]).mean() < 0.03
+
+
+def test_sizes_may_be_odd():
+    key, others, motions, camera = views("sideways", 121, 163, 2).first(2)
+    found = found_in((key, others, motions, camera))
+    assert found.inverse_depth.shape == (121, 163)
+
+
+def test_what_masks_hide_does_not_count():
+    scene = views("room")
+    key, others, motions, camera = scene.first(3)
+    spoilt = [frame.copy() for frame in others]
+    rng = np.random.default_rng(0)
+    mask = np.ones(key.shape, bool)
+    mask[:, 100:] = False
+    for frame in spoilt:
+        frame[:, 100:] = key[:, 100:]  # stands still, as a bonnet does
+    hidden = found_in((key, spoilt, motions, camera), masks=[mask] * 3)
+    clean = scene.errors(found_in((key, others, motions, camera)))
+    believed = scene.errors(found_in((key, spoilt, motions, camera)))
+    inside = np.s_[:, 110:]
+    errors = scene.errors(hidden)
+    assert errors[inside].mean() < 0.7 * believed[inside].mean()
+    assert errors[:, :90].mean() < 1.5 * clean[:, :90].mean()
+    noise = key.copy()
+    noise[:, 100:] = rng.uniform(0, 255, noise[:, 100:].shape)
+    found = found_in((noise, others, motions, camera), key_mask=mask)
+    assert not found.believed[:, 100:].any()
+    assert found.believed[:, :100].mean() > 0.3
+
+
+def test_a_prior_fills_what_images_do_not_show():
+    scene = views("room")
+    truth = (1 / scene.depth).astype(np.float32)
+    before = truth.copy()
+    before[::7, ::5] = np.nan
+    deviation = 0.01 * before
+    arguments = scene.first(1)
+    alone, helped = found_in(arguments), found_in(arguments, prior=(before, deviation))
+    assert scene.errors(helped).mean() < 0.6 * scene.errors(alone).mean()
+    unsure = found_in(arguments, prior=(before, 100 * deviation))
+    assert scene.errors(unsure).mean() > scene.errors(helped).mean()
+
+
+def test_a_prior_that_images_contradict_is_dropped():
+    scene = views("sideways")
+    wrong = (2 / scene.depth).astype(np.float32)
+    found = found_in(scene.first(4), prior=(wrong, 0.02 * wrong))
+    assert scene.errors(found).mean() < 0.03
+
+
+def test_bare_frames_say_nothing():
+    key, _, motions, camera = views("sideways").first(2)
+    bare = np.full_like(key, 100)
+    assert found_in((bare, [bare, bare], motions, camera)) is None
+
+
+def test_arguments_are_left_alone_and_bits_stay():
+    scene = views("room")
+    arguments = scene.first(3)
+    copies = arguments[0].copy(), [frame.copy() for frame in arguments[1]], arguments[2].copy()
+    assert bits() == bits()
+    np.testing.assert_array_equal(arguments[0], copies[0])
+    np.testing.assert_array_equal(arguments[2], copies[2])
+    for frame, copy in zip(arguments[1], copies[1], strict=True):
+        np.testing.assert_array_equal(frame, copy)
+
+
+@several_threads
+def test_same_bits_with_one_thread_and_with_all():
+    assert bits_on_one_thread(__name__) == bits()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: (a[0], [], a[2], a[3]), "others is empty"),
+        (lambda a: (a[0], a[1], a[2][:1], a[3]), r"motions is \(1, 3, 4\) for 2 frames"),
+        (lambda a: (a[0], [a[1][0], a[1][1][1:]], a[2], a[3]), r"others\[1\] is \(119, 160\)"),
+        (lambda a: (a[0], a[1], a[2] * np.nan, a[3]), "not finite"),
+        (lambda a: (a[0], a[1], a[2] * [1, 1, 1, 0], a[3]), "without translation"),
+    ],
+)
+def test_arguments_are_checked(change, message):
+    with pytest.raises(ValueError, match=message):
+        found_in(change(views("sideways").first(2)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"masks": [None]}, "masks has 1 for 2 frames"),
+        ({"key_mask": np.ones((3, 4), bool)}, r"key_mask is \(3, 4\)"),
+        ({"prior": (np.ones((3, 4)), np.ones((3, 4)))}, r"prior is \(3, 4\)"),
+        ({"effort": "slow"}, "effort is 'slow': expected one of 'fast', 'balanced', 'accurate'"),
+    ],
+)
+def test_options_are_checked(options, message):
+    with pytest.raises(ValueError, match=message):
+        found_in(views("sideways").first(2), **options)
+
+
+def test_cameras_that_look_at_one_point_are_searched_beyond_it():
+    from tisfm.reconstruction.window_planes import Window
+
+    key, others, _, camera = views("sideways").first(1)
+    turn = np.arctan(0.5)  # from 1 beside, at a point 2 ahead
+    rotation = np.array(
+        [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+    )
+    parallel = np.column_stack([np.eye(3), [-1.0, 0, 0]])
+    converging = np.column_stack([rotation, rotation @ [1.0, 0, 0]])
+    reach = [
+        Window(key, others, motion[None], camera, cells=2**17) for motion in (parallel, converging)
+    ]
+    met = 0.5 * camera.focal * reach[1].unit  # D of that point
+    assert reach[1].largest > met > 0
+    np.testing.assert_allclose(reach[1].largest - reach[0].largest, met, rtol=1e-6)

@@ -1,0 +1,53 @@
+"""Several views of the ready scenes, with true depth and motions."""
+
+from dataclasses import dataclass
+from functools import cache
+from unittest import mock
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.rigid import rigid_motion
+from tisfm.scenes import ready, room, static_scene
+
+FACTORS = (1, -1, 2, -2, 3, -3, 4, -4)  # of the motion of the camera
+ROOM_MOTION = np.array((0.12, 0.0, 0.08, 0.003, 0.01, 0.006))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Views:
+    """A keyframe, other frames in the order of `FACTORS`, and the truth."""
+
+    key: np.ndarray
+    others: list[np.ndarray]
+    motions: np.ndarray
+    camera: Camera
+    depth: np.ndarray
+
+    def first(self, count):
+        """Return the arguments of `window_depth` for so many of the frames."""
+        return self.key, self.others[:count], self.motions[:count], self.camera
+
+    def errors(self, found):
+        """Return |d − d*| / d* of every pixel."""
+        return np.abs(1 / found.inverse_depth - self.depth) / self.depth
+
+
+@cache
+def views(kind, height=120, width=160, count=4):
+    """Return views of a room, or of the static scene of a kind."""
+    pairs = []
+    for factor in FACTORS[:count]:
+        if kind == "room":
+            pairs.append(room(height, width, camera_motion=factor * ROOM_MOTION, samples=2))
+        else:
+            motion = factor * np.array(ready._STATIC_MOTIONS[kind])
+            with mock.patch.dict(ready._STATIC_MOTIONS, {kind: motion}):
+                pairs.append(static_scene(kind, height, width, samples=2))
+    return Views(
+        key=pairs[0].frame0.astype(np.float32),
+        others=[pair.frame1.astype(np.float32) for pair in pairs],
+        motions=np.array([np.column_stack(rigid_motion(pair.motions[0])) for pair in pairs]),
+        camera=pairs[0].camera,
+        depth=pairs[0].depth,
+    )

@@ -1,0 +1,100 @@
+"""What `tisfm reconstruct` does."""
+
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+import tisfm
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.frame_options import FrameOptions
+from tisfm.reconstruction.progress import Stage
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import Source
+from tisfm.trajectory import read_trajectory, write_kitti, write_tum
+
+POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
+_STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
+
+
+def reconstruct(
+    source: Source,
+    output: Path,
+    *,
+    camera: Camera | None,
+    settings: Settings,
+    frames: FrameOptions,
+    poses: Path | None = None,
+    mask: str | None = None,
+    scale: tuple[int, int, float] | None = None,
+    ply: bool = False,
+    arch: Arch | None = None,
+    threads: int | None = None,
+) -> int:
+    """Reconstruct a sequence, write its folder, and return the exit code.
+
+    `poses` is a trajectory of the frames that are taken; `scale` are two frames and the distance
+    of the camera's places.
+    """
+    given = None if poses is None else read_trajectory(poses).poses
+    runtime.start(arch, threads=threads)
+    with progress_bar() as bar:
+        task = bar.add_task("", total=None)
+
+        def tell_progress(stage: Stage, done: int, total: int | None) -> None:
+            bar.update(task, description=_STAGES[stage], completed=done, total=total)
+
+        result = tisfm.reconstruct(
+            source,
+            camera=camera,
+            settings=settings,
+            poses=given,
+            mask=mask,
+            folder=output,
+            progress=tell_progress,
+            **asdict(frames),
+        )
+    if scale is not None:
+        result = result.rescaled(*scale)
+        result.save(output)
+    write_trajectories(result, output)
+    if ply:
+        result.points().save(output / POINTS)
+    _tell(result, output)
+    return 0
+
+
+def write_trajectories(result: Reconstruction, folder: Path) -> None:
+    """Write the poses of the largest piece as TUM and as KITTI have them."""
+    largest = result.largest_piece
+    poses = np.where((result.piece == largest)[:, None, None], result.poses, np.nan)
+    times = result.times
+    known = [k if time is None else time for k, time in enumerate(times)]
+    if not np.isfinite(poses).any():
+        return
+    write_tum(folder / TRAJECTORY, poses, np.array(known, np.float64))
+    write_kitti(folder / POSES, poses)
+
+
+def _tell(result: Reconstruction, output: Path) -> None:
+    count = len(result)
+    placed = int((result.piece >= 0).sum())
+    sizes = np.bincount(result.piece[result.piece >= 0])
+    pieces = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
+    if len(sizes) > 1:
+        pieces += f" ({', '.join(map(str, sizes))} frames, each in a scale of its own)"
+    tell(
+        f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
+        f"Results in {output}."
+    )
+    counts = Counter(str(status) for status in result.status if status != "converged")
+    for code, number in counts.items():
+        message = next(status.message for status in result.status if status == code)
+        tell(f"{code}, {number} frame{'s' * (number != 1)}: {message}")
+    for _, reason in result.skipped:
+        tell(f"skipped: {reason}")

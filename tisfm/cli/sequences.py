@@ -1,0 +1,208 @@
+"""What `tisfm eval --sequence` does."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tisfm
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.datasets import (
+    SEQUENCE_LAYOUTS,
+    DatasetSequence,
+    LoadedSequence,
+    find_sequences,
+)
+from tisfm.evaluation.files import EVALUATION_RECORD
+from tisfm.evaluation.sequence_tables import sequence_tables
+from tisfm.evaluation.sequences import (
+    Reconstructed,
+    SequenceEvaluation,
+    as_record,
+    compare_sequence,
+    reconstruct_and_compare,
+)
+from tisfm.evaluation.trajectory_result import TrajectoryResult
+from tisfm.formats import atomic_write
+from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.stated import is_stated
+from tisfm.trajectory import read_trajectory, write_tum
+from tisfm.version import __version__
+
+
+def evaluate_sequences(
+    folders: Sequence[str],
+    output: Path | None,
+    *,
+    layout: str | None = None,
+    camera: Camera | None = None,
+    settings: Settings,
+    step: int | None = None,
+    give_poses: bool = False,
+    max_depth: float | None = None,
+    result: Path | None = None,
+    arch: Arch | None = None,
+    threads: int | None = None,
+) -> int:
+    """Reconstruct the sequences of datasets, print their errors, write all; return the exit code.
+
+    With `result` nothing is reconstructed: it is a trajectory, or what a reconstruction saved.
+    """
+    sequences = _found(folders, layout)
+    if result is not None and len(sequences) > 1:
+        names = ", ".join(sequence.name for sequence in sequences)
+        raise ValueError(
+            f"one result is given, but there are {len(sequences)} sequences, {names}: give the "
+            "folder of one"
+        )
+    if max_depth is not None and not max_depth > 0:
+        raise ValueError(f"max_depth is {max_depth}: expected a positive depth")
+    if result is None:
+        runtime.start(arch, threads=threads)
+    evaluations: list[SequenceEvaluation] = []
+    paths = {} if output is None else _paths(sequences, output)
+    with progress_bar() as progress:
+        task = progress.add_task("", total=len(sequences))
+        for sequence in sequences:
+            progress.update(task, description=sequence.name)
+            try:
+                evaluations.append(
+                    _evaluate(
+                        sequence,
+                        paths.get(sequence),
+                        camera=camera,
+                        settings=settings,
+                        step=1 if step is None else step,
+                        give_poses=give_poses,
+                        max_depth=max_depth,
+                        result=result,
+                    )
+                )
+            except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
+                if not is_stated(error):
+                    raise
+                text = " ".join(str(error).split()) or type(error).__name__
+                evaluations.append(SequenceEvaluation(sequence=sequence, fault=text))
+            progress.advance(task)
+    if output is not None:
+        _write_record(output, evaluations, settings=settings, camera=camera)
+    for table in sequence_tables(evaluations):
+        print_whole(table)
+    faults = [evaluation for evaluation in evaluations if evaluation.fault is not None]
+    good = len(evaluations) - len(faults)
+    if good:
+        where = "" if output is None else f" Paths and every number in {output}."
+        tell(f"{good} sequence{'s' * (good != 1)}.{where}")
+    for evaluation in faults:
+        tell(f"tisfm: {evaluation.sequence.name}: {evaluation.fault}")
+    return 1 if faults else 0
+
+
+def _found(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
+    if layout is not None and layout not in SEQUENCE_LAYOUTS:
+        names = ", ".join(map(repr, SEQUENCE_LAYOUTS))
+        raise ValueError(f"layout is {layout!r}, which has no sequences: expected one of {names}")
+    return list(
+        dict.fromkeys(found for folder in folders for found in find_sequences(folder, layout))
+    )
+
+
+def _paths(sequences: Sequence[DatasetSequence], output: Path) -> dict[DatasetSequence, Path]:
+    """Return the file of each sequence's path; no two are one."""
+    paths: dict[DatasetSequence, Path] = {}
+    taken: set[str] = set()
+    for sequence in sequences:
+        number, name = 1, sequence.name
+        while name.lower() in taken:
+            number += 1
+            name = f"{sequence.name}_{number}"
+        taken.add(name.lower())
+        paths[sequence] = output / f"{name}.tum"
+    return paths
+
+
+def _evaluate(
+    sequence: DatasetSequence,
+    path: Path | None,
+    *,
+    camera: Camera | None,
+    settings: Settings,
+    step: int,
+    give_poses: bool,
+    max_depth: float | None,
+    result: Path | None,
+) -> SequenceEvaluation:
+    loaded = sequence.load(step)
+    taken_by = camera or loaded.camera
+    if taken_by is None:
+        raise ValueError(f"{sequence.folder} states no camera: give --focal")
+    if result is None:
+        evaluation, found = reconstruct_and_compare(
+            sequence,
+            loaded,
+            camera=taken_by,
+            settings=settings,
+            step=step,
+            give_poses=give_poses,
+            max_depth=max_depth,
+        )
+    else:
+        found, with_depth = _read(result, loaded)
+        evaluation = compare_sequence(
+            sequence,
+            loaded,
+            found,
+            camera=taken_by,
+            step=step,
+            poses_given=give_poses,
+            max_depth=max_depth,
+            with_depth=with_depth,
+        )
+    if path is not None:
+        _write_paths(path, loaded, found)
+    return evaluation
+
+
+def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
+    """Return what was saved, and whether it has depth."""
+    if path.is_dir():
+        return tisfm.Reconstruction.load(path), True
+    return TrajectoryResult(read_trajectory(path), loaded, path), False
+
+
+def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
+    """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
+    times = np.arange(len(loaded.frames), dtype=float) if loaded.times is None else loaded.times
+    numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
+    for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
+        file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")
+        InputFiles(loaded.frames).refuse(file)
+        make_folder(file.parent)
+        mine = (found.piece == number)[:, None, None]
+        write_tum(file, np.where(mine, found.poses, np.nan), times)
+
+
+def _write_record(
+    folder: Path,
+    evaluations: Sequence[SequenceEvaluation],
+    *,
+    settings: Settings,
+    camera: Camera | None,
+) -> None:
+    make_folder(folder)
+    record: dict[str, Any] = {
+        "version": __version__,
+        "settings": asdict(settings),
+        "camera": None if camera is None else asdict(camera),
+        "sequences": [as_record(evaluation) for evaluation in evaluations],
+    }
+    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_write(folder / EVALUATION_RECORD) as file:
+        file.write(text.encode("utf-8"))

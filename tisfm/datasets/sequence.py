@@ -1,0 +1,68 @@
+"""What the files of a sequence say."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.datasets.depth_maps import MILLIMETRES, read_depth
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadedSequence:
+    """What the files of a sequence say. Frames and depth maps are not read yet.
+
+    Attributes
+    ----------
+    frames : tuple of Path
+        In order.
+    poses : (N, 4, 4) float64 ndarray
+        True poses, camera to world, m; NaN where there is none.
+    camera : Camera or None
+        If the dataset states one.
+    times : (N,) float64 ndarray or None
+        When the frames were taken, s; None if the dataset does not say.
+    depths : tuple of Path or None
+        The true depth map of each frame; None where there is none.
+    depth_scale : float
+        Values of a depth map per metre.
+    """
+
+    frames: tuple[Path, ...]
+    poses: NDArray[np.float64]
+    camera: Camera | None = None
+    times: NDArray[np.float64] | None = None
+    depths: tuple[Path | None, ...]
+    depth_scale: float = MILLIMETRES
+
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """Which frames have a true pose, (N,)."""
+        return np.asarray(np.isfinite(self.poses[:, 0, 0]))
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        """Read the true depth Z of a frame, (H, W), m, NaN where unknown; None if it has none.
+
+        Raises
+        ------
+        FormatError
+            If the file is damaged, or no depth map.
+        OSError
+            If it does not exist or cannot be read.
+        """
+        path = self.depths[index]
+        return None if path is None else read_depth(path, self.depth_scale)
+
+    def take(self, indices: Iterable[int]) -> "LoadedSequence":
+        """Return some of the frames alone, in the order given."""
+        kept = list(indices)
+        return replace(
+            self,
+            frames=tuple(self.frames[index] for index in kept),
+            poses=self.poses[kept],
+            times=None if self.times is None else self.times[kept],
+            depths=tuple(self.depths[index] for index in kept),
+        )

@@ -1,0 +1,228 @@
+"""How the datasets lay out their sequences.
+
+A loader gets the folder of one and reads all but its frames and depth maps.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.datasets.calibration import STATED, TUM, for_width, read_calibration, read_camera
+from tisfm.datasets.depth_maps import MILLIMETRES
+from tisfm.datasets.layouts import TSUKUBA_POSES, numbered, sorted_files
+from tisfm.datasets.sequence import LoadedSequence
+from tisfm.datasets.trajectories import read_pose, read_poses
+from tisfm.formats import IMAGE_SUFFIXES, FormatError, read_image
+from tisfm.formats.images import natural_order
+from tisfm.trajectory import associate, read_kitti, read_tum
+from tisfm.trajectory.path import check_times
+from tisfm.trajectory.rows import read_lines, read_rows
+
+SequenceLayout = Literal["new_tsukuba", "sevenscenes", "calibrated", "tum", "kitti_odometry"]
+
+_CENTIMETRES = 100.0  # per metre
+_TUM_DEPTH = 5000.0  # values of a depth map per metre
+_TUM_KIND = re.compile(r"(?:freiburg|fr)(\d)")
+_KITTI_FRAMES = ("image_0", "image_2")  # the poses are those of camera 0
+
+
+def _load_new_tsukuba(folder: Path) -> LoadedSequence:
+    frames = numbered(folder, "rgb_*.png", r"rgb_(\d+)\.png")
+    path = folder / TSUKUBA_POSES
+    rows = read_poses(path)
+    if max(frames) >= len(rows):
+        raise FormatError(f"{path} has {len(rows)} rows, but there is a frame {max(frames)}")
+    poses = np.array([rows[number] for number in sorted(frames)])
+    poses[:, :3, 3] /= _CENTIMETRES
+    files = tuple(frames[number] for number in sorted(frames))
+    return LoadedSequence(
+        frames=files, poses=poses, camera=_stated("new_tsukuba", files), depths=(None,) * len(files)
+    )
+
+
+def _load_sevenscenes(folder: Path) -> LoadedSequence:
+    frames = numbered(folder, "frame-*.color.*", r"frame-(\d+)\.color\.(?:png|jpg)")
+    poses = numbered(folder, "frame-*.pose.txt", r"frame-(\d+)\.pose\.txt")
+    depths = numbered(folder, "frame-*.depth.png", r"frame-(\d+)\.depth\.png")
+    numbers = sorted(frames)
+    files = tuple(frames[number] for number in numbers)
+    return LoadedSequence(
+        frames=files,
+        poses=np.array([read_pose(poses[n]) if n in poses else _no_pose() for n in numbers]),
+        camera=_stated("sevenscenes", files),
+        depths=tuple(depths.get(number) for number in numbers),
+    )
+
+
+def _load_calibrated(folder: Path) -> LoadedSequence:
+    frames = tuple(_pictures(folder / "images"))
+    path = folder / "poses.txt"
+    poses = np.tile(_no_pose(), (len(frames), 1, 1))
+    if path.is_file():
+        poses = read_kitti(path).poses
+        if len(poses) != len(frames):
+            raise FormatError(f"{path} has {len(poses)} poses, but there are {len(frames)} images")
+    maps = {file.stem: file for file in sorted_files(folder / "depth", "*.png")}
+    calibration = read_calibration(folder / "camera.txt")
+    return LoadedSequence(
+        frames=frames,
+        poses=poses,
+        camera=calibration.camera,
+        depths=tuple(maps.get(file.stem) for file in frames),
+        depth_scale=calibration.depth_scale or MILLIMETRES,
+    )
+
+
+def _load_tum(folder: Path) -> LoadedSequence:
+    times, frames = _listed(folder / "rgb.txt")
+    depths: list[Path | None] = [None] * len(frames)
+    if (folder / "depth.txt").is_file():
+        depth_times, maps = _listed(folder / "depth.txt")
+        for frame, depth in zip(*associate(times, depth_times), strict=True):
+            depths[frame] = maps[depth]
+    poses = np.tile(_no_pose(), (len(frames), 1, 1))
+    if (folder / "groundtruth.txt").is_file():
+        truth = read_tum(folder / "groundtruth.txt")
+        assert truth.times is not None
+        mine, theirs = associate(times, truth.times)
+        poses[mine] = truth.poses[theirs]
+    kind = _TUM_KIND.search(folder.name)
+    return LoadedSequence(
+        frames=tuple(frames),
+        poses=poses,
+        camera=TUM.get(kind.group(1)) if kind else None,
+        times=times,
+        depths=tuple(depths),
+        depth_scale=_TUM_DEPTH,
+    )
+
+
+def _load_kitti_odometry(folder: Path) -> LoadedSequence:
+    pictures = next(folder / name for name in _KITTI_FRAMES if (folder / name).is_dir())
+    frames = tuple(_pictures(pictures))
+    path = _kitti_poses(folder)
+    poses = read_kitti(path).poses
+    if len(poses) != len(frames):
+        raise FormatError(f"{path} has {len(poses)} poses, but there are {len(frames)} images")
+    clock, times = folder / "times.txt", None
+    if clock.is_file():
+        numbers = [number for _, (number,) in read_rows(clock, columns=1)]
+        try:
+            times = check_times(numbers, len(frames))
+        except ValueError as error:
+            raise FormatError(f"{clock}: {error}") from None
+    return LoadedSequence(
+        frames=frames,
+        poses=poses,
+        camera=read_camera(folder / "calib.txt", frames[0]) if frames else None,
+        times=times,
+        depths=(None,) * len(frames),
+    )
+
+
+def _kitti_poses(folder: Path) -> Path:
+    return folder.parent.parent / "poses" / f"{folder.name}.txt"
+
+
+def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
+    """Return times and files of a list of TUM's: a time and a name on every line."""
+    times, files = [], []
+    for number, words in read_lines(path):
+        try:
+            time, name = words
+            times.append(float(time))
+        except ValueError:
+            raise FormatError(
+                f"{path}, line {number} is {' '.join(words)!r}: expected a time and a file"
+            ) from None
+        files.append(path.parent / name)
+    try:
+        return check_times(times, len(files)), files
+    except ValueError as error:
+        raise FormatError(f"{path}: {error}") from None
+
+
+def _pictures(folder: Path) -> list[Path]:
+    files = [file for file in sorted_files(folder, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
+    return sorted(files, key=natural_order)
+
+
+def _stated(layout: SequenceLayout, frames: tuple[Path, ...]) -> Camera:
+    """Return the camera of a layout that has one, for frames of this size."""
+    return for_width(STATED[layout], read_image(frames[0]).shape[1])
+
+
+def _no_pose() -> NDArray[np.float64]:
+    return np.full((4, 4), np.nan)
+
+
+def _folder_name(folder: Path) -> str:
+    return folder.name
+
+
+def _part_name(folder: Path) -> str:
+    """Return the name of a folder, with that above it if it is a numbered part."""
+    is_part = re.fullmatch(r"seq-\d+|\d+", folder.name) is not None
+    return f"{folder.parent.name} {folder.name}" if is_part else folder.name
+
+
+class SequenceRule(NamedTuple):
+    """A layout: whether a folder is of it, what its files say, and what is looked for."""
+
+    recognises: Callable[[Path], bool]
+    load: Callable[[Path], LoadedSequence]
+    expected: str
+    name: Callable[[Path], str] = _folder_name
+
+
+def _is_new_tsukuba(folder: Path) -> bool:
+    return (folder / TSUKUBA_POSES).is_file() and bool(sorted_files(folder, "rgb_*.png"))
+
+
+def _is_sevenscenes(folder: Path) -> bool:
+    frames = sorted_files(folder, "frame-*.color.*")
+    return bool(frames) and bool(sorted_files(folder, "frame-*.pose.txt"))
+
+
+def _is_calibrated(folder: Path) -> bool:
+    truth = (folder / "poses.txt").is_file() or (folder / "depth").is_dir()
+    return truth and (folder / "camera.txt").is_file() and (folder / "images").is_dir()
+
+
+def _is_tum(folder: Path) -> bool:
+    truth = (folder / "groundtruth.txt").is_file() or (folder / "depth.txt").is_file()
+    return truth and (folder / "rgb.txt").is_file()
+
+
+def _is_kitti_odometry(folder: Path) -> bool:
+    pictures = any((folder / name).is_dir() for name in _KITTI_FRAMES)
+    return pictures and (folder / "calib.txt").is_file() and _kitti_poses(folder).is_file()
+
+
+SEQUENCE_LAYOUTS: dict[SequenceLayout, SequenceRule] = {
+    "new_tsukuba": SequenceRule(
+        _is_new_tsukuba, _load_new_tsukuba, f"rgb_NNNNN.png with {TSUKUBA_POSES}"
+    ),
+    "sevenscenes": SequenceRule(
+        _is_sevenscenes,
+        _load_sevenscenes,
+        "frame-NNNNNN.color.png or .jpg with frame-NNNNNN.pose.txt",
+        _part_name,
+    ),
+    "calibrated": SequenceRule(
+        _is_calibrated, _load_calibrated, "images/ with camera.txt and poses.txt or depth/"
+    ),
+    "tum": SequenceRule(_is_tum, _load_tum, "rgb.txt with groundtruth.txt or depth.txt"),
+    "kitti_odometry": SequenceRule(
+        _is_kitti_odometry,
+        _load_kitti_odometry,
+        "sequences/NN/image_0 or image_2 with calib.txt, and poses/NN.txt beside sequences",
+        _part_name,
+    ),
+}
+"""Of each layout how it is recognised and read, and the files that it looks for."""

@@ -1,0 +1,228 @@
+"""The depth of the frames of a sequence against the true one, in one scale."""
+
+from dataclasses import dataclass
+from statistics import fmean, median
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.datasets import LoadedSequence
+from tisfm.datasets.trajectories import motion_between
+from tisfm.lens import undistort_depth
+from tisfm.metrics.depth_sequence import (
+    certain_error,
+    depth_ratios,
+    flicker,
+    known_share,
+    limited_error,
+)
+from tisfm.metrics.spread import LogMedian
+
+WITHOUT = 1.0  # what a frame without depth counts as
+
+
+class DepthMaps(Protocol):
+    """What has a depth for every frame."""
+
+    def inverse_depth(self, index: int) -> NDArray[np.float32]:
+        """Return that of a frame, (H, W); NaN where there is none."""
+
+    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
+        """Return its standard deviation, (H, W)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameDepthErrors:
+    """Errors of the depth of one frame, in the scale of the sequence.
+
+    Attributes
+    ----------
+    frame : int
+    error : float
+        As `tisfm.metrics.limited_error`; 1 of a frame without depth.
+    certain : float or None
+        As `tisfm.metrics.certain_error`, of the 40 % of the pixels with the least relative
+        deviation; 1 of a frame without depth, None of one without deviations.
+    share : float
+        Of the pixels of known depth, those that have one.
+    scale : float or None
+        The best one for this frame alone: its median of d*/d. None without depth.
+    flicker : float or None
+        As `tisfm.metrics.flicker`, from this frame to the next; None without a pair to compare.
+    """
+
+    frame: int
+    error: float
+    certain: float | None
+    share: float
+    scale: float | None
+    flicker: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceDepthErrors:
+    """Errors of the depth of a sequence, of the frames whose true depth is known.
+
+    Attributes
+    ----------
+    frames : int
+        Frames with a true depth.
+    without : int
+        Those of them without an estimate.
+    scale : float
+        What all depth was multiplied by: the median of d*/d over the pixels of all frames, or 1
+        where the poses were given.
+    error : float
+        Median over frames, see `FrameDepthErrors`.
+    certain : float or None
+        The same; None where a frame with depth has no deviations.
+    mean_error : float
+        Mean over frames.
+    share : float
+        Mean over frames.
+    scale_spread : float or None
+        Standard deviation, over frames, of the logarithm of the best scale of a frame.
+    flicker : float or None
+        Mean over pairs of consecutive frames.
+    per_frame : tuple of FrameDepthErrors
+    """
+
+    frames: int
+    without: int
+    scale: float
+    error: float
+    certain: float | None
+    mean_error: float
+    share: float
+    scale_spread: float | None
+    flicker: float | None
+    per_frame: tuple[FrameDepthErrors, ...]
+
+
+def sequence_depth_errors(
+    loaded: LoadedSequence,
+    result: DepthMaps,
+    *,
+    camera: Camera,
+    scale: float | None = None,
+    max_depth: float | None = None,
+) -> SequenceDepthErrors | None:
+    """Compare the depth of a sequence with the true one.
+
+    Parameters
+    ----------
+    loaded : LoadedSequence
+    result : DepthMaps
+        Of the same frames, without distortion.
+    camera : Camera
+        Of the frames as they were taken: true depth is resampled as they are.
+    scale : float, optional
+        What estimated depth is multiplied by; by default the median of d*/d of all frames.
+    max_depth : float, optional
+        True depth beyond it is taken to be unknown.
+
+    Returns
+    -------
+    SequenceDepthErrors or None
+        None where no frame has a true depth.
+
+    Raises
+    ------
+    ValueError
+        If a map is of another size than the true one.
+    FormatError, OSError
+        If a true map cannot be read.
+    """
+    ratios, best = LogMedian(), dict[int, float | None]()
+    for index in range(len(loaded.frames)):
+        true = _truth(loaded, index, camera, max_depth)
+        if true is not None:
+            found = depth_ratios(result.inverse_depth(index), true)
+            ratios.add(found)
+            best[index] = float(np.median(found)) if len(found) else None
+    if not best:
+        return None
+    if scale is None:
+        scale = ratios.median() or 1.0
+    frames = _frames(loaded, result, camera, max_depth, scale, best)
+    scales = [frame.scale for frame in frames if frame.scale is not None]
+    certain = [frame.certain for frame in frames if frame.certain is not None]
+    deviations = len(certain) == len(frames)
+    changes = [frame.flicker for frame in frames if frame.flicker is not None]
+    return SequenceDepthErrors(
+        frames=len(frames),
+        without=len(frames) - len(scales),
+        scale=scale,
+        error=median(frame.error for frame in frames),
+        certain=median(certain) if deviations else None,
+        mean_error=fmean(frame.error for frame in frames),
+        share=fmean(frame.share for frame in frames),
+        scale_spread=float(np.std(np.log(scales))) if scales else None,
+        flicker=fmean(changes) if changes else None,
+        per_frame=tuple(frames),
+    )
+
+
+def _frames(
+    loaded: LoadedSequence,
+    result: DepthMaps,
+    camera: Camera,
+    max_depth: float | None,
+    scale: float,
+    best: dict[int, float | None],
+) -> list[FrameDepthErrors]:
+    """Compare every frame that has a true depth; each map is read once."""
+    frames: list[FrameDepthErrors] = []
+    later: tuple[int, NDArray, NDArray] | None = None  # the frame after, going backwards
+    for index in sorted(best, reverse=True):
+        true = _truth(loaded, index, camera, max_depth)
+        assert true is not None
+        inverse = result.inverse_depth(index)
+        change = None
+        if later is not None and later[0] == index + 1 and loaded.posed[index : index + 2].all():
+            change = flicker(
+                (inverse, true),
+                later[1:],
+                motion_between(loaded.poses[index], loaded.poses[index + 1]),
+                focal=camera.focal,
+                center=camera.center_for(*true.shape),
+                scale=scale,
+            )
+        error: float = WITHOUT
+        certain: float | None = WITHOUT
+        if best[index] is not None:
+            error = limited_error(inverse, true, scale=scale)
+            certain = _certain(inverse, result.inverse_depth_std(index), true, scale)
+        frames.append(
+            FrameDepthErrors(
+                frame=index,
+                error=error,
+                certain=certain,
+                share=known_share(inverse, true),
+                scale=best[index],
+                flicker=change,
+            )
+        )
+        later = index, inverse, true
+    return frames[::-1]
+
+
+def _certain(inverse: NDArray, deviation: NDArray, true: NDArray, scale: float) -> float | None:
+    if not np.isfinite(deviation).any():
+        return None
+    return certain_error(inverse, deviation, true, scale=scale)
+
+
+def _truth(
+    loaded: LoadedSequence, index: int, camera: Camera, max_depth: float | None
+) -> NDArray | None:
+    """Return the true depth of a frame without distortion; None where none is known."""
+    depth = loaded.depth(index)
+    if depth is None:
+        return None
+    depth = undistort_depth(depth, camera)
+    if max_depth is not None:
+        depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
+    return depth if (depth > 0).any() else None

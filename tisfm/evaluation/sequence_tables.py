@@ -1,0 +1,112 @@
+"""The tables that `tisfm eval --sequence` prints."""
+
+from collections.abc import Sequence
+
+from rich.table import Table
+from rich.text import Text
+
+from tisfm.evaluation.sequences import PieceErrors, SequenceEvaluation
+
+_NOTHING = "–"
+
+
+def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
+    """Lay out evaluations of sequences as tables of paths and of depth, as far as there are truths.
+
+    Parameters
+    ----------
+    evaluations : sequence of SequenceEvaluation
+
+    Returns
+    -------
+    list of rich.table.Table
+        Of paths a row for every piece, the largest first; of depth one for every sequence.
+    """
+    tables = []
+    paths = [e for e in evaluations if e.fault or (e.path is not None and not e.poses_given)]
+    if paths:
+        tables.append(_path_table(paths))
+    depths = [e for e in evaluations if e.depth is not None]
+    if depths:
+        tables.append(_depth_table(depths))
+    return tables
+
+
+def _path_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
+    headings = ("frames", "ATE, %", "m", "rigid, %", "RPE, m", "°", "RPE 10, m", "°", "drift, %",
+                "°/m", "s")  # fmt: skip
+    table = Table(
+        title="Paths against the truth",
+        caption="ATE: root mean square distance of the centres after the best similarity, in % of "
+        "the true path and in m; rigid: after the best rigid motion. RPE: of the motions from "
+        "frame to frame, and to the tenth after it; drift: of those along 10–80 % of the path, or "
+        "along 100–800 m, per length. All but rigid in the scale of the alignment. A row for each "
+        "piece.",
+    )
+    table.add_column("", overflow="fold")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for evaluation in evaluations:
+        seconds = _number(evaluation.seconds, ".1f")
+        if evaluation.fault or not evaluation.pieces:
+            reason = "failed" if evaluation.fault else "no pose"
+            cells = [_NOTHING] * (len(headings) - 1)
+            table.add_row(Text(f"{evaluation.sequence.name} ({reason})"), *cells, seconds)
+        for number, piece in enumerate(evaluation.pieces):
+            name = evaluation.sequence.name if number == 0 else "  another piece"
+            frames = f"{piece.frames} of {evaluation.frames}"
+            time = seconds if number == 0 else ""
+            table.add_row(Text(name), frames, *_path_cells(piece), time)
+    return table
+
+
+def _path_cells(piece: PieceErrors) -> list[str]:
+    absolute, along = piece.absolute, piece.drift
+    cells = [
+        _percent(piece.share),
+        _NOTHING if absolute is None else f"{absolute.similarity:.4f}",
+        _percent(piece.rigid_share),
+    ]
+    for relative in (piece.relative, piece.relative_step):
+        if relative is None:
+            cells += [_NOTHING, _NOTHING]
+        else:
+            cells += [f"{relative.translation:.4f}", f"{relative.rotation:.3f}"]
+    if along is None:
+        return [*cells, _NOTHING, _NOTHING]
+    return [*cells, _percent(along.translation), f"{along.rotation:.3f}"]
+
+
+def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
+    table = Table(
+        title="Depth of sequences against the truth",
+        caption="In one scale for all frames of a sequence, 1 where the poses were given. error: "
+        "|ΔZ|/Z over all pixels of known depth, those without one taken as far, a frame without "
+        "depth as 1; surest: of the 40 % with the least relative deviation; both medians over "
+        "frames. pixels: share that has a depth. spread: deviation of the logarithm of the best "
+        "scale of a frame; flicker: mean change of relative inverse depth along the true flow.",
+    )
+    table.add_column("", overflow="fold")
+    for heading in ("frames", "error", "surest 40 %", "pixels, %", "spread", "flicker"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for evaluation in evaluations:
+        depth = evaluation.depth
+        assert depth is not None
+        table.add_row(
+            Text(evaluation.sequence.name),
+            f"{depth.frames - depth.without} of {depth.frames}",
+            f"{depth.error:.3f}",
+            _number(depth.certain, ".3f"),
+            f"{100 * depth.share:.1f}",
+            _number(depth.scale_spread, ".3f"),
+            _number(depth.flicker, ".4f"),
+        )
+    return table
+
+
+def _number(value: float | None, form: str) -> str:
+    return _NOTHING if value is None else f"{value:{form}}"
+
+
+def _percent(value: float | None) -> str:
+    return _NOTHING if value is None else f"{100 * value:.2f}"

@@ -1,0 +1,295 @@
+"""Reconstructions of sequences whose path or depth is known, compared with it."""
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tisfm
+from tisfm.camera import Camera
+from tisfm.datasets import DatasetSequence, LoadedSequence
+from tisfm.evaluation.sequence_depth import SequenceDepthErrors, sequence_depth_errors
+from tisfm.metrics import (
+    AbsoluteErrors,
+    Drift,
+    RelativeErrors,
+    absolute_errors,
+    drift,
+    path_length,
+    relative_errors,
+)
+from tisfm.settings import Settings
+
+STEP = 10  # frames: of the second relative error
+FEWEST = 3  # poses of a piece: with fewer, nothing is left after an alignment
+
+
+class Reconstructed(Protocol):
+    """What is compared: `tisfm.Reconstruction`, or whatever else answers so."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(N, 4, 4), camera to world; NaN where there is none."""
+
+    @property
+    def piece(self) -> NDArray[np.int32]:
+        """(N,), which poses are of one world; -1 without a pose."""
+
+    @property
+    def status(self) -> Sequence[Any]:
+        """Of each frame."""
+
+    def inverse_depth(self, index: int) -> NDArray[np.float32]:
+        """Return that of a frame, (H, W); NaN where there is none."""
+
+    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
+        """Return its standard deviation, (H, W)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PieceErrors:
+    """Errors of the poses that are of one world.
+
+    Attributes
+    ----------
+    piece : int
+    frames : int
+        Frames that have a pose in it.
+    absolute : AbsoluteErrors or None
+        None where fewer than 3 of them have a true pose.
+    share : float or None
+        `absolute.similarity` per length of the true path of the whole sequence; None where it
+        stands still.
+    rigid_share : float or None
+        The same of `absolute.rigid`.
+    relative, relative_step : RelativeErrors or None
+        From each frame to the next, and to the tenth after it, after scaling by that of the
+        alignment.
+    drift : Drift or None
+        After the same.
+    """
+
+    piece: int
+    frames: int
+    absolute: AbsoluteErrors | None = None
+    share: float | None = None
+    rigid_share: float | None = None
+    relative: RelativeErrors | None = None
+    relative_step: RelativeErrors | None = None
+    drift: Drift | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceEvaluation:
+    """What came of one sequence.
+
+    Attributes
+    ----------
+    sequence : DatasetSequence
+    step : int
+        Every so many frames were taken.
+    fault : str or None
+        Why there are no errors, in one line; None if all went well.
+    frames, posed : int
+        Frames, and those of them that have a pose.
+    path : float or None
+        Length of the true path, m; None where it is not known.
+    pieces : tuple of PieceErrors
+        The largest first.
+    depth : SequenceDepthErrors or None
+        None where no frame has a true depth, or there is nothing to compare with it.
+    poses_given : bool
+    seconds : float or None
+        Of the reconstruction; None of a result that was read.
+    statuses : dict
+        Code of a status → number of frames.
+    """
+
+    sequence: DatasetSequence
+    step: int = 1
+    fault: str | None = None
+    frames: int = 0
+    posed: int = 0
+    path: float | None = None
+    pieces: tuple[PieceErrors, ...] = ()
+    depth: SequenceDepthErrors | None = None
+    poses_given: bool = False
+    seconds: float | None = None
+    statuses: dict[str, int] | None = None
+
+    @property
+    def largest_share(self) -> float:
+        """Share of the frames that are in the largest piece."""
+        return self.pieces[0].frames / self.frames if self.pieces else 0.0
+
+
+def compare_sequence(
+    sequence: DatasetSequence,
+    loaded: LoadedSequence,
+    result: Reconstructed,
+    *,
+    camera: Camera,
+    step: int = 1,
+    poses_given: bool = False,
+    max_depth: float | None = None,
+    with_depth: bool = True,
+    seconds: float | None = None,
+) -> SequenceEvaluation:
+    """Compare a reconstruction with the truth.
+
+    Parameters
+    ----------
+    sequence : DatasetSequence
+    loaded : LoadedSequence
+        The frames that were reconstructed.
+    result : Reconstructed
+        Poses and depth of each of them.
+    camera : Camera
+        Whose pinhole picture the depth is of: the true depth is brought to it.
+    step : int
+        What `loaded` was loaded with.
+    poses_given : bool
+        Whether it was told the poses: they are then not compared, and depth is not scaled.
+    max_depth : float, optional
+        True depth beyond it is taken to be unknown, m.
+    with_depth : bool
+        Whether there is a depth to compare.
+    seconds : float, optional
+        What it took.
+
+    Returns
+    -------
+    SequenceEvaluation
+
+    Raises
+    ------
+    ValueError
+        If the result is of another number of frames, or its depth of another size.
+    OSError
+        If a depth map cannot be read.
+    """
+    count = len(loaded.frames)
+    if np.shape(result.poses) != (count, 4, 4):
+        raise ValueError(
+            f"the result has poses of shape {np.shape(result.poses)}, but there are {count} frames"
+        )
+    path = path_length(loaded.poses) if loaded.posed.any() else None
+    known_depth = with_depth and any(file is not None for file in loaded.depths)
+    return SequenceEvaluation(
+        sequence=sequence,
+        step=step,
+        frames=count,
+        posed=int(np.isfinite(result.poses[:, 0, 0]).sum()),
+        path=path,
+        pieces=() if poses_given else _pieces(result, loaded, path),
+        depth=sequence_depth_errors(
+            loaded, result, camera=camera, scale=1.0 if poses_given else None, max_depth=max_depth
+        )
+        if known_depth
+        else None,
+        poses_given=poses_given,
+        seconds=seconds,
+        statuses=dict(Counter(map(str, result.status))),
+    )
+
+
+def reconstruct_and_compare(
+    sequence: DatasetSequence,
+    loaded: LoadedSequence,
+    *,
+    camera: Camera,
+    settings: Settings,
+    step: int = 1,
+    give_poses: bool = False,
+    max_depth: float | None = None,
+) -> tuple[SequenceEvaluation, Reconstructed]:
+    """Reconstruct a sequence by `tisfm.reconstruct`, and compare it with the truth.
+
+    Parameters
+    ----------
+    sequence, loaded, camera, step, max_depth
+        As for `compare_sequence`.
+    settings : Settings
+    give_poses : bool
+        Whether it is told the true poses, and depth alone is compared.
+
+    Raises
+    ------
+    ValueError
+        As `compare_sequence`; and if poses are to be given that are not all known.
+    """
+    if give_poses and not loaded.posed.all():
+        raise ValueError(
+            f"poses are to be given, but {np.count_nonzero(~loaded.posed)} of "
+            f"{len(loaded.frames)} frames have no true pose"
+        )
+    begin = time.perf_counter()
+    result = tisfm.reconstruct(
+        loaded.frames,
+        camera=camera,
+        settings=settings,
+        poses=loaded.poses if give_poses else None,
+    )
+    seconds = time.perf_counter() - begin
+    evaluation = compare_sequence(
+        sequence,
+        loaded,
+        result,
+        camera=camera,
+        step=step,
+        poses_given=give_poses,
+        max_depth=max_depth,
+        seconds=seconds,
+    )
+    return evaluation, result
+
+
+def as_record(evaluation: SequenceEvaluation) -> dict[str, Any]:
+    """Return everything about a sequence as plain values, for JSON."""
+    record = asdict(evaluation)
+    sequence = record.pop("sequence")
+    return {
+        "name": sequence["name"],
+        "layout": sequence["layout"],
+        "folder": str(sequence["folder"]),
+        **record,
+        "largest_share": evaluation.largest_share,
+    }
+
+
+def _pieces(
+    result: Reconstructed, loaded: LoadedSequence, path: float | None
+) -> tuple[PieceErrors, ...]:
+    pieces = np.asarray(result.piece)
+    numbers, counts = np.unique(pieces[pieces >= 0], return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    found = []
+    for number in numbers[order]:
+        mine = (pieces == number)[:, None, None]
+        poses = np.where(mine, result.poses, np.nan)
+        found.append(_piece(int(number), poses, loaded.poses, path))
+    return tuple(found)
+
+
+def _piece(
+    number: int, poses: NDArray[np.float64], truth: NDArray[np.float64], path: float | None
+) -> PieceErrors:
+    posed = np.isfinite(poses[:, 0, 0])
+    both = posed & np.isfinite(truth[:, 0, 0])
+    if both.sum() < FEWEST:
+        return PieceErrors(piece=number, frames=int(posed.sum()))
+    absolute = absolute_errors(poses, truth)
+    return PieceErrors(
+        piece=number,
+        frames=int(posed.sum()),
+        absolute=absolute,
+        share=absolute.similarity / path if path else None,
+        rigid_share=absolute.rigid / path if path else None,
+        relative=relative_errors(poses, truth, scale=absolute.scale),
+        relative_step=relative_errors(poses, truth, step=STEP, scale=absolute.scale),
+        drift=drift(poses, truth, scale=absolute.scale),
+    )

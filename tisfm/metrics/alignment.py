@@ -1,0 +1,81 @@
+"""The similarity that brings points nearest to others."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.checks import unmasked
+
+_STILL = 1e-12  # of the largest coordinate: points that spread less are one
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Similarity:
+    """p ↦ s R p + t.
+
+    Attributes
+    ----------
+    scale : float
+    rotation : (3, 3) float64 ndarray
+    translation : (3,) float64 ndarray
+    """
+
+    scale: float
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    def apply(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return where points, (N, 3), go to."""
+        return np.asarray(self.scale * np.asarray(points) @ self.rotation.T + self.translation)
+
+
+def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Similarity:
+    """Return the similarity after which points are nearest to others, in the sum of squares.
+
+    Parameters
+    ----------
+    points, truth : array_like, shape (N, 3)
+        N ≥ 1. Where all points lie on a line, or are one, the rotation is not unique: any of the
+        best is returned. The scale of points that stand still is 1.
+    with_scale : bool, default True
+        Without, the scale is 1: a rigid motion.
+
+    Returns
+    -------
+    Similarity
+
+    Raises
+    ------
+    ValueError
+        If the shapes are others, or a value is masked or not finite.
+
+    References
+    ----------
+    Umeyama, Least-squares estimation of transformation parameters between two point patterns,
+    IEEE Transactions on Pattern Analysis and Machine Intelligence 13 (1991) 376–380,
+    doi 10.1109/34.88573: eq. 40–43.
+    """
+    source, target = _points(points, "points"), _points(truth, "truth")
+    if source.shape != target.shape:
+        raise ValueError(
+            f"points are {source.shape} and truth is {target.shape}: expected the same number"
+        )
+    centre, goal = source.mean(axis=0), target.mean(axis=0)
+    left, right = source - centre, target - goal
+    u, values, vt = np.linalg.svd(right.T @ left / len(source))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    rotation = u * signs @ vt
+    spread = float(np.square(left).sum(axis=1).mean())
+    still = spread <= (_STILL * np.abs(source).max()) ** 2
+    scale = float(values @ signs / spread) if with_scale and not still else 1.0
+    return Similarity(scale=scale, rotation=rotation, translation=goal - scale * rotation @ centre)
+
+
+def _points(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array = unmasked(values, name, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise ValueError(f"{name} are {array.shape}: expected (N, 3), N at least 1")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} have values that are NaN or infinite: leave them out")
+    return array

@@ -1,0 +1,136 @@
+"""`tisfm.reconstruct`: what it takes, checked, before anything heavy is imported."""
+
+import os
+import shutil
+from dataclasses import replace
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import numpy.typing as npt
+
+from tisfm import runtime
+from tisfm.camera import Camera, check_camera
+from tisfm.checks import refuse_masked
+from tisfm.reconstruction.folder import CACHE, begin
+from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.masks import Mask
+
+
+def reconstruct(
+    source: Source,
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    poses: npt.ArrayLike | None = None,
+    mask: Mask | None = None,
+    step: int = 1,
+    start: int = 0,
+    stop: int | None = None,
+    size: int | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    bad_frames: BadFrames = "raise",
+    folder: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct a sequence: one path of the camera, and the depth of every frame in its scale.
+
+    Frames have to come in order, as those of a video do.
+
+    Parameters
+    ----------
+    source : path, sequence of paths, or iterable of arrays
+        A video, a folder of images, a glob pattern, a list of image files, or any iterable of
+        (H, W) or (H, W, 3) frames.
+    camera : Camera, optional
+        Of the frames as they come; distortion is removed. By default the focal length is guessed
+        from the first image file or the size of the frames, with a `GuessedFocalWarning`.
+    settings : Settings, optional
+        By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
+        sequences.
+    poses : (N, 4, 4) array_like, optional
+        Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
+        alone is found then, in their unit.
+    mask : optional
+        Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
+    step, start, stop, size, crop, bad_frames
+        Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
+    folder : path, optional
+        Where the result is to lie; by default in a temporary folder, which is deleted with the
+        result: `Reconstruction.save` keeps it.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` with the stage ``"reading"``, ``"path"`` or
+        ``"depth"``, and frames; the total is None where it is not known.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
+        If the source does not exist, has fewer than two frames, or a frame cannot be read; if
+        settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
+    """
+    settings = _checked(settings)
+    given = None if poses is None else _checked_poses(poses)
+    frames = FrameSource(
+        source,
+        step=step,
+        start=start,
+        stop=stop,
+        size=size,
+        crop=crop,
+        mask=mask,
+        bad_frames=bad_frames,
+    )
+    if given is not None and bad_frames == "skip":
+        raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
+    camera = None if camera is None else check_camera(camera)
+    runtime.start()
+    temporary = None
+    if folder is None:
+        temporary = TemporaryDirectory(prefix="tisfm-")
+        folder = temporary.name
+    from tisfm.reconstruction.run import Run
+
+    path = begin(folder)
+    try:
+        result = Run(frames, camera, settings, given, path, progress).result()
+    finally:
+        shutil.rmtree(path / CACHE, ignore_errors=True)
+    return result if temporary is None else replace(result, _temporary=temporary)
+
+
+def _checked(settings: Settings | None) -> Settings:
+    if settings is None:
+        return Settings.preset("balanced", motion="camera")
+    if not isinstance(settings, Settings):
+        raise TypeError(f"settings is {settings!r}: expected a tisfm.Settings")
+    if settings.motion != "camera":
+        raise ValueError(
+            f'motion is "{settings.motion}": a sequence is reconstructed with motion="camera", as '
+            'in Settings.preset("fast", motion="camera")'
+        )
+    return settings
+
+
+def _checked_poses(poses: npt.ArrayLike) -> np.ndarray:
+    refuse_masked(poses, "poses")
+    array = np.array(poses, np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise ValueError(f"poses is {array.shape}: expected (N, 4, 4), camera to world")
+    for number, pose in enumerate(array):
+        if not np.isfinite(pose).all():
+            array[number] = np.nan
+            continue
+        turn = pose[:3, :3]
+        rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+        if not rigid or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+            raise ValueError(
+                f"poses[{number}] is {pose.tolist()}: expected a rotation and a translation over "
+                "the row (0, 0, 0, 1)"
+            )
+    return array

@@ -1,0 +1,208 @@
+"""The folder that a reconstruction lies in.
+
+``reconstruction.json`` is written last: a folder without it is not complete. ``docs/formats.md``
+describes the files.
+"""
+
+import json
+import os
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.formats.outputs import make_folder
+from tisfm.outcome import Status
+from tisfm.settings import Settings
+
+FORMAT = 1
+RECORD = "reconstruction.json"
+PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
+LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
+_PARTS = (RECORD, PATH, DEPTH, PICTURES)
+_OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
+
+
+def write_depth(
+    folder: Path, number: int, inverse_depth: np.ndarray, deviation: np.ndarray
+) -> None:
+    """Write the depth of a frame, with 11 significant bits.
+
+    Parameters
+    ----------
+    folder : Path
+    number : int
+        Of the frame.
+    inverse_depth, deviation : (H, W) float32
+        NaN and infinity where there is none.
+    """
+    scale = largest_of(inverse_depth) / LARGEST_HALF or 1.0
+    with np.errstate(over="ignore"):
+        halves = [
+            (values / np.float32(scale)).astype("<f2") for values in (inverse_depth, deviation)
+        ]
+    parts = {"inverse_depth": halves[0], "inverse_depth_std": halves[1], "scale": np.array(scale)}
+    write_npz(depth_path(folder, number), parts)
+
+
+def largest_of(values: np.ndarray) -> float:
+    """Return the largest finite value, 0 if there is none."""
+    return float(np.max(values, where=np.isfinite(values), initial=0.0))
+
+
+def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none."""
+    path = depth_path(folder, number)
+    if not path.exists():
+        return np.full(shape, np.nan, np.float32), np.full(shape, np.inf, np.float32)
+    with NpzFile(path) as file:
+        scale = np.float32(file.read("scale"))
+        found = [file.read(name) for name in ("inverse_depth", "inverse_depth_std")]
+    for values in found:
+        if values.shape != shape or values.dtype != np.dtype("<f2"):
+            raise FormatError(f"{path} has {values.shape} {values.dtype}: expected {shape} float16")
+    inverse_depth, deviation = (values.astype(np.float32) * scale for values in found)
+    return inverse_depth, deviation
+
+
+def depth_path(folder: Path, number: int) -> Path:
+    """Return the path of the depth of a frame."""
+    return folder / DEPTH / f"{number:06d}.npz"
+
+
+def read_picture(folder: Path, number: int) -> np.ndarray:
+    """Return the picture of a frame, (H, W) or (H, W, 3) RGB uint8."""
+    path = folder / PICTURES / f"{number:06d}.jpg"
+    if not path.exists():
+        raise FileNotFoundError(f"there is no {path}: the folder is not complete")
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise FormatError(f"{path} is damaged: it is no picture")
+    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def begin(folder: str | os.PathLike[str]) -> Path:
+    """Make a folder ready to be written to, and remove what an earlier reconstruction left.
+
+    Raises
+    ------
+    FileExistsError
+        If it holds files that are not of a reconstruction.
+    """
+    path = make_folder(folder)
+    known = {*_PARTS, *_OTHERS, CACHE}
+    others = sorted(item.name for item in path.iterdir() if item.name not in known)
+    if others:
+        raise FileExistsError(
+            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+        )
+    (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
+    for name in known:
+        if (path / name).is_dir():
+            shutil.rmtree(path / name)
+        else:
+            (path / name).unlink(missing_ok=True)
+    for name in (DEPTH, PICTURES, CACHE):
+        (path / name).mkdir()
+    return path
+
+
+def write_record(folder: Path, result: Any) -> None:
+    """Write the path and, last, the account of a reconstruction."""
+    times = np.array([np.nan if time is None else time for time in result.times])
+    path = {
+        "poses": result.poses,
+        "piece": result.piece,
+        "times": times,
+        "unit": np.array(result.unit, np.float64),
+    }
+    write_npz(folder / PATH, path)
+    about = {
+        "format": FORMAT,
+        "version": result.version,
+        "camera": asdict(result.camera),
+        "settings": asdict(result.settings),
+        "shape": list(result.shape),
+        "names": list(result.names),
+        "status": [[str(status), status.message] for status in result.status],
+        "keyframes": list(result.keyframes),
+        "skipped": [list(item) for item in result.skipped],
+    }
+    with atomic_write(folder / RECORD) as file:
+        file.write(json.dumps(about, indent=1).encode())
+
+
+def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the fields of a reconstruction that `write_record` wrote.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is no folder of a complete reconstruction.
+    tisfm.formats.FormatError
+        If a file is damaged, or of a format this version cannot read.
+    """
+    path = Path(folder)
+    if not (path / RECORD).is_file():
+        what = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
+        raise FileNotFoundError(f"the folder {path} {what}: it has no {RECORD}")
+    try:
+        about = json.loads((path / RECORD).read_text(encoding="utf-8"))
+        if about["format"] != FORMAT:
+            raise ValueError(
+                f"it is of format {about['format']}, this version reads {FORMAT}: reconstruct anew"
+            )
+        with NpzFile(path / PATH) as file:
+            poses, piece, times, unit = (
+                file.read(name) for name in ("poses", "piece", "times", "unit")
+            )
+        count = len(about["names"])
+        if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
+            raise ValueError(f"{PATH} does not have {count} frames")
+        if unit.shape != (int(piece.max(initial=-1)) + 1,):
+            raise ValueError(f"{PATH} does not have a unit for every piece")
+        camera = about["camera"]
+        settings = {**about["settings"], "stiffness": tuple(about["settings"]["stiffness"])}
+        return dict(
+            poses=poses.astype(np.float64),
+            piece=piece.astype(np.int32),
+            unit=tuple(map(float, unit)),
+            times=tuple(None if np.isnan(time) else float(time) for time in times),
+            status=tuple(Status(code, message) for code, message in about["status"]),
+            keyframes=tuple(int(k) for k in about["keyframes"]),
+            skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
+            names=tuple(map(str, about["names"])),
+            shape=(int(about["shape"][0]), int(about["shape"][1])),
+            camera=Camera(
+                focal=camera["focal"],
+                center=None if camera["center"] is None else tuple(camera["center"]),
+                distortion=camera["distortion"],
+                aspect=camera["aspect"],
+            ),
+            settings=Settings(**settings),
+            version=str(about["version"]),
+        )
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
+
+
+def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
+    """Write a reconstruction to another folder, its record last."""
+    source: Path = result.folder
+    if Path(target).resolve() == source.resolve():
+        write_record(source, result)
+        return
+    path = begin(target)
+    shutil.rmtree(path / CACHE)
+    for name in (DEPTH, PICTURES):
+        for file in sorted((source / name).iterdir()):
+            shutil.copyfile(file, path / name / file.name)
+    write_record(path, result)

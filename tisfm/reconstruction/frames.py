@@ -1,0 +1,109 @@
+"""Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.formats import atomic_write
+from tisfm.frames import eight_bit, grey_pair
+from tisfm.lens import Undistortion
+from tisfm.sources.reading import SourceFrame
+
+QUALITY = 95  # of the JPEG pictures that colours are taken from
+HELD = 24  # frames in memory at a time
+
+
+class PreparedFrames:
+    """The frames of a sequence, read once, and from then on taken from a folder.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the frames as they come.
+    cache : Path
+        Folder for grey levels, which may be deleted afterwards.
+    pictures : Path
+        Folder for pictures, (H, W[, 3]) with 8 bits.
+
+    Attributes
+    ----------
+    camera : Camera
+        The pinhole of the prepared frames.
+    shape : (int, int)
+        Height and width, px; (0, 0) before there is a frame.
+    count : int
+    """
+
+    def __init__(self, camera: Camera, cache: Path, pictures: Path) -> None:
+        self.camera = camera.pinhole()
+        self.shape = (0, 0)
+        self.count = 0
+        self._lens: Undistortion | None = None
+        self._taken, self._cache, self._pictures = camera, cache, pictures
+        self._held: dict[int, np.ndarray] = {}
+        self._masked: set[int] = set()
+
+    def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
+        """Prepare a frame and keep it; return it as the tracker takes it.
+
+        Returns
+        -------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, or None
+        """
+        number = self.count
+        grey, _ = grey_pair(frame.image, frame.image, stretch=frame.stretch)
+        picture = eight_bit(frame.image, frame.image, stretch=frame.stretch)
+        ignored = frame.ignored
+        if not self._taken.is_pinhole:
+            if self._lens is None:
+                self._lens = Undistortion(self._taken, *grey.shape)
+            grey, picture = self._lens.apply(grey), self._lens.apply(picture)
+            if ignored is not None:
+                ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
+            missing = ~self._lens.valid
+            ignored = missing if ignored is None else ignored | missing
+        self.shape = grey.shape
+        whole = np.rint(grey).clip(0, 255).astype(np.uint8)
+        np.save(self._grey_path(number), whole if (whole == grey).all() else grey)
+        if ignored is not None and ignored.any():
+            np.save(self._mask_path(number), ignored)
+            self._masked.add(number)
+        write_picture(self._pictures / f"{number:06d}.jpg", picture)
+        self.count += 1
+        return whole, ignored
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
+        if number not in self._held:
+            while len(self._held) >= HELD:
+                self._held.pop(next(iter(self._held)))
+            self._held[number] = np.load(self._grey_path(number))
+        else:
+            self._held[number] = self._held.pop(number)  # it is the last to go now
+        return self._held[number].astype(np.float32)
+
+    def counted(self, number: int) -> np.ndarray | None:
+        """Return where a frame counts, (H, W) bool; None where all of it does."""
+        if number not in self._masked:
+            return None
+        counted: np.ndarray = ~np.load(self._mask_path(number))
+        return counted
+
+    def _grey_path(self, number: int) -> Path:
+        return self._cache / f"{number:06d}.npy"
+
+    def _mask_path(self, number: int) -> Path:
+        return self._cache / f"{number:06d}_ignored.npy"
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, whole or not at all."""
+    turned = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    encoded, data = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not encoded:
+        raise ValueError(f"{path} cannot be encoded: the picture is {picture.shape}")
+    with atomic_write(path) as file:
+        file.write(data.tobytes())

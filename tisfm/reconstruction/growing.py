@@ -1,0 +1,193 @@
+"""Models grown view by view: a first pair, then whatever sees enough of what is known."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tisfm.reconstruction.colmap import pycolmap
+
+FEWEST = 15  # observations that two views, or a view and the points, share
+LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
+INLIER = 6.0  # px: of a view that is added
+SMALLEST = 3  # views of a model
+OUTLYING = 0.5  # px: residuals beyond count less and less in adjustments of all
+GROWN = 1.5  # times as many views, or points, as when all of them were adjusted the last time
+# Of first pairs: triangulation angles in degrees, the first that finds one counts; the parallax
+# from where on more is no better, rad; and how many are tried.
+ANGLES, ENOUGH_PARALLAX, TRIED = (4.0, 1.0), 0.03, 24
+NEAREST, ROUNDS = 5e-4, 5  # rad: of parallax, noise has no more; and of the fit of a homography
+QUANTILE = 0.75  # of the parallax of two views
+EXPLAINED = 0.65  # of all matched observations: a model that explains as many is right
+STARTS, ELSEWHERE = 3, 4  # models that are grown otherwise; views from one beginning to another
+NARROWEST = 0.5  # degrees: of the directions that a point is seen in
+
+
+def grown(
+    database: Any, pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], count: int
+) -> list[Any]:
+    """Return pycolmap's reconstructions of the views in a database, the largest first.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+    pairs : mapping of (int, int) to two (N, 3) arrays
+        For pairs of views, whose numbers begin with 1: directions of unit length to the same
+        points.
+    count : int
+        Of views.
+    """
+    settings = pycolmap().DatabaseCacheOptions()
+    settings.min_num_matches = FEWEST
+    cache = pycolmap().DatabaseCache.create(database, settings)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options()
+    left = set(range(1, count + 1)) & set(cache.images)
+    promising = _promising(pairs)
+    found = []
+    while len(left) >= SMALLEST:
+        reconstruction = _one(mapper, cache, options, promising, left)
+        if reconstruction is None:
+            break
+        left -= set(reconstruction.reg_image_ids())
+        found.append(reconstruction)
+    return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
+
+
+def _one(
+    mapper: Any, cache: Any, options: Any, promising: Sequence[tuple[int, int]], left: set[int]
+) -> Any | None:
+    """Return a reconstruction of some of the views that are left, None if there is none.
+
+    A first pair may leave the motion open, and a model that is grown from it is bent: it explains
+    little. Then others are grown, and the one that explains most counts.
+    """
+    best, most, begun = None, 0, list[int]()
+    for pair in _starts(mapper, options, [pair for pair in promising if left.issuperset(pair)]):
+        if any(abs(number - other) < ELSEWHERE for number in pair[:2] for other in begun):
+            continue
+        begun += pair[:2]
+        reconstruction = pycolmap().Reconstruction()
+        mapper.begin_reconstruction(reconstruction)
+        mapper.register_initial_image_pair(options.mapper, *pair)
+        mapper.triangulate_image(options.triangulation, pair[0])
+        _grow(mapper, reconstruction, options, left)
+        mapper.end_reconstruction(False)
+        explained = reconstruction.compute_num_observations()
+        if reconstruction.num_reg_images() >= SMALLEST and explained > most:
+            best, most = reconstruction, explained
+        possible = sum(map(cache.correspondence_graph.num_observations_for_image, left))
+        if most > EXPLAINED * possible or len(begun) >= 2 * STARTS:
+            break
+    return best
+
+
+def _starts(
+    mapper: Any, options: Any, promising: Sequence[tuple[int, int]]
+) -> Iterator[tuple[int, int, Any]]:
+    """Give pairs that serve as a beginning, with the motion from the first to the second."""
+    for angle in ANGLES:
+        options.mapper.init_min_tri_angle = angle
+        for first, second in promising[:TRIED]:
+            motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
+            if motion is not None:
+                yield first, second, motion
+
+
+def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> None:
+    everything = _adjustment(options)
+    local = options.get_local_bundle_adjustment()
+
+    def adjust_all(refinements: int) -> tuple[int, int]:
+        mapper.iterative_global_refinement(
+            refinements, 1e-3, options.mapper, everything, options.triangulation
+        )
+        return reconstruction.num_reg_images(), reconstruction.num_points3D()
+
+    views, points = adjust_all(2)
+    if points == 0:
+        return
+    while True:
+        for number in mapper.find_next_images(options.mapper, False):
+            if number in left and mapper.register_next_image(options.mapper, number):
+                break
+        else:
+            break
+        mapper.triangulate_image(options.triangulation, number)
+        mapper.iterative_local_refinement(
+            1, 1e-3, options.mapper, local, options.triangulation, number
+        )
+        now = reconstruction.num_reg_images(), reconstruction.num_points3D()
+        if now[0] >= GROWN * views or now[1] >= GROWN * points:
+            views, points = adjust_all(1)
+    adjust_all(2)
+
+
+def _promising(
+    pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]],
+) -> list[tuple[int, int]]:
+    """Return pairs of views to begin with, the best first.
+
+    They share many points that neither a turn of the camera nor a plane explains: either leaves
+    the motion open.
+    """
+    worth = {}
+    for pair, (before, after) in pairs.items():
+        if len(before) >= 2 * FEWEST:
+            parallax = _parallax(before, after)
+            if np.median(parallax) > NEAREST:
+                worth[pair] = len(before) * min(
+                    float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
+                )
+    return sorted(worth, key=lambda pair: (-worth[pair], pair))
+
+
+def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the angles that a homography leaves between directions, (N,), rad."""
+    x, y, z = after.T[:, :, None]
+    nothing = np.zeros_like(before)
+    equations = np.stack(  # of the nine entries of H, row by row: after × (H before) = 0
+        [
+            np.hstack([nothing, -z * before, y * before]),
+            np.hstack([z * before, nothing, -x * before]),
+            np.hstack([-y * before, x * before, nothing]),
+        ]
+    )
+    weights = np.ones(len(before))
+    for _ in range(ROUNDS):
+        normal = np.einsum("knp,n,knq->pq", equations, weights**2, equations)
+        moved = before @ np.linalg.eigh(normal)[1][:, 0].reshape(3, 3).T
+        moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
+        left = np.linalg.norm(np.cross(after, moved), axis=1)
+        weights = 1 / np.sqrt(left + NEAREST)
+    return np.asarray(left)
+
+
+def _options() -> Any:
+    options = pycolmap().IncrementalPipelineOptions()
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.ba_local_function_tolerance = 1e-5
+    options.mapper.abs_pose_refine_focal_length = False
+    options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.abs_pose_min_num_inliers = FEWEST
+    options.mapper.abs_pose_min_inlier_ratio = LEAST_SEEN
+    options.mapper.init_min_num_inliers = 2 * FEWEST
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = NARROWEST
+    options.mapper.init_max_forward_motion = 1.0  # the angle says whether it serves
+    for part in (options, options.mapper):
+        part.num_threads = 1
+    for part in (options, options.mapper, options.triangulation):
+        part.random_seed = 0
+    return options
+
+
+def _adjustment(options: Any) -> Any:
+    """Return what all views and points are adjusted by, robustly."""
+    adjustment = options.get_global_bundle_adjustment()
+    adjustment.print_summary = False
+    adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
+    adjustment.ceres.loss_function_scale = OUTLYING
+    solver = adjustment.ceres.solver_options
+    solver.num_threads = 1
+    solver.function_tolerance = 1e-5
+    return adjustment

@@ -1,0 +1,134 @@
+"""Which frames show the depth of a keyframe best."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+
+POINTS = (9, 12)  # rows and columns of the image that are looked at
+# Shares of the image's width: parallax from which on more is no better, and beyond which windows
+# look less and less alike.
+ENOUGH, WIDE = 0.03, 0.12
+LEAST_GAIN = 0.03  # of a point that nothing shows yet, on average: less is not worth a frame
+
+
+def choose_neighbours(
+    poses: np.ndarray,
+    key: int,
+    inverse_depth: np.ndarray | float,
+    camera: Camera,
+    shape: tuple[int, int],
+    *,
+    most: int = 4,
+) -> list[int]:
+    """Choose frames by how much parallax they give each part of a keyframe, from both sides.
+
+    A frame shows a point with min(1, p/p₁) min(1, p₂/p) of what is possible, p its parallax, and
+    not at all beyond its border. Frames are taken one by one: each time that which adds most to
+    Σ √S of all points, where S is what the chosen ones show of a point, of those on one side of
+    it along its epipolar line and of those on the other apart: what is hidden from one side may be
+    seen from the other.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world; NaN for frames without a pose, which are not chosen.
+    key : int
+        Which of them is the keyframe.
+    inverse_depth : (h, w) array or float
+        Of the keyframe, roughly, 1/unit of the poses; not finite or not positive where unknown,
+        which counts as the median.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+    most : int
+        How many are chosen at most.
+
+    Returns
+    -------
+    list of int
+        Their numbers, the best first.
+
+    Raises
+    ------
+    ValueError
+        If the keyframe has no pose, or nothing is known of its depth.
+    """
+    poses = np.asarray(poses, np.float64)
+    if not np.isfinite(poses[key]).all():
+        raise ValueError(f"poses[{key}] is not finite: expected a pose of the keyframe")
+    rays, depth = _points(inverse_depth, camera, shape)
+    known = np.isfinite(poses).all(axis=(1, 2))
+    known[key] = False
+    candidates = np.flatnonzero(known)
+    shown, side = _shown(poses, key, candidates, rays, depth, camera, shape)
+    chosen: list[int] = []
+    sums = np.zeros((2, rays.shape[1]))
+    reference = None
+    for _ in range(min(most, len(candidates))):
+        ahead = np.ones(shown.shape, bool)
+        if reference is not None:
+            ahead = np.einsum("jkp,kp->jp", side, reference) >= 0
+        gains = np.zeros(len(candidates))
+        for same, total in zip((ahead, ~ahead), sums, strict=True):
+            gains += (np.sqrt(total + shown * same) - np.sqrt(total)).mean(axis=1)
+        gains[chosen] = 0
+        best = int(np.argmax(gains))
+        if gains[best] < LEAST_GAIN:
+            break
+        for same, total in zip((ahead, ~ahead), sums, strict=True):
+            total += shown[best] * same[best]
+        if reference is None:
+            reference = side[best].copy()
+        unset = ~reference.any(axis=0)
+        reference[:, unset] = side[best][:, unset]
+        chosen.append(best)
+    return [int(candidates[j]) for j in chosen]
+
+
+def _points(
+    inverse_depth: np.ndarray | float, camera: Camera, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rays (3, P) of points spread over the image, and their inverse depth (P,)."""
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    rows, columns = (
+        ((np.arange(count) + 0.5) * side / count - 0.5)
+        for count, side in zip(POINTS, shape, strict=True)
+    )
+    values = np.broadcast_to(np.asarray(inverse_depth, np.float64), shape)
+    near = values[np.ix_(rows.astype(int), columns.astype(int))].ravel()
+    known = np.isfinite(near) & (near > 0)
+    if not known.any():
+        raise ValueError("inverse_depth is nowhere positive: expected a rough depth of the frame")
+    near = np.where(known, near, np.median(near[known]))
+    x, y = np.meshgrid((columns - cx) / camera.focal, (rows - cy) / camera.focal)
+    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)]), near
+
+
+def _shown(
+    poses: np.ndarray,
+    key: int,
+    candidates: np.ndarray,
+    rays: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    shape: tuple[int, int],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how well each candidate shows each point (J, P), and where it moves, (J, 2, P)."""
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    motions = np.linalg.inv(poses[candidates]) @ poses[key]
+    turned = motions[:, :3, :3] @ rays
+    moved = turned + depth * motions[:, :3, 3:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        there = camera.focal * moved[:, :2] / moved[:, 2:]
+        apart = there - camera.focal * turned[:, :2] / turned[:, 2:]
+        u, v = cx + there[:, 0], cy + there[:, 1]
+        inside = (moved[:, 2] > 0) & (turned[:, 2] > 0)
+        inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+    apart = np.where(inside[:, None], apart, 0)
+    parallax = np.hypot(apart[:, 0], apart[:, 1]) / width
+    shown = np.minimum(1, parallax / ENOUGH) * np.minimum(1, WIDE / np.maximum(parallax, 1e-9))
+    direction = apart / np.maximum(width * parallax, 1e-9)[:, None]
+    return shown * inside, direction

@@ -1,0 +1,246 @@
+"""A whole sequence, reconstructed: one camera path, and the depth of every frame."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.outcome import Status
+from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud, point_cloud
+from tisfm.settings import Settings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reconstruction:
+    """Poses and depth of the frames of a sequence; depth lies on disk and is read when asked for.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity,
+        unless poses were given. NaN for a frame without one.
+    piece : (N,) int32
+        Which piece a frame belongs to; each has a scale of its own, in which the median depth of
+        its first keyframe is 1, unless poses were given. −1 for a frame without a pose.
+    unit : tuple of float
+        For every piece, what its depth on disk is multiplied by; 1 unless it was rescaled.
+    status : tuple of Status
+        For every frame, with a message: ``"converged"`` if it has a pose and depth.
+    keyframes : tuple of int
+        Frames whose depth was found from several others; that of the rest is rendered from theirs
+        and refined.
+    camera : Camera
+        The pinhole of the frames, without distortion.
+    settings : Settings
+    names : tuple of str
+        Of the frames.
+    times : tuple of float or None
+        Seconds.
+    skipped : tuple of (int, str)
+        Frames of the source that could not be read, and why; they are not counted.
+    shape : (int, int)
+        Height and width of the frames, px.
+    folder : Path
+        Where it lies.
+    version : str
+        Of tisfm.
+    """
+
+    poses: np.ndarray = field(repr=False)
+    piece: np.ndarray = field(repr=False)
+    unit: tuple[float, ...] = field(repr=False)
+    status: tuple[Status, ...] = field(repr=False)
+    keyframes: tuple[int, ...]
+    camera: Camera
+    settings: Settings = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
+    times: tuple[float | None, ...] = field(repr=False)
+    skipped: tuple[tuple[int, str], ...] = field(repr=False, default=())
+    shape: tuple[int, int]
+    folder: Path
+    version: str
+    _temporary: TemporaryDirectory | None = field(repr=False, default=None)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.poses)
+
+    @property
+    def largest_piece(self) -> int:
+        """The piece of most frames; 0 if there is none."""
+        placed = self.piece[self.piece >= 0]
+        return int(np.bincount(placed).argmax()) if len(placed) else 0
+
+    def inverse_depth(self, frame: int) -> np.ndarray:
+        """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
+
+        NaN where no frame shows it. Numbers have 11 significant bits.
+
+        Raises
+        ------
+        IndexError
+            If there is no such frame.
+        """
+        return self._depth_of(frame)[0]
+
+    def inverse_depth_std(self, frame: int) -> np.ndarray:
+        """Return its standard deviation, (H, W) float32; infinite where there is no depth."""
+        return self._depth_of(frame)[1]
+
+    def depth(self, frame: int) -> np.ndarray:
+        """Return the depth of a frame, (H, W) float32, in the unit of the poses; NaN for none."""
+        inverse = self.inverse_depth(frame)
+        depth = np.full_like(inverse, np.nan)
+        np.divide(1, inverse, out=depth, where=inverse > 0)
+        return depth
+
+    def picture(self, frame: int) -> np.ndarray:
+        """Return the frame without distortion, (H, W) or (H, W, 3) RGB uint8."""
+        from tisfm.reconstruction.folder import read_picture
+
+        return read_picture(self.folder, self._number(frame))
+
+    def points(
+        self,
+        frames: Iterable[int] | None = None,
+        *,
+        max_relative_std: float = 0.1,
+        max_depth: float | None = FARTHEST_MEDIANS,
+    ) -> PointCloud:
+        """Return coloured points of several frames in the axes of the world.
+
+        Parameters
+        ----------
+        frames : iterable of int, optional
+            By default the keyframes of the largest piece. They should be of one piece.
+        max_relative_std : float
+            Pixels whose deviation is a larger share of their inverse depth are left out.
+        max_depth : float or None
+            Pixels farther than so many median depths of their frame are left out.
+
+        Returns
+        -------
+        PointCloud
+            The positions are (M, 3) float32, in the unit of the poses; `confidence` is one minus
+            the relative deviation over `max_relative_std`.
+        """
+        if frames is None:
+            frames = self._keyframes_of(self.largest_piece)
+        clouds = []
+        for frame in frames:
+            inverse, deviation = self._depth_of(frame)
+            pose = self.poses[frame]
+            if not np.isfinite(pose).all():
+                continue
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = deviation / inverse
+            trust = np.where(share <= max_relative_std, 1 - share / max_relative_std, -1)
+            kept = trust >= 0
+            cloud = point_cloud(
+                np.where(kept, self.depth(frame), np.nan).astype(np.float32),
+                self.camera,
+                frame=self.picture(frame),
+                confidence=np.maximum(trust, 0).astype(np.float32),
+                occlusion=~kept,
+                max_depth=max_depth,
+            )
+            placed = cloud.positions @ pose[:3, :3].T + pose[:3, 3]
+            clouds.append(
+                PointCloud(
+                    positions=placed.astype(np.float32),
+                    colors=cloud.colors,
+                    confidence=cloud.confidence,
+                )
+            )
+        return PointCloud(
+            positions=np.concatenate([c.positions for c in clouds] or [np.empty((0, 3), "f4")]),
+            colors=np.concatenate([c.colors for c in clouds] or [np.empty((0, 3), "u1")]),
+            confidence=np.concatenate([c.confidence for c in clouds] or [np.empty(0, "f4")]),
+        )
+
+    def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
+        """Return the same in the unit in which the camera moved so far between two frames.
+
+        Parameters
+        ----------
+        frame0, frame1 : int
+            Two frames of one piece. Other pieces keep their scales.
+        distance : float
+            Between the places of the camera, in the unit that is wanted.
+
+        Raises
+        ------
+        ValueError
+            If the frames are of different pieces, or of one place, or the distance is not positive.
+        """
+        first, second = self._number(frame0), self._number(frame1)
+        piece = int(self.piece[first])
+        if piece < 0 or piece != self.piece[second]:
+            raise ValueError(
+                f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
+                "expected one piece, as its scale is its own"
+            )
+        if not (np.isfinite(distance) and distance > 0):
+            raise ValueError(f"distance is {distance}: expected a positive length")
+        moved = float(np.linalg.norm(self.poses[first, :3, 3] - self.poses[second, :3, 3]))
+        if moved == 0:
+            raise ValueError(f"frames {first} and {second} are of one place: give two others")
+        factor, poses = distance / moved, self.poses.copy()
+        poses[self.piece == piece, :3, 3] *= factor
+        unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
+        return replace(self, poses=poses, unit=unit)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Copy everything to a folder, which is complete once it has a ``reconstruction.json``.
+
+        Parameters
+        ----------
+        folder : path
+            A new or empty folder, or one with an earlier reconstruction, which is replaced.
+
+        Raises
+        ------
+        FileExistsError
+            If it holds other files.
+        OSError
+            If it cannot be written to.
+        """
+        from tisfm.reconstruction.folder import copy_folder
+
+        copy_folder(self, folder)
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> "Reconstruction":
+        """Open what `save` or ``tisfm reconstruct`` wrote; depth is read when it is asked for.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder is not that of a complete reconstruction.
+        tisfm.formats.FormatError
+            A ValueError: if a file is damaged or of a format this version cannot read.
+        """
+        from tisfm.reconstruction.folder import read_record
+
+        return cls(**read_record(folder), folder=Path(folder))
+
+    def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        from tisfm.reconstruction.folder import read_depth
+
+        number = self._number(frame)
+        inverse_depth, deviation = read_depth(self.folder, number, self.shape)
+        unit = np.float32(self.unit[self.piece[number]] if self.piece[number] >= 0 else 1)
+        return inverse_depth / unit, deviation / unit
+
+    def _number(self, frame: int) -> int:
+        number = int(frame)
+        if not 0 <= number < len(self):
+            raise IndexError(f"frame is {frame}: expected 0 to {len(self) - 1}")
+        return number
+
+    def _keyframes_of(self, piece: int) -> list[int]:
+        return [frame for frame in self.keyframes if self.piece[frame] == piece]

@@ -1,0 +1,216 @@
+"""One reconstruction, from the source to the folder: reading, the path, depth."""
+
+from collections.abc import Iterable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.focal_guess import guess_camera
+from tisfm.outcome import Status
+from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
+from tisfm.reconstruction.frames import PreparedFrames
+from tisfm.reconstruction.path import CameraPath, PathFinder, Piece
+from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource
+from tisfm.version import __version__
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """What is known of the frames once they are read."""
+
+    names: tuple[str, ...]
+    times: tuple[float | None, ...]
+
+
+class Run:
+    """One reconstruction, from the source to the folder.
+
+    Parameters
+    ----------
+    source : FrameSource
+    camera : Camera or None
+        Of the frames as they come; None for a guess.
+    settings : Settings
+    poses : (N, 4, 4) array or None
+        Those that are given.
+    folder : Path
+        Ready to be written to.
+    progress : callable or None
+        As for `tisfm.reconstruct`.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        camera: Camera | None,
+        settings: Settings,
+        poses: np.ndarray | None,
+        folder: Path,
+        progress: Progress | None,
+    ) -> None:
+        self._source, self._camera, self._settings = source, camera, settings
+        self._given, self._folder = poses, folder
+        self._progress: Progress = progress or (lambda stage, done, total: None)
+        self._frames: PreparedFrames
+
+    def result(self) -> Reconstruction:
+        """Read, find the path, then depth; write everything."""
+        read, path = self._read()
+        count = len(read.names)
+        poses = np.full((count, 4, 4), np.nan)
+        piece = np.full(count, -1, np.int32)
+        status: list[Status] = [Status("converged")] * count
+        for frame, why in path.lost.items():
+            status[frame] = why
+        keyframes: list[int] = []
+        done = 0
+        for number, part in enumerate(path.pieces):
+            part = self._adjusted(part, path.seen)
+            found, unit = self._depths(part, path.seen, done)
+            done += len(part.poses)
+            keyframes += [frame for frame, kind in found.items() if kind == "keyframe"]
+            world = np.eye(4) if self._given is not None else part.poses[min(part.poses)]
+            for frame, pose in part.poses.items():
+                poses[frame], piece[frame] = np.linalg.solve(world, pose), number
+                poses[frame, :3, 3] /= unit
+                if frame not in found:
+                    status[frame] = Status(
+                        "little_parallax",
+                        "no frame near by shows enough parallax to see depth by; its pose is known",
+                    )
+            if number > 0:
+                first = min(part.poses)
+                status[first] = Status(str(status[first]), _new_piece(status[first]))
+        result = Reconstruction(
+            poses=poses,
+            piece=piece,
+            unit=(1.0,) * len(path.pieces),
+            status=tuple(status),
+            keyframes=tuple(sorted(keyframes)),
+            camera=self._frames.camera,
+            settings=self._settings,
+            names=read.names,
+            times=read.times,
+            skipped=tuple(self._source.skipped),
+            shape=self._frames.shape,
+            folder=self._folder,
+            version=__version__,
+        )
+        write_record(self._folder, result)
+        return result
+
+    def _read(self) -> tuple[_Read, CameraPath]:
+        """Read all frames once, and find the path, or take the one that is given."""
+        names: list[str] = []
+        times: list[float | None] = []
+        finder: PathFinder | None = None
+        tracker: Tracker | None = None
+        seen: list[Seen] = []
+        total = _count(self._source)
+        with closing(self._source.frames()) as frames:
+            for frame in frames:
+                if not names:
+                    camera = self._camera or guess_camera(
+                        self._source.first_file or frame.full or frame.image.shape
+                    )
+                    camera = self._source.camera_after(camera, frame.full)
+                    self._frames = PreparedFrames(
+                        camera, self._folder / CACHE, self._folder / PICTURES
+                    )
+                    finder = PathFinder(self._frames.camera)
+                    tracker = Tracker(self._frames.camera, Settings.preset("fast"))
+                grey, ignored = self._frames.add(frame)
+                if self._given is None and finder is not None:
+                    finder.add(grey, ignored)
+                elif tracker is not None:
+                    seen.append(tracker.go_on(grey, ignored))
+                names.append(frame.name)
+                times.append(frame.time)
+                self._progress("reading", len(names), total)
+        if len(names) < 2 or finder is None:
+            raise ValueError(
+                f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
+                "be read: expected at least 2"
+            )
+        self._progress("path", 0, len(names))
+        path = finder.finish() if self._given is None else self._given_path(seen, self._given)
+        self._progress("path", len(names), len(names))
+        return _Read(names=_distinct(names), times=tuple(times)), path
+
+    def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
+        if len(poses) != len(seen):
+            raise ValueError(
+                f"poses are {len(poses)}, but there are {len(seen)} frames: expected one for each"
+            )
+        known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
+        points = triangulated(seen, known, self._frames.camera, self._frames.shape)
+        lost = {
+            k: Status("unrelated", "no pose is given for it")
+            for k in range(len(poses))
+            if k not in known
+        }
+        piece = Piece(poses=known, views=tuple(known), points=points)
+        return CameraPath(pieces=(piece,) if known else (), lost=lost, seen=tuple(seen))
+
+    def _adjusted(self, piece: Piece, seen: tuple[Seen, ...]) -> Piece:
+        """Return the piece with poses adjusted to the images, if there are any to adjust."""
+        from tisfm.reconstruction.adjustment import adjusted
+        from tisfm.reconstruction.depths import PieceDepths, effort_of
+
+        effort = effort_of(self._settings)
+        if self._given is not None or effort == "fast":
+            return piece
+        stars = PieceDepths(self._frames, piece, seen, self._settings, effort="fast").stars()
+        frames, camera = self._frames.grey, self._frames.camera
+        poses = adjusted(piece.poses, stars, frames, camera, self._settings)
+        return replace(piece, poses=poses)
+
+    def _depths(
+        self, piece: Piece, seen: tuple[Seen, ...], done: int
+    ) -> tuple[dict[int, str], float]:
+        """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
+        from tisfm.reconstruction.depths import PieceDepths, effort_of, unit_of
+
+        depths = PieceDepths(
+            self._frames, piece, seen, self._settings, effort=effort_of(self._settings)
+        )
+        found: dict[int, str] = {}
+        unit = 1.0
+        for depth in depths:
+            if not found and self._given is None:
+                unit = unit_of(depth.inverse_depth)
+            write_depth(
+                self._folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit
+            )
+            found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
+            self._progress("depth", done + len(found), len(seen))
+        return found, unit
+
+
+def _new_piece(status: Status) -> str:
+    told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
+    told += "its own"
+    return f"{status.message}; {told}" if status.message else told
+
+
+def _count(source: FrameSource) -> int | None:
+    try:
+        return len(source) + 1
+    except TypeError:
+        return None
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names, numbered if two are alike."""
+    listed = list(names)
+    if len(set(listed)) == len(listed):
+        return tuple(listed)
+    return tuple(f"{k:06d}_{name}" for k, name in enumerate(listed))

@@ -1,0 +1,133 @@
+"""Views: the frames that a path is built from, and which of their points are the same."""
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.sparse_matches import Described, alike, described
+from tisfm.reconstruction.loops import Look, similar
+from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.tracks import Seen, smaller
+
+# A frame becomes a view where tracks have moved by this share of the longer side since the last
+# view, or fewer than this share of its tracks are still seen.
+MOVED, KEPT = 0.025, 0.7
+PER_CELL = 4  # points of a cell: fewer than for pairs, since views are matched with several
+MATCHED = 3  # views before, that a view is matched with by what points look like
+FEWEST_MATCHES = 15
+# Of views that only seem to show the same place: matches that one motion explains, and their share.
+FEWEST_OF_LOOP, SHARE_OF_LOOP = 25, 0.4
+# Of frames out of order: views, at least; the share that shows something of the view before, at
+# most; and the share that shows something of others, at least.
+FEWEST_TO_ORDER, FOLLOWING, KNOWN_ELSEWHERE = 8, 0.4, 0.7
+INLIER = 2.0  # px, of 640 across: from an epipolar line
+TRIALS = 500
+
+
+class Views:
+    """Chooses views among the frames of a sequence, and matches them.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+
+    Attributes
+    ----------
+    chosen : list of View
+        In the order of their frames.
+    matches : dict of (int, int) to (N, 2) int array
+        For pairs of indices of views: indices of their detected points that are the same.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.chosen: list[View] = []
+        self.matches: dict[tuple[int, int], np.ndarray] = {}
+        self._camera = camera
+        self._looks: list[Look] = []
+        self._compared: set[tuple[int, int]] = set()
+
+    def needs(self, seen: Seen, longer_side: int) -> bool:
+        """Return whether a frame shows enough that is new to become a view."""
+        if not self.chosen:
+            return len(seen.tracks) > 0
+        before = self.chosen[-1].seen
+        _, index0, index1 = np.intersect1d(
+            before.tracks, seen.tracks, assume_unique=True, return_indices=True
+        )
+        if len(index0) < KEPT * len(before.tracks):
+            return True
+        if len(index0) == 0:
+            return len(seen.tracks) > 0
+        moved = np.hypot(*(seen.points[index1] - before.points[index0]).T)
+        return bool(np.median(moved) > MOVED * longer_side)
+
+    def add(self, frame: int, grey: np.ndarray, seen: Seen, ignored: np.ndarray | None) -> None:
+        """Make a view of a frame, (H, W) uint8, without its ignored pixels, (H, W) bool."""
+        found = _described(grey, ignored)
+        number = len(self.chosen)
+        self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
+        self._looks.append(Look.of(found))
+        before = [k for k in range(number) if len(self._looks[k].points) >= FEWEST_MATCHES]
+        for earlier in before[-MATCHED:]:
+            self._match(earlier, number, grey.shape, fewest=FEWEST_MATCHES, share=0.0)
+
+    def close_loops(self, shape: tuple[int, int]) -> None:
+        """Match views that show the same place again; shape is that of frames."""
+        for pair in similar(self._looks, apart=MATCHED + 1):
+            if pair not in self._compared:
+                self._match(*pair, shape, fewest=FEWEST_OF_LOOP, share=SHARE_OF_LOOP)
+
+    def out_of_order(self) -> bool:
+        """Return whether most views show nothing of the view before, but what others show."""
+        count = len(self.chosen)
+        if count < FEWEST_TO_ORDER:
+            return False
+        follows = sum(
+            (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
+        )
+        others = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
+        return follows < FOLLOWING * (count - 1) and len(others) > KNOWN_ELSEWHERE * count
+
+    def _share_tracks(self, first: int, second: int) -> bool:
+        tracks = self.chosen[first].seen.tracks, self.chosen[second].seen.tracks
+        return len(np.intersect1d(*tracks, assume_unique=True)) >= FEWEST_MATCHES
+
+    def _match(
+        self, earlier: int, later: int, shape: tuple[int, ...], *, fewest: int, share: float
+    ) -> None:
+        self._compared.add((earlier, later))
+        first, second = self._looks[earlier].described(), self._looks[later].described()
+        both = np.stack(alike(first, second), axis=1)
+        if len(both) < fewest:
+            return
+        height, width = shape
+        cx, cy = self._camera.center_for(height, width)
+        focal = self._camera.focal
+        _, inlier = cv2.findEssentialMat(
+            first.points[both[:, 0]],
+            second.points[both[:, 1]],
+            np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
+            method=cv2.USAC_MAGSAC,
+            prob=0.999,
+            threshold=INLIER * max(height, width) / 640,
+            maxIters=TRIALS,
+        )
+        if inlier is None:
+            return
+        agreed = both[inlier[:, 0] > 0]
+        if len(agreed) >= max(fewest, share * len(both)):
+            self.matches[earlier, later] = agreed
+
+
+def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
+    """Return points of a frame and what they look like, found on the level of the flow."""
+    small = smaller(grey)
+    found = described(small, per_cell=PER_CELL)
+    points = (found.points + 0.5) * (grey.shape[1] / small.shape[1]) - 0.5
+    if ignored is None:
+        return Described(points=points, roots=found.roots)
+    column, row = np.rint(points).astype(np.intp).T
+    height, width = grey.shape
+    kept = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return Described(points=points[kept], roots=found.roots[kept])

@@ -1,0 +1,352 @@
+"""Planes of a keyframe, matched in several frames whose motions are known, and which to believe."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.rigid.patch_match import STEEPEST
+from tisfm.kernels.rigid.view_search import MOST_BEST, ViewSearch
+from tisfm.kernels.rigid.windows import LEVELS
+from tisfm.motion.matched_planes import (
+    LARGEST,
+    LEAST,
+    MOST,
+    QUIETEST,
+    SEEN,
+    grey_scale,
+    noise_deviation,
+)
+from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
+
+PRESMOOTHING = 0.6  # px
+COARSER = 2  # levels that are searched besides that of the cells
+ROUNDS = (3, 2, 1)  # of improvement: of the coarsest level, of the next, and of all others
+MOST_SIDE = 2  # px of the finest level: larger cells are searched on their own level before
+DRAWS = 2  # of planes that are nearly a cell's own
+SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest grid and others; of slopes
+SMALLEST = 8  # px: the shorter side of the coarsest level
+SHRINKING = 0.6  # of both, with every round
+COST = 0.25  # what is believed costs less,
+ISLAND, SIXTEENTHS = 200, 16  # and belongs to so many px that lie within 1 px of each other
+# Of noise by which masked pixels of other frames are replaced: it correlates with nothing.
+MASKED_SEED = 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowPlanes:
+    """A plane for every cell of a keyframe, and which are believed.
+
+    Cells are the pixels of a level of half the density for each step of `level`. D is in px of
+    that level: the inverse depth times its focal length and the length of a translation.
+
+    Attributes
+    ----------
+    level : int
+    inverse_depth : (h, w) float32
+        D, px.
+    slopes : (2, h, w) float32
+        ∂D/∂x and ∂D/∂y, px per cell.
+    believed : (h, w) bool
+    """
+
+    level: int
+    inverse_depth: np.ndarray
+    slopes: np.ndarray
+    believed: np.ndarray
+
+
+class Window:
+    """A keyframe, other frames, and their motions, at several scales.
+
+    Parameters
+    ----------
+    key : (H, W) float32
+        Grey levels.
+    others : sequence of (H, W) float32
+        M of them.
+    motions : (M, 3, 4) array
+        R and t of each: from the keyframe to there.
+    camera : Camera
+        A pinhole.
+    cells : int
+        How many cells planes are sought for, at most.
+    key_mask : (H, W) bool, optional
+        Where the keyframe counts; by default everywhere.
+    masks : sequence of (H, W) bool or None, optional
+        Where each of the others counts.
+
+    Attributes
+    ----------
+    camera : Camera
+    size : (int, int)
+        H and W.
+    motions : (M, 3, 4) float64
+        With translations over `unit`.
+    unit : float
+        The length by which an inverse depth d, in 1/unit of the poses, moves pixels by d times the
+        focal length, on average over the image and for the frame in the middle.
+    frames : list of list of (h, w) float32
+        Of every frame, the keyframe first, all levels, the finest first.
+    largest : float
+        The largest D that is looked for, px of the finest level.
+    finest, level : int
+        The level whose windows are compared at last, and that of the cells.
+    counted : (h, w) bool
+        Cells of the keyframe that count.
+    """
+
+    def __init__(
+        self,
+        key: np.ndarray,
+        others: Sequence[np.ndarray],
+        motions: np.ndarray,
+        camera: Camera,
+        *,
+        cells: int,
+        key_mask: np.ndarray | None = None,
+        masks: Sequence[np.ndarray | None] | None = None,
+    ) -> None:
+        self.camera = camera
+        self.unit = self._unit(motions, key.shape)
+        self.motions = np.array(motions, np.float64)
+        self.motions[:, :, 3] /= self.unit
+        self.size = key.shape
+        met = float(np.median([_where_axes_meet(motion) for motion in self.motions]))
+        self.largest = LARGEST * max(key.shape) + camera.focal * met
+        self.finest = self.level = 0
+        while key.size >> 2 * self.finest > MOST:
+            self.finest += 1
+        while key.size >> 2 * self.level > cells or self.level < self.finest:
+            self.level += 1
+        smallest = int(np.log2(max(1, min(key.shape))))
+        levels = min(self.level + COARSER + 1, smallest + 1)
+        self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
+        self.frames = [
+            gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
+        ]
+        height, width = self.shape
+        self.counted = np.ones((height, width), bool)
+        if key_mask is not None:
+            self.counted = _share_of_cells(key_mask, 2**self.level) > 0.5
+            self.counted = self.counted[:height, :width]
+        self._masks = masks or [None] * len(others)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        height, width = self.frames[0][self.finest].shape
+        stride = 2 ** (self.level - self.finest)
+        return height // stride, width // stride
+
+    def camera_of(self, level: int) -> Camera:
+        """Return the camera of a level."""
+        return self.camera.scaled(0.5**level, *self.size) if level else self.camera
+
+    def of_cells(self, frame: int) -> np.ndarray:
+        """Return a frame, by its number, 0 for the keyframe, as densely sampled as cells are."""
+        height, width = self.shape
+        return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
+
+    def searches(self) -> list[tuple[int, ViewSearch, int]]:
+        """Return the levels that are searched, the searches, and the sides of their cells, px.
+
+        Each has cells of half the side of those of the one before, or the same cells again where
+        their windows are of a level that is much coarser than the finest.
+        """
+        side = 2 ** (self.level - self.finest)
+        last = self.level + 1 if side <= MOST_SIDE else self.level
+        coarser = [
+            (level, self._search(level, 1), 1)
+            for level in range(self.level + COARSER, last - 1, -1)
+            if min(self.frames[0][level].shape) >= SMALLEST
+        ]
+        return [*coarser, (self.finest, self.last_search, side)]
+
+    @cached_property
+    def last_search(self) -> ViewSearch:
+        """The search of the finest windows, for the cells."""
+        return self._search(self.finest, 2 ** (self.level - self.finest))
+
+    def _search(self, level: int, stride: int) -> ViewSearch:
+        low, gain, noise = self._greys
+        density = 0.5 ** (level - self.finest)
+        frames = [
+            np.clip(gain * (frame[level] - low), 0, LEVELS).astype(np.float32)
+            for frame in self.frames
+        ]
+        for levels, mask in zip(frames[1:], self._masks, strict=True):
+            if mask is not None:
+                _hide(levels, mask)
+        camera = self.camera_of(level)
+        scale = 0.5**level
+        count = len(frames) - 1
+        return ViewSearch(
+            frames[0],
+            frames[1:],
+            self.motions,
+            best=min((count + 1) // 2, MOST_BEST),
+            stride=stride,
+            center=camera.center_for(*frames[0].shape),
+            focal=camera.focal,
+            noise=max(density * noise, QUIETEST),
+            seen=SEEN,
+            least=scale * LEAST,
+            largest=scale * self.largest,
+        )
+
+    @cached_property
+    def _greys(self) -> tuple[np.float32, np.float32, float]:
+        """What grey levels are compared as: the lowest, a factor, and the noise after it."""
+        finest = [frame[self.finest] for frame in self.frames]
+        low, gain = grey_scale(finest[0], finest[1])
+        return low, gain, float(gain) * max(noise_deviation(frame) for frame in finest)
+
+    def _unit(self, motions: np.ndarray, shape: tuple[int, ...]) -> float:
+        lengths = sorted(mean_parallax(motion, self.camera, shape) for motion in motions)
+        return lengths[len(lengths) // 2]
+
+
+def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) -> float:
+    """Return the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the pixels of an image."""
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    x = (np.linspace(0, width - 1, 32) - cx) / camera.focal
+    y = (np.linspace(0, height - 1, 32)[:, None] - cy) / camera.focal
+    t1, t2, t3 = motion[:, 3]
+    return float(np.sqrt(np.mean((t1 - x * t3) ** 2 + (t2 - y * t3) ** 2)))
+
+
+def _where_axes_meet(motion: np.ndarray) -> float:
+    """Return the inverse depth at which two cameras look at one point, as far as they do; or 0."""
+    sight, translation = motion[:2, 2], motion[:2, 3]
+    square = float(translation @ translation)
+    return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
+
+
+def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlanes:
+    """Match planes of a keyframe in several frames at once, from coarse cells to fine ones.
+
+    Parameters
+    ----------
+    window : Window
+    prior : (H, W) float32, optional
+        Inverse depth to begin with, 1/unit of the poses; NaN where none is known.
+    """
+    searches = window.searches()
+    level, search, _ = searches[0]
+    planes = _drawn(window, search, level, prior)
+    side = 0
+    for turn, (finer, search, stride) in enumerate(searches):
+        if turn:
+            if side > stride * 2**finer:
+                planes = _halved(planes)
+            planes = _fitted(planes, search.shape)
+            planes[..., :3] *= np.float32(2.0 ** (level - finer))
+        level, side = finer, stride * 2**finer
+        search.score(planes)
+        for repeat in range(ROUNDS[min(turn, len(ROUNDS) - 1)]):
+            narrower = SHRINKING**repeat
+            search.improve(
+                planes,
+                draws=DRAWS,
+                spread=(SPREAD[1] if turn else SPREAD[0]) * narrower,
+                tilt=stride * TILT * narrower,
+                seed=turn * max(ROUNDS) + repeat,
+            )
+    planes[..., :3] *= np.float32(0.5 ** (window.level - level))
+    depth = np.ascontiguousarray(planes[..., 0])
+    believed = (planes[..., 3] < COST) & (depth > 0) & window.counted
+    return WindowPlanes(
+        level=window.level,
+        inverse_depth=depth,
+        slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
+        believed=_without_islands(depth, believed, max(1, ISLAND >> 2 * window.level)),
+    )
+
+
+def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return what the planes of all cells cost in every frame, (M, h, w) float32.
+
+    Parameters
+    ----------
+    window : Window
+    inverse_depth : (h, w) float32
+        D, px of the cells.
+    slopes : (2, h, w) float32
+    """
+    search = window.last_search
+    planes = np.zeros((*search.shape, 4), np.float32)
+    planes[..., 0] = inverse_depth
+    planes[..., 1], planes[..., 2] = slopes
+    planes *= np.float32(2 ** (window.level - window.finest))
+    out = np.empty((search.count, *search.shape), np.float32)
+    search.costs(planes, out)
+    return out
+
+
+def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | None) -> np.ndarray:
+    """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
+    random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
+    focal = window.camera_of(level).focal
+    random[..., 0] *= 0.5**level * window.largest
+    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
+    if prior is not None:
+        side = 2**level
+        height, width = search.shape
+        known = prior[side // 2 :: side, side // 2 :: side][:height, :width]
+        known = cv2.copyMakeBorder(
+            known, 0, height - known.shape[0], 0, width - known.shape[1], cv2.BORDER_REPLICATE
+        )
+        there = known > 0
+        random[there, 0] = known[there] * np.float32(window.unit * focal)
+        random[there, 1:3] = 0
+    return random
+
+
+def _halved(planes: np.ndarray) -> np.ndarray:
+    """Return planes of cells of half the side."""
+    finer = planes.repeat(2, axis=0).repeat(2, axis=1)
+    for k, axis in ((1, 1), (2, 0)):
+        finer[..., k] *= 0.5
+        side = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
+        finer[..., 0] += finer[..., k] * (side if axis else side[:, None])
+    return finer
+
+
+def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return planes cut to a size, or with their last row and column repeated up to it."""
+    height, width = shape
+    below, right = max(0, height - planes.shape[0]), max(0, width - planes.shape[1])
+    if below or right:
+        planes = cv2.copyMakeBorder(planes, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    return np.ascontiguousarray(planes[:height, :width])
+
+
+def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
+    """Replace, in place, what a mask says does not count by noise."""
+    size = levels.shape[::-1]
+    kept = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
+    levels[~kept] = (LEVELS * random)[~kept]
+
+
+def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
+    """Return the share of a mask in every cell of so many px a side, (h, w) float32."""
+    height, width = (-(-length // side) for length in mask.shape)
+    below, right = side * height - mask.shape[0], side * width - mask.shape[1]
+    padded = cv2.copyMakeBorder(
+        mask.astype(np.float32), 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
+    )
+    return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
+    """Return which cells lie among so many that are connected and differ by 1 px at most."""
+    fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    fixed = fixed.astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, island, SIXTEENTHS)
+    return fixed > 0

@@ -1,0 +1,103 @@
+"""Inverse depth of one view as another view sees it."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+
+ALIKE = 0.05  # of the inverse depth: what differs by more is another surface
+
+
+def rendered(
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    camera: Camera,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inverse depth that another view shows, and its deviation; 0 where none.
+
+    Parameters
+    ----------
+    inverse_depth, deviation : (H, W)
+        Of the first view; 0 where there is none.
+    rotation, translation : (3, 3) and (3,)
+        From the first view's axes to the other's.
+    camera : Camera
+        Of both views.
+    """
+    height, width = inverse_depth.shape
+    cx, cy = camera.center_for(height, width)
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    rays = np.stack([(columns - cx) / camera.focal, (rows - cy) / camera.focal, 0 * rows + 1])
+    place = np.einsum("kl,lhw->khw", rotation, rays)
+    place += inverse_depth * translation[:, None, None]
+    nearest, central = np.zeros((2, height, width))
+    for y, x in zip(*np.nonzero((inverse_depth > 0) & (place[2] > 0)), strict=True):
+        there = inverse_depth[y, x] / place[2, y, x]
+        column, row = (place[:2, y, x] / place[2, y, x]) * camera.focal + (cx, cy)
+        around = [(np.floor(row) + j, np.floor(column) + i) for j in (0, 1) for i in (0, 1)]
+        closest = np.floor(row + 0.5), np.floor(column + 0.5)
+        for image, places in ((nearest, around), (central, [closest])):
+            for down, right in places:
+                if 0 <= down < height and 0 <= right < width:
+                    at = int(down), int(right)
+                    image[at] = max(image[at], there)
+    out, spread = np.zeros((2, height, width))
+    for y, x in np.ndindex(height, width):
+        for start, least in ((nearest[y, x], 0.5), (central[y, x], 1e-3)):
+            value, deviates = start, 0.0
+            for _ in range(2):
+                if value > 0:
+                    value, deviates = _looked_up(
+                        inverse_depth,
+                        deviation,
+                        rays[:, y, x],
+                        value,
+                        rotation,
+                        translation,
+                        camera,
+                        least,
+                    )
+            if value > 0:
+                out[y, x], spread[y, x] = value, deviates
+                break
+    return out, spread
+
+
+def _looked_up(
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    ray: np.ndarray,
+    value: float,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    camera: Camera,
+    least: float,
+) -> tuple[float, float]:
+    """Return what the first view says of a ray of the other, which meets it at `value`."""
+    height, width = inverse_depth.shape
+    centre = np.array(camera.center_for(height, width))
+    source = rotation.T @ (ray - value * translation)
+    if source[2] <= 0:
+        return 0.0, 0.0
+    column, row = source[:2] / source[2] * camera.focal + centre
+    expected, total, depth, spread = value / source[2], 0.0, 0.0, 0.0
+    for down in (int(np.floor(row)), int(np.floor(row)) + 1):
+        for right in (int(np.floor(column)), int(np.floor(column)) + 1):
+            if not (0 <= down < height and 0 <= right < width):
+                continue
+            there = inverse_depth[down, right]
+            if there > 0 and abs(there - expected) < ALIKE * expected:
+                weight = (1 - abs(column - right)) * (1 - abs(row - down))
+                total += weight
+                depth += weight * there
+                spread += weight * deviation[down, right]
+    if total <= least:
+        return 0.0, 0.0
+    depth, spread = depth / total, spread / total
+    first = np.append((np.array([column, row]) - centre) / camera.focal, 1.0)
+    turned = (rotation @ first)[2]
+    moved = turned + depth * translation[2]
+    if moved <= 0:
+        return 0.0, 0.0
+    return depth / moved, spread * abs(turned) / moved**2

@@ -1,0 +1,82 @@
+"""A path of a camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.checks import unmasked
+from tisfm.rigid import is_rotation
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """The poses of a sequence of frames.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64 ndarray
+        Camera to world; NaN where a frame has none.
+    times : (N,) float64 ndarray or None
+        When the frames were taken, s, each later than the one before; None where that is not
+        known.
+
+    Raises
+    ------
+    ValueError
+        If `poses` or `times` is not that.
+    """
+
+    poses: NDArray[np.float64]
+    times: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        """Check both."""
+        object.__setattr__(self, "poses", check_poses(self.poses))
+        if self.times is not None:
+            object.__setattr__(self, "times", check_times(self.times, len(self.poses)))
+
+    @property
+    def posed(self) -> NDArray[np.bool_]:
+        """Which frames have a pose, (N,)."""
+        return np.asarray(np.isfinite(self.poses[:, 0, 0]))
+
+
+def check_poses(poses: ArrayLike) -> NDArray[np.float64]:
+    """Return poses as float64, or raise ValueError unless each is one, or NaN in its place.
+
+    Parameters
+    ----------
+    poses : array_like, shape (N, 4, 4)
+        Camera to world; NaN anywhere in a matrix stands for no pose.
+
+    Returns
+    -------
+    (N, 4, 4) float64 ndarray
+        NaN in all of a matrix where there is no pose.
+    """
+    given = unmasked(poses, "poses", np.float64)
+    if given.ndim != 3 or given.shape[1:] != (4, 4):
+        raise ValueError(f"poses are {given.shape}: expected (N, 4, 4)")
+    missing = np.isnan(given).any(axis=(1, 2))
+    for index in np.flatnonzero(~missing):
+        pose = given[index]
+        if not np.isfinite(pose).all() or not is_rotation(pose[:3, :3]):
+            raise ValueError(
+                f"poses[{index}] is {pose.tolist()}: expected a rotation and a translation, or NaN"
+            )
+    return np.where(missing[:, None, None], np.nan, given)
+
+
+def check_times(times: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return times as float64, or raise ValueError unless there are `count` that increase."""
+    given = unmasked(times, "times", np.float64)
+    if given.shape != (count,):
+        raise ValueError(f"times are {given.shape}: expected ({count},), one for every pose")
+    wrong = np.flatnonzero(~(np.diff(given) > 0))
+    if not np.isfinite(given).all() or len(wrong):
+        index = int(wrong[0]) + 1 if len(wrong) else 0
+        raise ValueError(
+            f"times[{index}] is {given[index]}: expected finite numbers, each above the one before"
+        )
+    return given
