@@ -18,7 +18,7 @@ Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimi
 the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)
 has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
 
-May import: of the top level `camera`, `checks` and `settings`.
+May import: of the top level `camera` and `settings`.
 """
 
 from tisfm.reference.data import (
