@@ -8,7 +8,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import assert_one_line
-from tests.reconstruction.walks import along, depth_error, walk
+from tests.reconstruction.films import along, depth_error, walk
 from tisfm.trajectory import read_kitti, read_tum, write_kitti
 
 COUNT = 6

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.reconstruction.walks import path_error, walk
+from tests.reconstruction.films import path_error, walk
 from tisfm.reconstruction.adjustment import _jacobian, adjusted, star_of
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.settings import Settings

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.reconstruction.walks import along, depth_error, path_error, walk
+from tests.reconstruction.films import along, depth_error, path_error, walk
 from tisfm import Camera, Reconstruction, Settings
 
 FAST = Settings.preset("fast", motion="camera")

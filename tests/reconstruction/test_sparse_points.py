@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.reconstruction.walks import along
+from tests.reconstruction.films import along
 from tisfm import Camera
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen

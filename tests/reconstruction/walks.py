@@ -1,34 +1,58 @@
-"""Films of a room, small, with exact truth."""
+"""A camera that walks through a rendered room: frames and exact poses."""
 
 from functools import cache
 
+import cv2
 import numpy as np
 
-from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
+from tisfm import scenes
 
-STEP = np.array((0.07, 0.0, 0.03, 0.0, 0.008, 0.0))  # of the camera, m and rad a frame
+HEIGHT, WIDTH = 240, 320
+CAMERA = scenes.room(8, 8).camera.__class__(focal=0.6 * WIDTH)
 
 
-def along(count, step=STEP):
-    """Return the poses of a camera that goes on by the same motion in every frame."""
-    return np.array([pose_matrix(k * np.asarray(step)) for k in range(count)])
+def pose(forward=0.0, sideways=0.0, turn=0.0):
+    """Return a pose, (4, 4) camera to world: m, m and rad."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(np.array([0.0, turn, 0.0]))[0]
+    matrix[:3, 3] = sideways, 0, forward
+    return matrix
 
 
 @cache
-def walk(count=9, height=120, width=160):
-    """Return a film of so many frames."""
-    return room_film(along(count), height, width, samples=2)
+def _view(seed, forward, sideways, turn):
+    at = pose(forward, sideways, turn)
+    # The twist whose exponential is this pose: its translation is linear in V.
+    columns = [scenes.rigid_motion((*axis, 0, turn, 0))[1] for axis in np.eye(3)]
+    velocity = np.linalg.solve(np.transpose(columns), at[:3, 3])
+    moved = scenes.room(
+        HEIGHT, WIDTH, seed=seed, camera_motion=(*velocity, 0, turn, 0), noise=0, samples=2
+    )
+    return moved.frame1
 
 
-def path_error(found, true):
-    """Return the rmse of camera centres after a similarity, over the length of the true path."""
-    from tisfm.metrics import absolute_errors, path_length
+def frames(steps, *, seed=0, noise=1.0):
+    """Return frames, (H, W) uint8, taken from steps, each (forward, sideways, turn)."""
+    random = np.random.default_rng(seed)
+    seen = []
+    for step in steps:
+        grey = _view(seed, *(float(value) for value in step))
+        noisy = grey + noise * random.standard_normal(grey.shape)
+        seen.append(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8))
+    return seen
 
-    return absolute_errors(found, true).similarity / path_length(true)
+
+def centres(steps):
+    """Return the true positions, (N, 3)."""
+    return np.array([pose(*step)[:3, 3] for step in steps])
 
 
-def depth_error(depth, true, scale=1.0):
-    """Return the mean relative error of a depth map; what has none counts as 1."""
-    error = np.abs(scale * depth - true) / true
-    return float(np.nan_to_num(error, nan=1.0).mean())
+def residual(found, true):
+    """Return the rms distance after the best similarity, as a share of the true path's length."""
+    p, q = found - found.mean(axis=0), true - true.mean(axis=0)
+    u, s, vt = np.linalg.svd(q.T @ p / len(p))
+    sign = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    scale = np.trace(np.diag(s) @ sign) / (p**2).sum(axis=1).mean()
+    away = scale * p @ (u @ sign @ vt).T - q
+    length = np.linalg.norm(np.diff(true, axis=0), axis=1).sum()
+    return np.sqrt((away**2).sum(axis=1).mean()) / length

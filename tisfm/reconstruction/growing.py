@@ -1,6 +1,7 @@
 """Models grown view by view: a first pair, then whatever sees enough of what is known."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,16 @@ GROWN = 1.5  # times as many views, or points, as when all of them were adjusted
 # from where on more is no better, rad; and how many are tried.
 ANGLES, ENOUGH_PARALLAX, TRIED = (4.0, 1.0), 0.03, 24
 NEAREST, ROUNDS = 5e-4, 5  # rad: of parallax, noise has no more; and of the fit of a homography
+BETTER = 2.5  # times: than a homography, a motion explains the directions of a first pair
 QUANTILE = 0.75  # of the parallax of two views
 EXPLAINED = 0.65  # of all matched observations: a model that explains as many is right
 STARTS, ELSEWHERE = 3, 4  # models that are grown otherwise; views from one beginning to another
 NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 
+Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
-def grown(
-    database: Any, pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], count: int
-) -> list[Any]:
+
+def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first.
 
     Parameters
@@ -54,16 +56,15 @@ def grown(
     return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
 
 
-def _one(
-    mapper: Any, cache: Any, options: Any, promising: Sequence[tuple[int, int]], left: set[int]
-) -> Any | None:
+def _one(mapper: Any, cache: Any, options: Any, promising: Pairs, left: set[int]) -> Any | None:
     """Return a reconstruction of some of the views that are left, None if there is none.
 
     A first pair may leave the motion open, and a model that is grown from it is bent: it explains
     little. Then others are grown, and the one that explains most counts.
     """
     best, most, begun = None, 0, list[int]()
-    for pair in _starts(mapper, options, [pair for pair in promising if left.issuperset(pair)]):
+    possible = {pair: both for pair, both in promising.items() if left.issuperset(pair)}
+    for pair in _starts(mapper, options, possible):
         if any(abs(number - other) < ELSEWHERE for number in pair[:2] for other in begun):
             continue
         begun += pair[:2]
@@ -76,22 +77,31 @@ def _one(
         explained = reconstruction.compute_num_observations()
         if reconstruction.num_reg_images() >= SMALLEST and explained > most:
             best, most = reconstruction, explained
-        possible = sum(map(cache.correspondence_graph.num_observations_for_image, left))
-        if most > EXPLAINED * possible or len(begun) >= 2 * STARTS:
+        matched = sum(map(cache.correspondence_graph.num_observations_for_image, left))
+        if most > EXPLAINED * matched or len(begun) >= 2 * STARTS:
             break
     return best
 
 
-def _starts(
-    mapper: Any, options: Any, promising: Sequence[tuple[int, int]]
-) -> Iterator[tuple[int, int, Any]]:
+def _starts(mapper: Any, options: Any, promising: Pairs) -> Iterator[tuple[int, int, Any]]:
     """Give pairs that serve as a beginning, with the motion from the first to the second."""
     for angle in ANGLES:
         options.mapper.init_min_tri_angle = angle
-        for first, second in promising[:TRIED]:
+        for (first, second), directions in islice(promising.items(), TRIED):
             motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
-            if motion is not None:
+            if motion is not None and _needed(motion.matrix(), *directions):
                 yield first, second, motion
+
+
+def _needed(motion: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
+    """Return whether a motion, (3, 4), explains directions much better than any homography.
+
+    With a way of its own for each point, a motion explains noise a little better as well.
+    """
+    normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    away = np.abs((after * normal).sum(axis=1))
+    return bool(np.median(_parallax(before, after)) > BETTER * np.median(away))
 
 
 def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> None:
@@ -123,9 +133,7 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
     adjust_all(2)
 
 
-def _promising(
-    pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]],
-) -> list[tuple[int, int]]:
+def _promising(pairs: Pairs) -> Pairs:
     """Return pairs of views to begin with, the best first.
 
     They share many points that neither a turn of the camera nor a plane explains: either leaves
@@ -139,7 +147,7 @@ def _promising(
                 worth[pair] = len(before) * min(
                     float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
                 )
-    return sorted(worth, key=lambda pair: (-worth[pair], pair))
+    return {pair: pairs[pair] for pair in sorted(worth, key=lambda one: (-worth[one], one))}
 
 
 def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -74,7 +74,7 @@ class Tracker:
             there, back = self._flows(self._small, small)
             points, kept = carried(self._grey, grey, points, there, back)
             points, tracks = points[kept], tracks[kept]
-            kept = _spread(points, APART * _cell(grey))
+            kept = spread(points, APART * _cell(grey))
             points, tracks = points[kept], tracks[kept]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
@@ -198,7 +198,7 @@ def _cell(grey: np.ndarray) -> int:
     return max(BORDER, round(max(grey.shape) / CELLS))
 
 
-def _spread(points: np.ndarray, side: float) -> np.ndarray:
+def spread(points: np.ndarray, side: float) -> np.ndarray:
     """Return the indices of the first points in squares of this side, ascending."""
     _, first = np.unique(points // side, axis=0, return_index=True)
     return np.sort(first)

@@ -1,0 +1,41 @@
+"""Tracks follow a picture that moves, and stay apart."""
+
+import cv2
+import numpy as np
+
+from tests.reconstruction.walks import CAMERA
+from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.tracks import Tracker, seeds, spread
+
+
+def picture(shift):
+    random = np.random.default_rng(3)
+    large = cv2.GaussianBlur(random.uniform(0, 255, (300, 400)).astype(np.float32), (0, 0), 2.5)
+    large = (large - large.mean()) * 4 + 128
+    way = np.float32([[1, 0, -40 - shift[0]], [0, 1, -30 - shift[1]]])
+    moved = cv2.warpAffine(large, way, (320, 240), flags=cv2.INTER_CUBIC)
+    return np.rint(np.clip(moved, 0, 255)).astype(np.uint8)
+
+
+def test_tracks_follow_a_shift():
+    tracker = Tracker(CAMERA, TRACKING)
+    first, second = (tracker.go_on(picture(shift)) for shift in ((0, 0), (3.25, -1.5)))
+    _, before, after = np.intersect1d(first.tracks, second.tracks, return_indices=True)
+    there = first.points - (3.25, -1.5)
+    inside = there[((there > 5) & (there < (314, 234))).all(axis=1)]
+    assert len(before) > 0.95 * len(spread(inside, 6.0))
+    away = second.points[after] - first.points[before] - (-3.25, 1.5)
+    assert np.median(np.hypot(*away.T)) < 0.1  # px
+
+
+def test_of_tracks_that_meet_the_first_goes_on():
+    points = np.array([[10.2, 5.0], [12.9, 5.1], [10.5, 5.3], [40.0, 5.0]])
+    assert spread(points, 6.0).tolist() == [0, 1, 3]
+
+
+def test_no_point_is_begun_on_ignored_pixels():
+    ignored = np.zeros((240, 320), bool)
+    ignored[:, :160] = True
+    begun = seeds(picture((0, 0)), np.empty((0, 2)), ignored)
+    assert len(begun) > 100
+    assert (begun[:, 0] >= 160).all()
