@@ -7,7 +7,7 @@ import numpy as np
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
 
-STEP = np.array((0.07, 0.0, 0.03, 0.0, 0.008, 0.0))  # of the camera, m and rad a frame
+STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
 
 
 def along(count, step=STEP):

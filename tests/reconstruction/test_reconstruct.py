@@ -134,12 +134,25 @@ def test_scales_that_say_nothing_are_refused(found, frames, text):
 
 
 def test_points_lie_in_the_world(found, film):
-    cloud = found.points()
+    cloud = found.points(range(len(found)), agreeing=3)
     assert len(cloud) > 1000 and cloud.positions.dtype == np.float32
-    one = found.points([0])
+    one = found.points([0])  # nothing else to agree with
     depth = found.depth(0)
-    assert one.positions[:, 2].max() <= np.nanmax(depth) * (1 + 1e-5)
+    assert one.positions[:, 2].max() <= np.nanmax(depth) * (1 + 1e-3)
     assert len(found.points([0], max_relative_std=0.01)) < len(one)
+
+
+def test_a_mesh_of_all_frames(found, tmp_path):
+    pytest.importorskip("skimage")
+    mesh = found.mesh(range(len(found)))
+    assert len(mesh.faces) > 500
+    mesh.save(tmp_path / "mesh.ply")
+    assert (tmp_path / "mesh.ply").stat().st_size > 1000
+
+
+def test_frames_of_a_cloud_are_checked(found):
+    with pytest.raises(IndexError, match="99"):
+        found.points([99])
 
 
 def test_masked_pixels_are_left_out(film):

@@ -1,17 +1,21 @@
 """A whole sequence, reconstructed: one camera path, and the depth of every frame."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
-from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud, point_cloud
+from tisfm.point_cloud import PointCloud
 from tisfm.settings import Settings
+
+if TYPE_CHECKING:
+    from tisfm.fusion import DepthView, Mesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,58 +112,85 @@ class Reconstruction:
         self,
         frames: Iterable[int] | None = None,
         *,
+        agreeing: int = 3,
         max_relative_std: float = 0.1,
-        max_depth: float | None = FARTHEST_MEDIANS,
+        voxel: float | None = None,
     ) -> PointCloud:
-        """Return coloured points of several frames in the axes of the world.
+        """Return coloured points that several frames agree on, in the axes of the world.
 
         Parameters
         ----------
         frames : iterable of int, optional
-            By default the keyframes of the largest piece. They should be of one piece.
+            Of one piece; by default the keyframes of the largest.
+        agreeing : int
+            A point is kept where so many frames, its own included, agree within their deviations,
+            and no more see through it.
         max_relative_std : float
             Pixels whose deviation is a larger share of their inverse depth are left out.
-        max_depth : float or None
-            Pixels farther than so many median depths of their frame are left out.
+        voxel : float, optional
+            Side of cubes of which each keeps one point, in the unit of the poses.
 
         Returns
         -------
         PointCloud
-            The positions are (M, 3) float32, in the unit of the poses; `confidence` is one minus
-            the relative deviation over `max_relative_std`.
+            The positions are (M, 3) float32, in the unit of the poses.
+
+        Raises
+        ------
+        IndexError, ValueError
+            If there is no such frame, frames are of several pieces, or an option is impossible.
         """
-        if frames is None:
-            frames = self._keyframes_of(self.largest_piece)
-        clouds = []
-        for frame in frames:
-            inverse, deviation = self._depth_of(frame)
-            pose = self.poses[frame]
-            if not np.isfinite(pose).all():
-                continue
-            with np.errstate(divide="ignore", invalid="ignore"):
-                share = deviation / inverse
-            trust = np.where(share <= max_relative_std, 1 - share / max_relative_std, -1)
-            kept = trust >= 0
-            cloud = point_cloud(
-                np.where(kept, self.depth(frame), np.nan).astype(np.float32),
-                self.camera,
-                frame=self.picture(frame),
-                confidence=np.maximum(trust, 0).astype(np.float32),
-                occlusion=~kept,
-                max_depth=max_depth,
-            )
-            placed = cloud.positions @ pose[:3, :3].T + pose[:3, 3]
-            clouds.append(
-                PointCloud(
-                    positions=placed.astype(np.float32),
-                    colors=cloud.colors,
-                    confidence=cloud.confidence,
-                )
-            )
-        return PointCloud(
-            positions=np.concatenate([c.positions for c in clouds] or [np.empty((0, 3), "f4")]),
-            colors=np.concatenate([c.colors for c in clouds] or [np.empty((0, 3), "u1")]),
-            confidence=np.concatenate([c.confidence for c in clouds] or [np.empty(0, "f4")]),
+        from tisfm.fusion import fused_points
+
+        views = self._views(frames)
+        most = min(agreeing, max(1, len(views)))
+        return fused_points(views, agreeing=most, max_relative_std=max_relative_std, voxel=voxel)
+
+    def mesh(
+        self,
+        frames: Iterable[int] | None = None,
+        *,
+        agreeing: int = 3,
+        max_relative_std: float = 0.1,
+        voxel: float | None = None,
+        truncation: float | None = None,
+    ) -> "Mesh":
+        """Return the surface that several frames agree on, as coloured triangles.
+
+        It needs scikit-image: ``pip install 'tisfm[mesh]'``.
+
+        Parameters
+        ----------
+        frames, agreeing, max_relative_std
+            As for `points`.
+        voxel : float, optional
+            Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
+            half the median deviation of depth if that is more.
+        truncation : float, optional
+            How far from a surface distances are kept.
+
+        Returns
+        -------
+        Mesh
+            With ``vertices``, ``faces``, ``colors``, and ``save(path)`` for ``.ply`` or ``.glb``.
+
+        Raises
+        ------
+        ImportError
+            If scikit-image is not there.
+        IndexError, ValueError
+            As for `points`; or if voxels are too fine for the memory, with the size to take.
+        """
+        from tisfm.fusion import fused_mesh
+
+        views = self._views(frames)
+        most = min(agreeing, max(1, len(views)))
+        return fused_mesh(
+            views,
+            agreeing=most,
+            max_relative_std=max_relative_std,
+            voxel=voxel,
+            truncation=truncation,
         )
 
     def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
@@ -242,5 +273,40 @@ class Reconstruction:
             raise IndexError(f"frame is {frame}: expected 0 to {len(self) - 1}")
         return number
 
+    def _views(self, frames: Iterable[int] | None) -> "_Views":
+        if frames is None:
+            return _Views(self, self._keyframes_of(self.largest_piece))
+        chosen = [self._number(frame) for frame in frames]
+        pieces = sorted({int(self.piece[frame]) for frame in chosen} - {-1})
+        if len(pieces) > 1:
+            raise ValueError(
+                f"frames are of pieces {', '.join(map(str, pieces))}: expected those of one, as "
+                "each has a scale of its own"
+            )
+        return _Views(self, [frame for frame in chosen if self.piece[frame] >= 0])
+
     def _keyframes_of(self, piece: int) -> list[int]:
         return [frame for frame in self.keyframes if self.piece[frame] == piece]
+
+
+class _Views(Sequence["DepthView"]):
+    """Frames as fusion takes them, read when they are asked for."""
+
+    def __init__(self, result: Reconstruction, frames: list[int]) -> None:
+        self._result, self._frames = result, frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        from tisfm.fusion import DepthView
+
+        frame, result = self._frames[index], self._result
+        inverse_depth, deviation = result._depth_of(frame)
+        return DepthView(
+            inverse_depth=inverse_depth,
+            inverse_depth_std=deviation,
+            pose=result.poses[frame],
+            frame=result.picture(frame),
+            camera=result.camera,
+        )
