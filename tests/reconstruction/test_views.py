@@ -33,7 +33,7 @@ def test_a_frame_becomes_a_view_where_tracks_have_moved():
     points, tracks = np.random.default_rng(0).uniform(0, 300, (50, 2)), np.arange(50)
     seen = Seen(points=points, tracks=tracks)
     views.chosen = [View(frame=0, seen=seen, detected=points)]
-    assert not views.needs(Seen(points=points + [7, 0], tracks=tracks), 320)
-    assert views.needs(Seen(points=points + [9, 0], tracks=tracks), 320)
+    assert not views.needs(Seen(points=np.add(points, (7, 0)), tracks=tracks), 320)
+    assert views.needs(Seen(points=np.add(points, (9, 0)), tracks=tracks), 320)
     assert views.needs(Seen(points=points[:30], tracks=tracks[:30]), 320)
     assert not views.needs(Seen(points=points[:40], tracks=tracks[:40]), 320)
