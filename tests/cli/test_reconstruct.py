@@ -11,7 +11,7 @@ from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
 from tisfm.trajectory import read_kitti, read_tum, write_kitti
 
-COUNT = 6
+COUNT = 9
 
 
 @pytest.fixture
@@ -50,9 +50,9 @@ def test_the_folder_holds_what_is_promised(tisfm_run, film, place):
 
 def test_an_earlier_reconstruction_is_replaced(tisfm_run, film, place):
     assert tisfm_run("reconstruct", "film", *options(film, "--ply"))[0] == 0
-    assert tisfm_run("reconstruct", "film", *options(film, "--stop", "4"))[0] == 0
-    assert len(tisfm.Reconstruction.load("out")) == 4
-    assert len(list((place / "out" / "depth").iterdir())) == 4
+    assert tisfm_run("reconstruct", "film", *options(film, "--stop", "8"))[0] == 0
+    assert len(tisfm.Reconstruction.load("out")) == 8
+    assert len(list((place / "out" / "depth").iterdir())) == 8
     assert not (place / "out" / "points.ply").exists()
 
 
@@ -66,16 +66,16 @@ def test_poses_are_given_and_depth_is_in_their_unit(tisfm_run, film):
 
 
 def test_the_unit_is_chosen(tisfm_run, film):
-    code, _, _ = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "5", "2.5"))
+    code, _, _ = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "8", "2.5"))
     result = tisfm.Reconstruction.load("out")
     assert code == 0
-    moved = np.linalg.norm(result.poses[5, :3, 3] - result.poses[0, :3, 3])
+    moved = np.linalg.norm(result.poses[8, :3, 3] - result.poses[0, :3, 3])
     assert moved == pytest.approx(2.5)
 
 
 def test_a_mask_leaves_pixels_out(tisfm_run, film, place):
     mask = np.full(film.frames[0].shape, 255, np.uint8)
-    mask[100:] = 0
+    mask[150:] = 0
     cv2.imwrite("mask.png", mask)
     assert tisfm_run("reconstruct", "film", *options(film, "--mask", "mask.png"))[0] == 0
     assert len(tisfm.Reconstruction.load("out")) == COUNT

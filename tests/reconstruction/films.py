@@ -16,7 +16,7 @@ def along(count, step=STEP):
 
 
 @cache
-def walk(count=9, height=120, width=160):
+def walk(count=9, height=180, width=240):
     """Return a film of so many frames."""
     return room_film(along(count), height, width, samples=2)
 
