@@ -60,7 +60,16 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         (
             "reconstruct",
             {"--output", "--preset", "--poses", "--mask", "--scale", "--ply", "--no-ply", "--arch"}
-            | {"--threads", "--step", "--start", "--stop", "--size", "--crop", "--bad-frames"}
+            | {
+                "--mesh",
+                "--threads",
+                "--step",
+                "--start",
+                "--stop",
+                "--size",
+                "--crop",
+                "--bad-frames",
+            }
             | {"--focal", "--center", "--distortion", "--aspect", "--help"},
         ),
         (

@@ -48,6 +48,12 @@ def test_the_folder_holds_what_is_promised(tisfm_run, film, place):
     np.testing.assert_array_equal(tum.times, np.arange(COUNT))
 
 
+def test_a_mesh_is_written(tisfm_run, film, place):
+    pytest.importorskip("skimage")
+    assert tisfm_run("reconstruct", "film", *options(film, "--mesh", "glb"))[0] == 0
+    assert (place / "out" / "mesh.glb").read_bytes()[:4] == b"glTF"
+
+
 def test_an_earlier_reconstruction_is_replaced(tisfm_run, film, place):
     assert tisfm_run("reconstruct", "film", *options(film, "--ply"))[0] == 0
     assert tisfm_run("reconstruct", "film", *options(film, "--stop", "8"))[0] == 0

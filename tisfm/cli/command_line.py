@@ -242,8 +242,9 @@ class Reconstruct:
     SOURCE is a video, a folder of images in order, a quoted glob, or images. DIR receives
     reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load; the path as
     trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
-    world), of the largest piece where the sequence fell into several; and with --ply points.ply, a
-    coloured point cloud of its keyframes. Motion is that of the camera alone.
+    world), of the largest piece where the sequence fell into several; with --ply points.ply, a
+    coloured point cloud, and with --mesh a surface, of what its keyframes agree on. Motion is that
+    of the camera alone.
     """
 
     source: Annotated[
@@ -263,6 +264,8 @@ class Reconstruct:
     """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
     ply: bool = False
     """Write points.ply, a coloured point cloud."""
+    mesh: Literal["ply", "glb"] | None = None
+    """Write mesh.ply or mesh.glb, a coloured surface; it needs pip install 'tisfm[mesh]'."""
     arch: Arch | None = None
     """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
@@ -289,6 +292,7 @@ class Reconstruct:
             mask=self.mask,
             scale=self.scale,
             ply=self.ply,
+            mesh=self.mesh,
             arch=self.arch,
             threads=self.threads,
         )

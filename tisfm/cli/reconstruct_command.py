@@ -33,13 +33,14 @@ def reconstruct(
     mask: str | None = None,
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
+    mesh: str | None = None,
     arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
     """Reconstruct a sequence, write its folder, and return the exit code.
 
     `poses` is a trajectory of the frames that are taken; `scale` are two frames and the distance
-    of the camera's places.
+    of the camera's places; `mesh` is "ply" or "glb".
     """
     given = None if poses is None else read_trajectory(poses).poses
     runtime.start(arch, threads=threads)
@@ -65,6 +66,8 @@ def reconstruct(
     write_trajectories(result, output)
     if ply:
         result.points().save(output / POINTS)
+    if mesh is not None:
+        result.mesh().save(output / f"mesh.{mesh}")
     _tell(result, output)
     return 0
 

@@ -104,15 +104,18 @@ class Views:
         height, width = shape
         cx, cy = self._camera.center_for(height, width)
         focal = self._camera.focal
-        _, inlier = cv2.findEssentialMat(
-            first.points[both[:, 0]],
-            second.points[both[:, 1]],
-            np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
-            method=cv2.USAC_MAGSAC,
-            prob=0.999,
-            threshold=INLIER * max(height, width) / 640,
-            maxIters=TRIALS,
-        )
+        try:
+            _, inlier = cv2.findEssentialMat(
+                first.points[both[:, 0]],
+                second.points[both[:, 1]],
+                np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
+                method=cv2.USAC_MAGSAC,
+                prob=0.999,
+                threshold=INLIER * max(height, width) / 640,
+                maxIters=TRIALS,
+            )
+        except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
+            return
         if inlier is None:
             return
         agreed = both[inlier[:, 0] > 0]

@@ -25,10 +25,13 @@ def test_every_kernel_has_its_traffic():
         assert callable(getattr(side, case.step))
 
 
-# Not timed: no reference improves or carries displacements of all pixels at once, and that of
-# fusion goes point by point.
+# Not timed: no reference improves or carries displacements of all pixels at once, those of fusion
+# and rendering go point by point. Not timed yet: the data of several frames.
 AS_A_WHOLE = {
     "rigid.flow_search",
+    "rigid.rendering",
+    "rigid.several_frames",
+    "rigid.view_search",
     "fusion.agreement",
     "fusion.colors",
     "fusion.distance_field",
