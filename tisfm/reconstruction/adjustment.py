@@ -20,7 +20,7 @@ from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.windows import window_variance
-from tisfm.rigid import rigid_motion
+from tisfm.rigid import rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
@@ -34,7 +34,7 @@ TEXTURE, WINDOW = 50.0, 11  # times the variance of noise: of a window whose pix
 OUTLYING = 3.0  # times the root of the median squared residual: what has more weighs a quarter
 UNSURE = 0.05  # relative deviation of a pixel's depth that weighs half
 HELD = 1e-3  # of a pixel's own mean datum: by that its depth is held
-DAMPING = 1e-6  # of the diagonal
+PRIOR = 1e-4  # of the diagonal: by that frames are held where they were
 TOGETHER = 9  # px across, of which depth moves together
 FURTHEST = 0.1  # of a pixel's inverse depth: it moves by no more at a time
 ROUNDS = 2  # of Gauss–Newton: what is left to gain after them is less than other errors
@@ -140,7 +140,8 @@ def adjusted(
         return found
     for _ in range(rounds):
         systems = [_system(star, found, frames, camera, settings) for star in stars]
-        steps = _solved(systems, sorted(found))
+        moved = {frame: _twist_between(found[frame], pose) for frame, pose in poses.items()}
+        steps = _solved(systems, sorted(found), moved)
         for frame, step in steps.items():
             turn, shift = rigid_motion(step)
             back = np.eye(4)
@@ -332,8 +333,20 @@ def _jacobian(motion: np.ndarray, rays: np.ndarray, depth: np.ndarray, focal: fl
     )  # fmt: skip
 
 
-def _solved(systems: Sequence[_System], frames: Sequence[int]) -> dict[int, np.ndarray]:
-    """Return the step of every frame but the first of each lot that is solved together."""
+def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return how far a camera has moved from another pose, (6,), as steps count it."""
+    relative = np.linalg.inv(pose) @ other
+    return rigid_twist(relative[:3, :3], relative[:3, 3])
+
+
+def _solved(
+    systems: Sequence[_System], frames: Sequence[int], moved: Mapping[int, np.ndarray]
+) -> dict[int, np.ndarray]:
+    """Return the step of every frame, that of the first of all being 0.
+
+    Stars say little of how far frames are from others far away: there, what frames had `moved`
+    from holds them.
+    """
     steps: dict[int, np.ndarray] = {}
     for begin in range(0, len(frames), LOT):
         lot = frames[begin : begin + LOT]
@@ -346,8 +359,9 @@ def _solved(systems: Sequence[_System], frames: Sequence[int]) -> dict[int, np.n
             matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
             vector[there] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
-        held = np.where(diagonal > 0, DAMPING * diagonal, 1.0)
+        held = np.where(diagonal > 0, PRIOR * diagonal, 1.0)
         matrix += np.diag(held)
+        vector += held * np.concatenate([moved[frame] for frame in lot])
         free = slice(6, None) if begin == 0 else slice(0, None)
         step = np.zeros(6 * len(lot))
         step[free] = -np.linalg.solve(matrix[free, free], vector[free])
