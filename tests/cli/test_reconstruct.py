@@ -128,6 +128,15 @@ def test_other_files_stay(tisfm_run, film, place):
     assert (place / "out" / "letter.txt").read_text() == "dear"
 
 
+def test_poses_in_the_folder_stay(tisfm_run, film, place):
+    (place / "out").mkdir()
+    write_kitti("out/poses.txt", film.poses)
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "out/poses.txt"))
+    assert code == 1
+    assert_one_line(code, err, "lies in out")
+    assert len(read_kitti("out/poses.txt").poses) == COUNT
+
+
 def test_without_a_source_it_says_what_to_give(tisfm_run):
     code, _, err = tisfm_run("reconstruct", "-o", "out")
     assert code == 1

@@ -94,6 +94,21 @@ def test_other_files_are_not_overwritten(found, tmp_path):
     assert (tmp_path / "letter.txt").read_text() == "dear"
 
 
+def test_a_folder_of_frames_that_is_not_ours_stays(found, tmp_path):
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "0.png").write_bytes(b"dear")
+    with pytest.raises(FileExistsError, match="frames"):
+        found.save(tmp_path)
+    assert (tmp_path / "frames" / "0.png").read_bytes() == b"dear"
+
+
+def test_what_is_read_is_not_written_to(found, film, tmp_path):
+    found.save(tmp_path)
+    with pytest.raises(ValueError, match="lies in"):
+        tisfm.reconstruct(tmp_path / "frames", camera=film.camera, settings=FAST, folder=tmp_path)
+    assert len(Reconstruction.load(tmp_path)) == len(found)
+
+
 def test_folders_that_are_not_complete_are_refused(found, tmp_path):
     with pytest.raises(FileNotFoundError, match="not that of a reconstruction"):
         Reconstruction.load(tmp_path)
@@ -200,6 +215,8 @@ def test_a_failure_leaves_no_complete_folder(film, tmp_path):
         tisfm.reconstruct(broken(), camera=film.camera, settings=FAST, folder=tmp_path)
     assert not (tmp_path / "reconstruction.json").exists()
     assert not (tmp_path / "cache").exists()
+    tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=tmp_path)
+    assert len(Reconstruction.load(tmp_path)) == len(film.frames)
 
 
 def test_a_camera_at_rest_is_told(film):

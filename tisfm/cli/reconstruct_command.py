@@ -43,6 +43,8 @@ def reconstruct(
     of the camera's places; `mesh` is "ply" or "glb".
     """
     given = None if poses is None else read_trajectory(poses).poses
+    if poses is not None and output.resolve() in poses.resolve().parents:
+        raise ValueError(f"{poses} lies in {output}, which is written to: give another folder")
     runtime.start(arch, threads=threads)
     with progress_bar() as bar:
         task = bar.add_task("", total=None)

@@ -2,7 +2,9 @@
 
 import os
 import shutil
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -89,6 +91,8 @@ def reconstruct(
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
     camera = None if camera is None else check_camera(camera)
+    if folder is not None:
+        _refuse_inside(frames.files, Path(folder))
     runtime.start()
     temporary = None
     if folder is None:
@@ -102,6 +106,14 @@ def reconstruct(
     finally:
         shutil.rmtree(path / CACHE, ignore_errors=True)
     return result if temporary is None else replace(result, _temporary=temporary)
+
+
+def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
+    """Refuse a folder that holds what is to be read: what lies there may be replaced."""
+    place = folder.resolve()
+    for file in files:
+        if place in file.resolve().parents:
+            raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
 
 
 def _checked(settings: Settings | None) -> Settings:

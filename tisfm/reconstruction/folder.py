@@ -1,7 +1,7 @@
 """The folder that a reconstruction lies in.
 
-``reconstruction.json`` is written last: a folder without it is not complete. ``docs/formats.md``
-describes the files.
+``reconstruction.json`` is written last: a folder without it is not complete. Until then another
+file says whose folder it is. ``docs/formats.md`` describes the files.
 """
 
 import json
@@ -22,7 +22,7 @@ from tisfm.outcome import Status
 from tisfm.settings import Settings
 
 FORMAT = 1
-RECORD = "reconstruction.json"
+RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
 _PARTS = (RECORD, PATH, DEPTH, PICTURES)
@@ -94,17 +94,21 @@ def begin(folder: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileExistsError
-        If it holds files that are not of a reconstruction.
+        If it holds anything that is not of a reconstruction.
     """
     path = make_folder(folder)
-    known = {*_PARTS, *_OTHERS, CACHE}
-    others = sorted(item.name for item in path.iterdir() if item.name not in known)
+    known = {*_PARTS, *_OTHERS, CACHE, BEGUN}
+    there = sorted(item.name for item in path.iterdir())
+    others = [name for name in there if name not in known]
+    if not others and not {RECORD, BEGUN} & set(there):
+        others = there  # of such names, but whose?
     if others:
         raise FileExistsError(
             f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
         )
+    (path / BEGUN).touch()
     (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
-    for name in known:
+    for name in known - {BEGUN}:
         if (path / name).is_dir():
             shutil.rmtree(path / name)
         else:
@@ -137,6 +141,7 @@ def write_record(folder: Path, result: Any) -> None:
     }
     with atomic_write(folder / RECORD) as file:
         file.write(json.dumps(about, indent=1).encode())
+    (folder / BEGUN).unlink(missing_ok=True)
 
 
 def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
