@@ -37,7 +37,7 @@ HELD = 1e-3  # of a pixel's own mean datum: by that its depth is held
 PRIOR = 1e-4  # of the diagonal: by that frames are held where they were
 TOGETHER = 9  # px across, of which depth moves together
 FURTHEST = 0.1  # of a pixel's inverse depth: it moves by no more at a time
-ROUNDS = 2  # of Gauss–Newton: what is left to gain after them is less than other errors
+ROUNDS = 2  # of Gauss–Newton
 LOT = 200  # frames that are adjusted at a time
 
 Frames = Callable[[int], np.ndarray]

@@ -21,7 +21,6 @@ from tisfm.settings import Settings
 MOVED, KEPT = 0.1, 0.5
 REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
-LEAST_PARALLAX = 0.002  # of the longer side: with less, a neighbour says nothing of depth
 GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
 DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
 
@@ -124,14 +123,16 @@ class PieceDepths:
                     yield FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
-        """Return the depth of a keyframe from its neighbours and the keyframe before."""
+        """Return the depth of a keyframe from the frames around it, None if they show none.
+
+        They are chosen by what its tracks say of its depth, or else the keyframe before.
+        """
         poses = self._piece.poses
         places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
-        prior = None if previous is None else self._shown(previous, key)
         rough = _spread(places, depths, self._frames.shape)
-        if rough is None and prior is not None and np.isfinite(prior[0]).any():
-            rough = prior[0]
-        if rough is None:
+        if rough is None and previous is not None:
+            rough = self._shown(previous, key)[0]
+        if rough is None or not np.isfinite(rough).any():
             return None
         near = [f for f in poses if abs(f - key) <= REACH]
         neighbours = choose_neighbours(
@@ -206,17 +207,19 @@ def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> n
     if len(depths) == 0:
         return None
     x, y = np.rint(places).astype(np.intp).T
-    missing = np.ones(shape, np.uint8)
-    values = np.zeros(shape, np.float32)
-    missing[y, x], values[y, x] = 0, 1 / depths
+    values, known = np.zeros((1, *shape), np.float32), np.zeros(shape, bool)
+    values[0, y, x], known[y, x] = 1 / depths, True
+    return _from_nearest(values, known)[0]
+
+
+def _from_nearest(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return values, (k, H, W) float32, each pixel with those of the nearest that is known."""
     _, nearest = cv2.distanceTransformWithLabels(
-        missing, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros(nearest.max() + 1, np.float32)
-    known = missing == 0
-    table[nearest[known]] = values[known]
-    spread: np.ndarray = table[nearest]
-    return spread
+    table = np.zeros((len(values), nearest.max() + 1), np.float32)
+    table[:, nearest[known]] = values[:, known]
+    return table[:, nearest]
 
 
 def _merged(
@@ -242,12 +245,7 @@ def _filled(inverse_depth: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarra
     known = np.isfinite(inverse_depth)
     if known.all() or not known.any():
         return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
-    _, nearest = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros((2, nearest.max() + 1), np.float32)
-    table[:, nearest[known]] = inverse_depth[known], deviation[known]
-    value, spread = table[:, nearest]
+    value, spread = _from_nearest(np.stack([inverse_depth, deviation]), known)
     unsure = np.maximum(spread, GUESSED * value)
     return (
         np.where(known, inverse_depth, value).astype(np.float32),

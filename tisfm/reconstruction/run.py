@@ -12,7 +12,7 @@ from tisfm.focal_guess import guess_camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.path import CameraPath, PathFinder, Piece
+from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
 from tisfm.reconstruction.progress import Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.sparse_points import triangulated
@@ -126,7 +126,7 @@ class Run:
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
                     finder = PathFinder(self._frames.camera)
-                    tracker = Tracker(self._frames.camera, Settings.preset("fast"))
+                    tracker = Tracker(self._frames.camera, TRACKING)
                 grey, ignored = self._frames.add(frame)
                 if self._given is None and finder is not None:
                     finder.add(grey, ignored)
