@@ -119,9 +119,9 @@ def _motion_system(
             mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
             d = inverse_depth[0, y, s] / focal
             # The point after the motion, in units of its depth.
-            nearness = 1.0 / ti.max(_coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
-            x = nearness * _coordinate(motion, 0, x_hat[s], y_hat[y], d)
-            yy = nearness * _coordinate(motion, 1, x_hat[s], y_hat[y], d)
+            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
+            yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
             u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
             a = nearness * (motion[0, 3] - x * motion[2, 3])
             b = nearness * (motion[1, 3] - yy * motion[2, 3])
@@ -142,12 +142,12 @@ def _motion_system(
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
             neighbours += weights[1, y, s] + weights[1, y - 1, s]
             lever = focal * d * nearness
-            columns = ti.static(_motion_columns(x, yy, lever, focal))
+            columns = ti.static(motion_columns(x, yy, lever, focal))
             curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
             inverse = 1.0 / (curvature + alpha * neighbours + LEAST_DIVISOR)
             slope = a * g1 + b * g2
-            pulled = ti.static(_pulled(columns, j11, j12, j22))
-            answers = ti.static(_answers(pulled, a, b))
+            pulled = ti.static(pulled_by(columns, j11, j12, j22))
+            answers = ti.static(answers_of(pulled, a, b))
             for i in ti.static(range(6)):
                 for j in ti.static(range(i, 6)):
                     k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
@@ -164,7 +164,7 @@ def _motion_system(
 
 
 @ti.func
-def _coordinate(motion: ti.template(), row: ti.template(), x, y, d):
+def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     """Return one coordinate of R x̂ + d t."""
     turned = motion[row, 0] * x + motion[row, 1] * y + motion[row, 2]
     return turned + d * motion[row, 3]
@@ -180,7 +180,7 @@ def _trusted(parts: list, square: list, inverses: tuple, trusted: Any) -> list:
     return [bind(entry) for entry in total]
 
 
-def _motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, Any]]:
+def motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, Any]]:
     """Return the columns of B at a point (x, y, 1) after the motion, lever = f·d/depth there."""
     zero = bind(0.0 * x)
     xy = bind(focal * x * y)
@@ -194,11 +194,11 @@ def _motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, A
     ]
 
 
-def _pulled(columns: list, j11: Any, j12: Any, j22: Any) -> list[tuple[Any, Any]]:
+def pulled_by(columns: list, j11: Any, j12: Any, j22: Any) -> list[tuple[Any, Any]]:
     """Return the columns of J B."""
     return [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
 
 
-def _answers(pulled: list, a: Any, b: Any) -> list:
+def answers_of(pulled: list, a: Any, b: Any) -> list:
     """Return aᵀ J B."""
     return [bind(a * p + b * q) for p, q in pulled]

@@ -2,11 +2,10 @@
 
 import cv2
 import numpy as np
-import pytest
 
 from tests.reconstruction.films import path_error, walk
-from tisfm.reconstruction.adjustment import _jacobian, adjusted, star_of
-from tisfm.rigid import pose_matrix, rigid_motion
+from tisfm.reconstruction.adjustment import adjusted, star_of
+from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 
 SETTINGS = Settings.preset("balanced", motion="camera")
@@ -89,24 +88,3 @@ def test_frames_that_no_star_has_stay():
         start, stars, lambda k: film.frames[k].astype(np.float32), film.camera, SETTINGS
     )
     np.testing.assert_allclose(found[8], start[8], atol=1e-12)
-
-
-@pytest.mark.parametrize("component", range(6))
-def test_jacobian_is_the_change_of_the_place(component):
-    motion = np.column_stack(rigid_motion((0.3, -0.1, 0.2, 0.02, -0.05, 0.03)))
-    random = np.random.default_rng(0)
-    rays = np.vstack([random.uniform(-0.6, 0.6, (2, 50)), np.ones(50)])
-    depth, focal, step = random.uniform(0.3, 2, 50), 400.0, 1e-5
-
-    def places(change):
-        turn, shift = rigid_motion(change)
-        moved = np.column_stack([turn @ motion[:, :3], turn @ motion[:, 3] + shift])
-        there = moved[:, :3] @ rays + depth * moved[:, 3:]
-        return focal * there[:2] / there[2]
-
-    change = step * np.eye(6)[component]
-    expected = (places(change) - places(-change)) / (2 * step)
-    found = _jacobian(motion.astype("f4"), rays.astype("f4"), depth.astype("f4"), focal)[
-        :, component
-    ]
-    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-2)

@@ -17,12 +17,13 @@ from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import displacement
+from tisfm.kernels.rigid.shared_depth import add_frame, answered, squared_residual
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.windows import window_variance
 from tisfm.rigid import rigid_motion, rigid_twist
 from tisfm.settings import Settings
-from tisfm.solver.data_term import DataTerm
+from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
@@ -39,6 +40,7 @@ TOGETHER = 9  # px across, of which depth moves together
 FURTHEST = 0.1  # of a pixel's inverse depth: it moves by no more at a time
 ROUNDS = 2  # of Gauss–Newton
 LOT = 200  # frames that are adjusted at a time
+AT_HAND = 64  # frames in memory, as they are compared
 
 Frames = Callable[[int], np.ndarray]
 
@@ -138,199 +140,142 @@ def adjusted(
     found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
     if not stars:
         return found
-    for _ in range(rounds):
-        systems = [_system(star, found, frames, camera, settings) for star in stars]
+    seen = _Views(frames, camera, settings)
+    for number in range(rounds):
+        systems = [_system(star, found, seen, move_depth=number > 0) for star in stars]
         moved = {frame: _twist_between(found[frame], pose) for frame, pose in poses.items()}
-        steps = _solved(systems, sorted(found), moved)
-        for frame, step in steps.items():
+        for frame, step in _solved(systems, sorted(found), moved).items():
             turn, shift = rigid_motion(step)
             back = np.eye(4)
             back[:3, :3], back[:3, 3] = turn.T, -turn.T @ shift
             found[frame] = found[frame] @ back
-        for system in systems:
-            system.move_depth(steps)
     return found
 
 
-@dataclass(kw_only=True)
+class _Views:
+    """Frames as stars compare them, those that were asked for last kept at hand."""
+
+    def __init__(self, frames: Frames, camera: Camera, settings: Settings) -> None:
+        self._frames, self._camera, self._settings = frames, camera, settings
+        self._held: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+    def shrunk(self, number: int, level: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return a frame, (h, w) float32, and its spline's taps."""
+        key = number, level
+        if key in self._held:
+            self._held[key] = self._held.pop(key)  # it is the last to go now
+            return self._held[key]
+        while len(self._held) >= AT_HAND:
+            self._held.pop(next(iter(self._held)))
+        small = _shrunk(self._frames(number), level)
+        self._held[key] = small, spline_taps(small)
+        return self._held[key]
+
+    def camera(self, number: int, level: int) -> Camera:
+        """Return the camera of a shrunk frame."""
+        if not level:
+            return self._camera
+        return self._camera.scaled(0.5**level, *self._frames(number).shape)
+
+    def constancy(self, focal: float) -> Constancy:
+        """Return what is taken to be the same in frames of this focal length, px."""
+        return depth_problem(self._settings, focal).constancy
+
+
+@dataclass(frozen=True, kw_only=True)
 class _System:
     """Normal equations of a star: of all its frames, by their own small motions.
 
     Attributes
     ----------
-    star : Star
     frames : list of int
         The keyframe, and the members.
     matrix, vector : (6 M + 6, 6 M + 6) and (6 M + 6,) float64
-    to_members : (6 M, 6 M + 6) float64
-        The change of the motions from the keyframe to the members.
-    slopes : (M, 6, P) float32
-        Of the pixels' depth and each motion, jointly.
-    gradient, curvature : (P,) float32
-        Of the pixels' depth alone.
-    scale : float
-        D over the inverse depth, px · unit of the poses.
     """
 
-    star: Star
     frames: list[int]
     matrix: np.ndarray
     vector: np.ndarray
-    to_members: np.ndarray
-    slopes: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
-    scale: float
-
-    def move_depth(self, steps: Mapping[int, np.ndarray]) -> None:
-        """Let the depth of the keyframe follow the motions."""
-        own = np.concatenate([steps.get(frame, np.zeros(6)) for frame in self.frames])
-        motion = (self.to_members @ own).reshape(-1, 6).astype(np.float32)
-        depth = self.star.inverse_depth
-        pull = self.gradient + np.einsum("jk,jkp->p", motion, self.slopes)
-        # Single pixels are noisy: a neighbourhood moves together.
-        pull, curvature = (
-            cv2.blur(values.reshape(depth.shape), (TOGETHER, TOGETHER))
-            for values in (pull, self.curvature)
-        )
-        change = -pull / curvature / np.float32(self.scale)
-        self.star.inverse_depth = depth + np.clip(change, -FURTHEST * depth, FURTHEST * depth)
 
 
 def _system(
-    star: Star,
-    poses: Mapping[int, np.ndarray],
-    frames: Frames,
-    camera: Camera,
-    settings: Settings,
+    star: Star, poses: Mapping[int, np.ndarray], views: _Views, *, move_depth: bool
 ) -> _System:
-    """Linearise the images of a star about its poses and depth."""
-    key = _shrunk(frames(star.key), star.level)
-    height, width = key.shape
-    small = camera.scaled(0.5**star.level, *frames(star.key).shape) if star.level else camera
+    """Linearise the images of a star about its poses and depth.
+
+    With `move_depth`, its depth is moved in place, to where these poses have it: after that, not
+    before, since the equations eliminate it.
+    """
+    key, _ = views.shrunk(star.key, star.level)
+    camera = views.camera(star.key, star.level)
     members = [frame for frame in star.members if frame in poses and frame != star.key]
     unit = 1 / float(np.median(star.inverse_depth))
-    scale = small.focal * unit
-    grid = runtime.lane_grid(height, width)
-    unknowns = Unknowns(grid, small, 1)
-    depth = np.ascontiguousarray(star.inverse_depth * np.float32(scale))
+    grid = runtime.lane_grid(*key.shape)
+    unknowns = Unknowns(grid, camera, 1)
+    weight, labels = grid.allocate(1), grid.allocate(1)
+    depth = np.ascontiguousarray(star.inverse_depth * np.float32(camera.focal * unit))
     image_to_lanes(grid, depth, unknowns.rho)
+    image_to_lanes(grid, star.weight, weight)
     flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-    tensor = grid.allocate(6)
-    constancy = depth_problem(settings, small.focal).constancy
-    cx, cy = small.center_for(height, width)
-    x_hat = ((np.arange(width, dtype=np.float32) - np.float32(cx)) / np.float32(small.focal))[None]
-    y_hat = (np.arange(height, dtype=np.float32) - np.float32(cy)) / np.float32(small.focal)
-    rays = np.stack(np.broadcast_arrays(x_hat, y_hat[:, None], np.float32(1))).reshape(3, -1)
-    flat, weight = (depth / np.float32(small.focal)).ravel(), star.weight.ravel()
+    tensor, residual = grid.allocate(6), grid.allocate(1, zeros=False)
+    off = np.empty((1, *key.shape), np.float32)
     count = len(members)
-    slopes = np.empty((count, 6, flat.size), np.float32)
-    gradient, curvature = np.zeros((2, flat.size), np.float32)
+    slopes, sums = grid.allocate(6 * count), grid.allocate(2)
     matrix, vector = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
     to_members = np.zeros((6 * count, 6 * (count + 1)))
     for j, frame in enumerate(members):
         relative = (np.linalg.inv(poses[frame]) @ poses[star.key])[:3]
         relative[:, 3] /= unit
-        other = _shrunk(frames(frame), star.level)
-        data = DataTerm(grid, key, other, spline_taps(other), constancy, mean_step(key))
+        data = DataTerm(
+            grid, key, *views.shrunk(frame, star.level), views.constancy(camera.focal),
+            mean_step(key),
+        )  # fmt: skip
         motions = np.ascontiguousarray(relative[None], np.float32)
+        place = unknowns.x_hat, unknowns.y_hat
         in_turn(
             displacement.bind(
-                grid,
-                unknowns.rho,
-                grid.allocate(1),
-                unknowns.x_hat,
-                unknowns.y_hat,
-                flow,
-                direction,
-                motions=motions,
-                focal=small.focal,
+                grid, unknowns.rho, labels, *place, flow, direction, motions=motions,
+                focal=camera.focal,
             ),
             data.bind_linearise(flow, tensor),
-        )()
-        mine = _Member(grid, tensor, flow, direction, weight)
-        jacobian = _jacobian(relative.astype(np.float32), rays, flat, small.focal)
+            squared_residual.bind(grid, tensor, flow, residual),
+        )()  # fmt: skip
+        lanes_to_images(grid, residual, off)
+        counting = off[0, star.weight > 0]
+        usual = float(np.median(counting[counting > 0])) if (counting > 0).any() else 1.0
         block = slice(6 * j, 6 * j + 6)
-        slopes[j], own, pull = mine.against(jacobian)
-        matrix[block, block], vector[block] = own, pull
-        gradient += mine.gradient
-        curvature += mine.curvature
+        matrix[block, block], vector[block] = add_frame(
+            grid, tensor, unknowns.rho, weight, *place, slopes, sums, number=j,
+            motion=motions[0], focal=camera.focal, tolerated=max(OUTLYING**2 * usual, 1e-12),
+        )  # fmt: skip
         turn, shift = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
         to_members[block, :6] = -np.block([[turn, _cross(shift) @ turn], [np.zeros((3, 3)), turn]])
     # Steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
-    curvature += np.float32(HELD) * max(float(curvature.mean()), 1e-12) + np.float32(1e-12)
-    rows = slopes.reshape(6 * count, -1)
-    matrix -= (rows / curvature).astype(np.float64) @ rows.T.astype(np.float64)
-    vector -= (rows @ (gradient / curvature)).astype(np.float64)
+    held = HELD * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
+    answer, pull = answered(grid, slopes, sums, held=held)
+    matrix -= answer
+    vector -= pull
+    if move_depth:
+        _move_depth(star, grid, sums, held, camera.focal * unit)
     return _System(
-        star=star,
         frames=[star.key, *members],
         matrix=to_members.T @ matrix @ to_members,
         vector=to_members.T @ vector,
-        to_members=to_members,
-        slopes=slopes,
-        gradient=gradient,
-        curvature=curvature,
-        scale=scale,
     )
 
 
-class _Member:
-    """What one frame of a star says, (P,) or (2, P) each: its tensor, and its depth's share."""
-
-    def __init__(
-        self,
-        grid: LaneGrid,
-        tensor: LaneData,
-        flow: LaneData,
-        direction: LaneData,
-        weight: np.ndarray,
-    ) -> None:
-        size = grid.height, grid.width
-        values = [np.empty((n, *size), np.float32) for n in (6, 2, 2)]
-        for lanes, images in zip((tensor, flow, direction), values, strict=True):
-            lanes_to_images(grid, lanes, images)
-        (j11, j12, j22, j1, j2, jtt), (u, v), (a, b) = (x.reshape(len(x), -1) for x in values)
-        ex, ey = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
-        residual = np.maximum((ex + j1) * u + (ey + j2) * v + jtt, 0)
-        seen = (weight > 0) & (j11 + j22 > 0)
-        usual = float(np.median(residual[seen])) if seen.any() else 1.0
-        trust = weight / (1 + residual / max(OUTLYING**2 * usual, 1e-12)) ** 2
-        self._tensor = trust * j11, trust * j12, trust * j22
-        self._pull = trust * ex, trust * ey
-        s11, s12, s22 = self._tensor
-        self._along = s11 * a + s12 * b, s12 * a + s22 * b
-        self.curvature = self._along[0] * a + self._along[1] * b
-        self.gradient = self._pull[0] * a + self._pull[1] * b
-
-    def against(self, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return GᵀJa, (6, P), ΣGᵀJG, (6, 6), and ΣGᵀe, (6,), for G (2, 6, P)."""
-        gu, gv = jacobian
-        s11, s12, s22 = self._tensor
-        slopes = gu * self._along[0] + gv * self._along[1]
-        whole = gu @ (s11 * gu + s12 * gv).T + gv @ (s12 * gu + s22 * gv).T
-        pull = gu @ self._pull[0] + gv @ self._pull[1]
-        return slopes, whole.astype(np.float64), pull.astype(np.float64)
-
-
-def _jacobian(motion: np.ndarray, rays: np.ndarray, depth: np.ndarray, focal: float) -> np.ndarray:
-    """Return ∂(u, v)/∂(δt, δω) of a small motion after `motion`, (2, 6, P) float32, px."""
-    y1, y2, y3 = motion[:, :3] @ rays + depth * motion[:, 3:]
-    near = np.float32(focal) / np.maximum(y3, np.float32(1e-6))
-    x, y = y1 * near / np.float32(focal), y2 * near / np.float32(focal)
-    nothing = np.zeros_like(x)
-    # Of R x̂ + d t: d δt + δω × (R x̂ + d t).
-    return np.stack(
-        [
-            np.stack([near * depth, nothing, -near * depth * x, -near * x * y2,
-                      near * (y3 + x * y1), -near * y2]),
-            np.stack([nothing, near * depth, -near * depth * y, -near * (y3 + y * y2),
-                      near * y * y1, near * y1]),
-        ]
-    )  # fmt: skip
+def _move_depth(star: Star, grid: LaneGrid, sums: LaneData, held: float, scale: float) -> None:
+    """Move the depth of a star, D over `scale`, by (aᵀJa + held) δD = −aᵀe, which are `sums`."""
+    images = np.empty((2, grid.height, grid.width), np.float32)
+    lanes_to_images(grid, sums, images)
+    # Single pixels are noisy: a neighbourhood moves together.
+    curvature, pull = (cv2.blur(values, (TOGETHER, TOGETHER)) for values in images)
+    depth = star.inverse_depth
+    change = -pull / (curvature + np.float32(held)) / np.float32(scale)
+    star.inverse_depth = depth + np.clip(change, -FURTHEST * depth, FURTHEST * depth)
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -37,7 +37,13 @@ from tisfm.reference.energies import (
     energy,
     half_quadratic_energy,
 )
-from tisfm.reference.epipolar import along, displacement, motion_system
+from tisfm.reference.epipolar import (
+    along,
+    displacement,
+    frame_equations,
+    motion_jacobian,
+    motion_system,
+)
 from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
@@ -112,6 +118,7 @@ __all__ = [
     "edge_weights",
     "energy",
     "flow",
+    "frame_equations",
     "half_quadratic_energy",
     "image_edges",
     "improved_planes",
@@ -121,6 +128,7 @@ __all__ = [
     "matching_cost",
     "minimise",
     "minimise_second_order",
+    "motion_jacobian",
     "motion_matrix",
     "motion_system",
     "plane_cost",

@@ -68,11 +68,50 @@ def motion_system(
     matrix, vector : (6, 6) and (6,)
         The energy is constant + xᵀ matrix x + 2 xᵀ vector.
     """
+    square, linear = _equations(tensor, inverse_depth, camera, rotation, translation)
+    pivot = square[6, 6] + hold
+    matrix = square[:6, :6] - square[:6, 6][:, None] * square[6, :6] / pivot
+    vector = linear[:6] - square[:6, 6] * linear[6] / pivot
+    return matrix.sum(axis=(2, 3)), vector.sum(axis=(1, 2))
+
+
+def frame_equations(
+    tensor: np.ndarray,
+    inverse_depth: np.ndarray,
+    camera: Camera,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return what a frame says of its motion, and of the depth that it shares with others.
+
+    Parameters
+    ----------
+    tensor : (6, H, W)
+        Weighted.
+    inverse_depth : (H, W)
+        D = f·d.
+
+    Returns
+    -------
+    matrix, vector : (6, 6) and (6,)
+        BᵀJB and Bᵀe of all pixels, e = J (u, v) + j.
+    slopes : (6, H, W)
+        aᵀJB.
+    along : (2, H, W)
+        aᵀJa and aᵀe.
+    """
+    square, linear = _equations(tensor, inverse_depth, camera, rotation, translation)
+    along = np.stack([square[6, 6], linear[6]])
+    return square[:6, :6].sum(axis=(2, 3)), linear[:6].sum(axis=(1, 2)), square[6, :6], along
+
+
+def motion_jacobian(
+    inverse_depth: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray
+) -> np.ndarray:
+    """Return how (u, v) changes with (δt, δω) and with δD, (2, 7, H, W): B and a."""
     focal = camera.focal
-    ray = _rays(camera, *inverse_depth.shape)
     d = inverse_depth / focal
-    point = np.einsum("ij,jyx->iyx", rotation, ray) + translation[:, None, None] * d
-    x, y, z = point
+    x, y, z = _points(inverse_depth, camera, rotation, translation)
     zero = np.zeros_like(x)
     # d(f·x/z) and d(f·y/z) of the point, and the point's own changes: d·δt + δω × P, and δD·t/f.
     projection = focal * np.array([[1 / z, zero, -x / z**2], [zero, 1 / z, -y / z**2]])
@@ -80,17 +119,34 @@ def motion_system(
     change = np.concatenate([np.eye(3)[..., None, None] * d, cross], axis=1)
     b = np.einsum("ckyx,kmyx->cmyx", projection, change)
     a = np.einsum("ckyx,k->cyx", projection, translation) / focal
+    return np.concatenate([b, a[:, None]], axis=1)
+
+
+def _equations(
+    tensor: np.ndarray,
+    inverse_depth: np.ndarray,
+    camera: Camera,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return GᵀJG and Gᵀe of every pixel, G of `motion_jacobian`: (7, 7, H, W) and (7, H, W)."""
+    full = motion_jacobian(inverse_depth, camera, rotation, translation)
+    point = _points(inverse_depth, camera, rotation, translation)
     j11, j12, j22, j1, j2, _ = tensor
     j = np.array([[j11, j12], [j12, j22]])
-    flow = focal * (point[:2] / z - ray[:2])
+    flow = camera.focal * (point[:2] / point[2] - _rays(camera, *inverse_depth.shape)[:2])
     gradient = np.einsum("abyx,byx->ayx", j, flow) + np.array([j1, j2])
-    full = np.concatenate([b, a[:, None]], axis=1)  # the unknowns (δt, δω, δD)
     square = np.einsum("akyx,abyx,blyx->klyx", full, j, full)
-    linear = np.einsum("akyx,ayx->kyx", full, gradient)
-    pivot = square[6, 6] + hold
-    matrix = square[:6, :6] - square[:6, 6][:, None] * square[6, :6] / pivot
-    vector = linear[:6] - square[:6, 6] * linear[6] / pivot
-    return matrix.sum(axis=(2, 3)), vector.sum(axis=(1, 2))
+    return square, np.einsum("akyx,ayx->kyx", full, gradient)
+
+
+def _points(
+    inverse_depth: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray
+) -> np.ndarray:
+    """Return R x̂ + d t of every pixel, (3, H, W)."""
+    ray = _rays(camera, *inverse_depth.shape)
+    turned = np.einsum("ij,jyx->iyx", rotation, ray)
+    return np.asarray(turned + translation[:, None, None] * inverse_depth / camera.focal)
 
 
 def _rays(camera: Camera, height: int, width: int) -> np.ndarray:

@@ -1,0 +1,256 @@
+"""What a frame says of its motion, and of the depth that it shares with other frames.
+
+The frames of a star are compared with one keyframe, whose pixels have one inverse depth for all of
+them. A small change (δt, δω) of a frame's motion takes R x̂ + d t to itself plus d δt + δω × (R x̂ +
+d t), and its flow by B (δt, δω); a change of D takes it by a δD. With e = J u + j, a frame adds
+BᵀJB and Bᵀe to the equations of its own motion, aᵀJa and aᵀe to those of every pixel's depth, and
+aᵀJB couples the two. Depth can only be eliminated once all frames are known.
+"""
+
+import numpy as np
+import taichi as ti
+
+from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.lanes import (
+    LaneArray,
+    LaneData,
+    LaneGrid,
+    SumArray,
+    check_array,
+    lane_count,
+    lane_kernel,
+)
+from tisfm.kernels.layout.launch import Launch, operation
+from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
+from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.rigid.motion_system import answers_of, coordinate, motion_columns, pulled_by
+
+SUMS = 27  # of BᵀJB the upper triangle, row by row, and Bᵀe
+PAIR = 42  # sums of a pair of frames: 6 × 6, and 6 of a frame by itself
+ROWS = 8  # of the image, which one thread sums in one order
+
+
+@operation
+def squared_residual(grid: LaneGrid, tensor: LaneData, flow: LaneData, out: LaneData) -> Launch:
+    """Compute what the constraints of a frame leave at a flow.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        J11, J12, J22, j1, j2 and J_tt.
+    flow : lane array, 2 components
+    out : lane array, 1 component
+        uᵀJu + 2 jᵀu + J_tt, or 0 where rounding makes that negative.
+    """
+    grid.check(tensor, 6, "tensor")
+    grid.check(flow, 2, "flow")
+    grid.check(out, 1, "out")
+    return _squared_residual[grid.lanes].bind(tensor, flow, out)
+
+
+def add_frame(
+    grid: LaneGrid,
+    tensor: LaneData,
+    inverse_depth: LaneData,
+    weight: LaneData,
+    x_hat: LaneData,
+    y_hat: LaneData,
+    slopes: LaneData,
+    sums: LaneData,
+    *,
+    number: int,
+    motion: np.ndarray,
+    focal: float,
+    tolerated: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum the equations of a frame's motion, and add what it says of the depth.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    tensor : lane array, 6 components
+        J11, J12, J22, j1, j2 and J_tt, at the flow of `motion`.
+    inverse_depth : lane array, 1 component
+        D = f·d.
+    weight : lane array, 1 component
+        Of the keyframe's pixels; 0 outside the image.
+    x_hat : column table
+    y_hat : (H + 2,) float32
+    slopes : lane array, 6 components for each frame
+        aᵀJB, overwritten for this frame.
+    sums : lane array, 2 components
+        aᵀJa and aᵀe, added to.
+    number : int
+        Of the frame among those of the star.
+    motion : (3, 4) float32
+        R and t.
+    focal : float
+        px.
+    tolerated : float
+        Squared residual that counts for a quarter (Geman–McClure, in the weights of the data).
+
+    Returns
+    -------
+    matrix, vector : (6, 6) and (6,) float64
+        BᵀJB and Bᵀe.
+    """
+    grid.check(tensor, 6, "tensor")
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check(weight, 1, "weight")
+    grid.check_columns(x_hat, "x_hat")
+    grid.check_rows(y_hat, "y_hat")
+    grid.check(slopes, 6 * _frames_of(slopes, number), "slopes")
+    grid.check(sums, 2, "sums")
+    check_array(motion, (3, 4), "motion", aligned=False)
+    partial = block_sums(grid, SUMS)
+    _add_frame[grid.lanes](
+        tensor, inverse_depth, weight, x_hat, y_hat, motion, focal, 1 / tolerated, 6 * number,
+        slopes, sums, partial,
+    )  # fmt: skip
+    total = add_blocks(partial)
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = total[:21]
+    return matrix + np.triu(matrix, 1).T, total[21:]
+
+
+def answered(
+    grid: LaneGrid, slopes: LaneData, sums: LaneData, *, held: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum what depth answers to the motions of all frames: to be subtracted from their equations.
+
+    Parameters
+    ----------
+    grid : LaneGrid
+    slopes : lane array, 6 components for each of M frames
+        s = aᵀJB.
+    sums : lane array, 2 components
+        c = aᵀJa and g = aᵀe of all frames.
+    held : float
+        What holds depth: positive, in the unit of c.
+
+    Returns
+    -------
+    matrix, vector : (6 M, 6 M) and (6 M,) float64
+        Σ s sᵀ / (c + held) and Σ s g / (c + held) over the pixels.
+    """
+    count = _frames_of(slopes, 0)
+    grid.check(slopes, 6 * count, "slopes")
+    grid.check(sums, 2, "sums")
+    if not held > 0:
+        raise ValueError(f"held is {held}: expected a positive number")
+    pairs = np.stack(np.triu_indices(count), axis=1).astype(np.int32)
+    bands = -(-grid.height // ROWS)
+    partial = np.zeros((bands, len(pairs), PAIR), np.float32 if grid.lanes == 1 else np.float64)
+    _answered[grid.lanes](slopes, sums, held, pairs, partial)
+    total = partial.sum(axis=0, dtype=np.float64)
+    matrix, vector = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
+    for (first, second), both in zip(pairs, total, strict=True):
+        block = both[:36].reshape(6, 6)
+        matrix[first, :, second], matrix[second, :, first] = block, block.T
+        if first == second:
+            vector[first] = both[36:]
+    return matrix.reshape(6 * count, 6 * count), vector.ravel()
+
+
+def _frames_of(slopes: LaneData, number: int) -> int:
+    """Return how many frames an array has 6 components for; raise if `number` is not of them."""
+    count = slopes.shape[0] // 6
+    if not 0 <= number < count:
+        raise ValueError(f"slopes has components of {count} frames: expected more than {number}")
+    return int(count)
+
+
+@lane_kernel
+def _squared_residual(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    out: LaneArray(3),  # (1, H+2, S+2)
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        u, v = flow[0, y, s], flow[1, y, s]
+        along_u = tensor[0, y, s] * u + tensor[1, y, s] * v + 2.0 * tensor[3, y, s]
+        along_v = tensor[1, y, s] * u + tensor[2, y, s] * v + 2.0 * tensor[4, y, s]
+        out[0, y, s] = ti.max(along_u * u + along_v * v + tensor[5, y, s], 0.0)
+
+
+@lane_kernel
+def _add_frame(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    weight: LaneArray(3),  # (1, H+2, S+2)
+    x_hat: LaneArray(1),  # (S+2,)
+    y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
+    motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    focal: ti.f32,
+    inverse_tolerated: ti.f32,
+    first: ti.i32,
+    slopes: LaneArray(3),  # (6 frames, H+2, S+2)
+    along: LaneArray(3),  # (2, H+2, S+2), in place
+    partial: SumArray(3),  # (H, blocks, 27)
+):
+    height, strip = weight.shape[1] - 2, weight.shape[2] - 2
+    blocks = partial.shape[1]
+    for index in range(height * blocks):
+        row, block = index // blocks, index % blocks
+        y = row + 1
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(SUMS)])
+        for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
+            s = position + 1
+            d = inverse_depth[0, y, s] / focal
+            # The point after the motion, in units of its depth.
+            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
+            yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
+            u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
+            a = nearness * (motion[0, 3] - x * motion[2, 3])
+            b = nearness * (motion[1, 3] - yy * motion[2, 3])
+            j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
+            g1, g2 = j11 * u + j12 * v + tensor[3, y, s], j12 * u + j22 * v + tensor[4, y, s]
+            rest = (g1 + tensor[3, y, s]) * u + (g2 + tensor[4, y, s]) * v + tensor[5, y, s]
+            trust = 1.0 / (1.0 + inverse_tolerated * ti.max(rest, 0.0))
+            trust = weight[0, y, s] * trust * trust
+            j11, j12, j22, g1, g2 = trust * j11, trust * j12, trust * j22, trust * g1, trust * g2
+            columns = ti.static(motion_columns(x, yy, focal * d * nearness, focal))
+            pulled = ti.static(pulled_by(columns, j11, j12, j22))
+            answers = ti.static(answers_of(pulled, a, b))
+            along[0, y, s] = along[0, y, s] + a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
+            along[1, y, s] = along[1, y, s] + a * g1 + b * g2
+            for i in ti.static(range(6)):
+                slopes[first + i, y, s] = answers[i]
+                for j in ti.static(range(i, 6)):
+                    k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
+                    sums[k] += columns[i][0] * pulled[j][0] + columns[i][1] * pulled[j][1]
+                sums[21 + i] += columns[i][0] * g1 + columns[i][1] * g2
+        for k in ti.static(range(SUMS)):
+            store_sum(partial, row, block, k, sums[k], ti.static(lane_count(weight)))
+
+
+@lane_kernel
+def _answered(
+    slopes: LaneArray(3),  # (6 frames, H+2, S+2)
+    along: LaneArray(3),  # (2, H+2, S+2)
+    held: ti.f32,
+    pairs: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (pairs, 2)
+    partial: SumArray(3),  # (bands, pairs, 42)
+):
+    height, strip = slopes.shape[1] - 2, slopes.shape[2] - 2
+    count = pairs.shape[0]
+    for index in range(partial.shape[0] * count):
+        band, pair = index // count, index % count
+        first, second = 6 * pairs[pair, 0], 6 * pairs[pair, 1]
+        sums = ti.static([bind(0.0 * along[0, 1, 1]) for _ in range(PAIR)])
+        for y in range(band * ROWS + 1, ti.min((band + 1) * ROWS, height) + 1):
+            for s in range(1, strip + 1):
+                inverse = 1.0 / (along[0, y, s] + held)
+                others = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
+                pull = inverse * along[1, y, s]
+                for i in ti.static(range(6)):
+                    mine = slopes[first + i, y, s]
+                    sums[36 + i] += mine * pull
+                    share = inverse * mine
+                    for j in ti.static(range(6)):
+                        sums[6 * i + j] += share * others[j]
+        for k in ti.static(range(PAIR)):
+            store_sum(partial, band, pair, k, sums[k], ti.static(lane_count(slopes)))
