@@ -63,6 +63,7 @@ def test_all_but_one_pixel():
     ignored[3, 4] = False
     frame = frames()[0]
     np.testing.assert_array_equal(filled(frame, ignored), frame[3, 4])
+    assert not filled(frame, np.ones(SIZE, bool)).any()
 
 
 def test_statistics_are_those_of_what_counts():

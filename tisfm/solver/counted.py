@@ -74,12 +74,14 @@ def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:
     ----------
     image : (H, W) float32
     ignored : (H, W) bool
-        Not all of them.
 
     Returns
     -------
     (H, W) float32
+        0 where all are ignored.
     """
+    if ignored.all():
+        return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)
     seen = image[~ignored]
     # Rounding would leave a texture where there is none.
