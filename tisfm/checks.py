@@ -58,9 +58,14 @@ def unmasked(
 
 
 def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Return where a mask is nonzero, or raise as `refuse_masked` does."""
+    """Return where a mask is nonzero, or raise as `refuse_masked` does, or if it is no mask."""
     advice = f"fill them first, for instance by {name}.filled(0)"
-    return unmasked(values, name, advice=advice).astype(bool)
+    mask = unmasked(values, name, advice=advice)
+    if mask.dtype.kind not in "biuf":
+        raise TypeError(f"{name} is of type {mask.dtype}: expected True and False, or numbers")
+    if mask.dtype.kind == "f" and np.isnan(mask).any():
+        raise ValueError(f"{name} is NaN at {np.isnan(mask).sum()} of {mask.size} values")
+    return mask.astype(bool)
 
 
 def _masked(values: object) -> tuple[int, int]:

@@ -6,8 +6,8 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
 from tisfm.frames import check_frame
-from tisfm.solver.sampling import sample
-from tisfm.visibility.occlusion import FAR, leaves_image
+from tisfm.solver.sampling import FAR, goes_to, sample
+from tisfm.visibility.occlusion import leaves_image
 
 __all__ = ["undistort"]
 
@@ -118,11 +118,7 @@ class Undistortion:
         -------
         (H, W) bool
         """
-        height, width = self.valid.shape
-        flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
-        x = np.rint(flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
-        y = np.rint(flow[1] + np.arange(height)[:, None]).clip(0, height - 1).astype(np.intp)
-        return ~(self.valid & self.valid[y, x])
+        return ~(self.valid & self.valid[goes_to(flow)])
 
 
 def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:

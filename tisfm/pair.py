@@ -1,18 +1,22 @@
 """Two frames in, one interpretation out."""
 
+import os
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
+from tisfm.checks import unmasked_mask
 from tisfm.focal_guess import guess_camera
-from tisfm.frames import eight_bit, grey_pair
+from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
 from tisfm.outcome import History, Status
 from tisfm.rigid import check_pose
 from tisfm.settings import Settings, check_settings
+from tisfm.solver.counted import filled
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
@@ -36,6 +40,7 @@ def interpret(
     camera: Camera | None = None,
     settings: Settings | None = None,
     pose: npt.ArrayLike | None = None,
+    mask: npt.ArrayLike | None = None,
 ) -> Interpretation:
     """Interpret two frames: 3D motion, depth and image motion at every pixel of frame 0.
 
@@ -61,12 +66,17 @@ def interpret(
         R P₀ + t, which makes depth one in the unit of t; or R alone, which leaves the direction
         of translation to be found. With t, what shows no parallax is far, its inverse depth 0
         within the deviation; only frames that are identical have no depth.
+    mask : (H, W) or (2, H, W) array, optional
+        Pixels that count, in both frames, or in each of them; black, zero or False are ignored, as
+        bonnets, logos and mattes should be. By default all count.
 
     Returns
     -------
     Interpretation
         Its `camera` is a pinhole. Where the frames without distortion have no data, confidence is
-        0 and `occlusion` True.
+        0 and `occlusion` True. So they are where pixels are ignored in frame 0, or go to pixels
+        that are ignored in frame 1: what they have there is carried from around, and its deviation
+        is infinite.
 
     Raises
     ------
@@ -74,7 +84,8 @@ def interpret(
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
         masked, NaN, infinite or beyond 1e36; if `pose` is not one of these, turns by 90° or more,
         has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given for a
-        motion that is not ``"camera"``; if distortion leaves next to nothing of the frames.
+        motion that is not ``"camera"``; if distortion leaves next to nothing of the frames; if
+        `mask` is not of the size of the frames, or leaves nothing of one of them.
 
     Notes
     -----
@@ -85,7 +96,12 @@ def interpret(
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
     Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
     """
-    return interpret_pair(frame0, frame1, camera=camera, settings=settings, pose=pose)
+    ignored = None
+    if mask is not None:
+        ignored = _ignored(mask, check_frame(frame0, "frame0").shape[:2])
+    return interpret_pair(
+        frame0, frame1, camera=camera, settings=settings, pose=pose, ignored=ignored
+    )
 
 
 def interpret_pair(
@@ -95,10 +111,12 @@ def interpret_pair(
     camera: Camera | None = None,
     settings: Settings | None = None,
     pose: npt.ArrayLike | None = None,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
     stretch: bool = True,
 ) -> Interpretation:
     """Do what `interpret` does, for a pair of a sequence.
 
+    `ignored`, (H, W) bool, are the pixels of each frame that do not count, None for none of them.
     `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
     (`tisfm.frames.grey_pair`).
     """
@@ -110,6 +128,9 @@ def interpret_pair(
         )
     grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
     frame = eight_bit(frame0, frame1, stretch=stretch)
+    counted = _counted(ignored, grey0.shape)
+    if counted is not None:
+        grey0, grey1 = filled(grey0, ~counted[0]), filled(grey1, ~counted[1])
     if camera is None and settings.motion != "field":
         camera = guess_camera(grey0.shape)
     camera = check_camera(camera)
@@ -126,9 +147,12 @@ def interpret_pair(
     lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
+        if counted is not None:
+            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
+            counted = ~first, ~second
         camera = camera.pinhole()
     overflow = overflown(grey0, grey1)
-    pyramid = pyramid_of(grey0, grey1, camera, settings)
+    pyramid = pyramid_of(grey0, grey1, camera, settings, counted)
     if settings.motion == "field":
         del grey0, grey1  # the pyramid has its own
         estimate = field_estimate(pyramid, settings)
@@ -147,14 +171,14 @@ def interpret_pair(
         trust = confidence(
             estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
         )
-    history, counted = _countable(history_of(estimate.history))
+    history, countable = _countable(history_of(estimate.history))
     status = estimate.status
     posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = (
             overflow
             or diverged(flow, leaves, vouched=estimate.matched or posed)
-            or (status if counted else UNCOUNTED)
+            or (status if countable else UNCOUNTED)
         )
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
@@ -179,6 +203,40 @@ def interpret_pair(
         history=history,
         version=__version__,
     )
+
+
+def _ignored(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixels of both frames that a mask leaves out, (H, W) bool."""
+    if isinstance(mask, (str, os.PathLike)):
+        raise TypeError(
+            f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
+            "instance by tisfm.formats.read_image"
+        )
+    counted = unmasked_mask(mask, "mask")
+    both = np.stack([counted, counted]) if counted.ndim == 2 else counted
+    if both.shape != (2, *shape):
+        height, width = shape
+        raise ValueError(
+            f"mask is {counted.shape}: expected ({height}, {width}), the size of the frames, or "
+            f"(2, {height}, {width}) with one for each of them"
+        )
+    return ~both[0], ~both[1]
+
+
+def _counted(
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pixels of both frames that count, (H, W) bool; None where all do."""
+    if ignored is None or not any(part is not None and part.any() for part in ignored):
+        return None
+    counted0, counted1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
+    for name, counted in (("frame0", counted0), ("frame1", counted1)):
+        if not counted.any():
+            raise ValueError(
+                f"mask is black at all pixels of {name}, so nothing is left of it: black is what "
+                "is ignored, white what counts"
+            )
+    return counted0, counted1
 
 
 def _countable(history: History) -> tuple[History, bool]:

@@ -13,6 +13,7 @@ from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
+from tisfm.sources.masks import Mask
 
 
 def interpret_sequence(
@@ -27,6 +28,7 @@ def interpret_sequence(
     crop: tuple[int, int, int, int] | None = None,
     bad_frames: BadFrames = "raise",
     poses: Iterable[npt.ArrayLike] | None = None,
+    mask: Mask | None = None,
 ) -> Iterator[Interpretation]:
     """Interpret every pair of consecutive frames, one at a time.
 
@@ -59,6 +61,11 @@ def interpret_sequence(
     poses : iterable of (4, 4) or (3, 3) arrays, optional
         A known motion for every pair, as `pose` for `tisfm.interpret`: from the axes of its first
         frame to those of its second. It may be made as it goes, and need not end.
+    mask : path, array, sequence of paths, or iterable of arrays, optional
+        Pixels that count, as for `tisfm.interpret`: black, zero or False are ignored. A picture or
+        an (H, W) array for all frames; or one for every frame of the source, those that are left
+        out included: a folder, a glob pattern, a list of files, an (N, H, W) array, or any iterable
+        of (H, W) arrays. They have the size of the frames before these are cropped and shrunk.
 
     Returns
     -------
@@ -75,8 +82,9 @@ def interpret_sequence(
     OSError, TypeError, ValueError
         At once if the source does not exist or has fewer than two frames, or if there are poses
         for a motion that is not ``"camera"``, or not as many as pairs, or though frames may be
-        skipped; while iterating if a frame cannot be read, if the poses end too early, or as
-        `tisfm.interpret`, with the names of the frames.
+        skipped, or if masks do not exist or are not as many as frames; while iterating if a frame
+        or its mask cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with
+        the names of the frames.
     """
     camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
     frames = FrameSource(
@@ -86,6 +94,7 @@ def interpret_sequence(
         stop=stop,
         size=size,
         crop=crop,
+        mask=mask,
         bad_frames=bad_frames,
     )
     if poses is not None and settings.motion != "camera":

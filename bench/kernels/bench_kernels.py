@@ -13,12 +13,14 @@ from bench.kernels.references import FieldReferences
 from bench.kernels.rigid_steps import DepthOperations, DepthReferences
 from bench.kernels.second_order_steps import SecondOrderOperations, SecondOrderReferences
 from bench.kernels.traffic import TRAFFIC
+from bench.kernels.view_steps import ViewOperations, ViewReferences
 from bench.shared.agreement import check
 from bench.shared.problems import ALPHA, RELAXATION, Problem
 from tisfm import reference, runtime
 
 MODELS = {6: "rigid", 3: "translation"}
-SECOND_ORDER = "second_order"
+# Kernels that share their names with others are called after these.
+PREFIXES = {"solve.second_order": "second_order_", "rigid.view_search": "views_"}
 DEPTH = 1  # unknown per pixel, along an epipolar line
 SOLVERS = ("cholesky", "closed_form")
 EDGES = ("separate", "joint")  # for each component, or for all
@@ -58,8 +60,8 @@ class Case:
     @property
     def step(self) -> str:
         """Name of the method of both sides."""
-        second = f".{SECOND_ORDER}." in self.module
-        return f"{SECOND_ORDER}_{self.kernel}" if second else self.kernel
+        prefixes = (PREFIXES[start] for start in PREFIXES if self.module.startswith(start))
+        return next(prefixes, "") + self.kernel
 
     @property
     def name(self) -> str:
@@ -96,7 +98,15 @@ class Case:
 
 
 # Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
-AT_PLACES = {"warp": 1, "prolong": 1, "splat": 1, "displacement": 1, "matching_cost": 4, "score": 4}
+AT_PLACES = {
+    "warp": 1,
+    "prolong": 1,
+    "splat": 1,
+    "displacement": 1,
+    "matching_cost": 4,
+    "score": 4,
+    "costs": 4,
+}
 # On plain images, or vectors of their own.
 WITHOUT_LANES = (
     "splat",
@@ -109,6 +119,7 @@ WITHOUT_LANES = (
     "score",
     "improve",
     "disagreement",
+    "costs",
 )
 # Of every module.
 PLAIN = {
@@ -123,9 +134,11 @@ PLAIN = {
     "solve.second_order.coarsening": ("coarsen_system", "restrict_residual", "correct"),
     "solve.second_order.line_search": ("plane",),
     "rigid.epipolar": ("displacement", "along"),
+    "rigid.several_frames": ("add_along", "as_constraint"),
     "rigid.motion_system": ("motion_system",),
     "rigid.plane_sweep": ("matching_cost",),
     "rigid.patch_match": ("score", "improve", "disagreement"),
+    "rigid.view_search": ("score", "improve", "costs"),
     "rigid.semi_global": ("aggregate", "cheapest"),
     "model.readout": ("rigid_fields",),
 }
@@ -175,13 +188,23 @@ REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
 
 
 class Operations(
-    FieldOperations, MultigridOperations, DepthOperations, SecondOrderOperations, PlaneOperations
+    FieldOperations,
+    MultigridOperations,
+    DepthOperations,
+    SecondOrderOperations,
+    PlaneOperations,
+    ViewOperations,
 ):
     """All kernels."""
 
 
 class References(
-    FieldReferences, MultigridReferences, DepthReferences, SecondOrderReferences, PlaneReferences
+    FieldReferences,
+    MultigridReferences,
+    DepthReferences,
+    SecondOrderReferences,
+    PlaneReferences,
+    ViewReferences,
 ):
     """What they stand beside."""
 

@@ -21,9 +21,15 @@ class Planes:
     """Planes near the true ones, and the frames as bytes.
 
     In frame 1 there is one plane, so that it does not matter from which pixel it is read.
+
+    Parameters
+    ----------
+    problem : Problem
+    motion : (3, 4) array
+        R and t from frame 0 to frame 1.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, motion: np.ndarray) -> None:
         rng, size = np.random.default_rng(6), (problem.height, problem.width)
         self.levels = [np.rint(np.clip(frame, 0, LEVELS)) for frame in problem.frames]
         slopes = 0.02 * rng.normal(size=(2, *size))
@@ -31,7 +37,7 @@ class Planes:
         rows, columns = np.indices(size)
         depth = self.own[0].mean() + PLANE[0] * columns + PLANE[1] * rows
         self.there = single(np.stack(np.broadcast_arrays(depth, *PLANE)))
-        self.camera, motion = problem.camera, problem.motions[0]
+        self.camera = problem.camera
         self.pose = motion[:, :3], motion[:, 3]
         u, v = reference.displacement(self.own[0], self.camera, *self.pose)
         x, y = columns + u, rows + v
@@ -52,22 +58,22 @@ class PlaneOperations(TaichiSide):
 
     @cached_property
     def planes(self) -> Planes:
-        return Planes(self.problem)
+        return Planes(self.problem, self.problem.motions[0])
 
     def score(self) -> Timed:
-        state = _interleaved(self.planes.own)
+        state = interleaved(self.planes.own)
         search = self._search()
         return lambda: search.score(state), lambda _: (state[..., 3] * self.planes.decided)[None]
 
     def improve(self) -> Timed:
-        state, search = _interleaved(self.planes.own), self._search()
+        state, search = interleaved(self.planes.own), self._search()
         search.score(state)
         options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
-        return lambda: search.improve(state, **options), lambda _: _summary(state[..., 3])
+        return lambda: search.improve(state, **options), lambda _: summary(state[..., 3])
 
     def disagreement(self) -> Timed:
         p, planes = self.problem, self.planes
-        arrays = [_interleaved(array) for array in (planes.own, planes.there)]
+        arrays = [interleaved(array) for array in (planes.own, planes.there)]
         out = np.empty((p.height, p.width), np.float32)
         options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
         return (
@@ -94,7 +100,7 @@ class PlaneReferences(NumpySide):
 
     @cached_property
     def planes(self) -> Planes:
-        return Planes(self.problem)
+        return Planes(self.problem, self.problem.motions[0])
 
     def score(self) -> Run:
         planes = self.planes
@@ -112,7 +118,7 @@ class PlaneReferences(NumpySide):
                     state, planes.cost, color=color, draws=DRAWS, bounds=BOUNDS, seed=color,
                     **options,
                 )  # fmt: skip
-            return _summary(state[3])
+            return summary(state[3])
 
         return run
 
@@ -122,7 +128,7 @@ class PlaneReferences(NumpySide):
         return lambda: _known(reference.plane_disagreement(*arguments), planes.decided)
 
 
-def _interleaved(planes: np.ndarray) -> np.ndarray:
+def interleaved(planes: np.ndarray) -> np.ndarray:
     """Return planes, (3, H, W), as the kernels take them, without a cost: (H, W, 4) float32."""
     state = np.zeros((*planes.shape[1:], 4), np.float32)
     state[..., :3] = np.moveaxis(planes, 0, -1)
@@ -134,7 +140,7 @@ def _known(apart: np.ndarray, decided: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(apart), apart, -1)[None] * decided
 
 
-def _summary(cost: np.ndarray) -> np.ndarray:
+def summary(cost: np.ndarray) -> np.ndarray:
     """Return the quartiles of costs, (3, 1).
 
     A pixel where rounding decides between two planes hands on another one: that moves them little.

@@ -3,11 +3,26 @@
 import numpy as np
 
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
-from bench.shared.problems import AGGREGATION, HYPOTHESES, NEAR, SCALES, TOLERATED_SQUARE, Problem
+from bench.shared.problems import (
+    AGGREGATION,
+    HYPOTHESES,
+    NEAR,
+    SCALES,
+    TOLERATED_SQUARE,
+    Problem,
+    single,
+)
 from tisfm import reference
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
-from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global
+from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.rigid import (
+    epipolar,
+    motion_system,
+    plane_sweep,
+    semi_global,
+    several_frames,
+)
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs
@@ -30,6 +45,20 @@ class DepthOperations(TaichiSide):
         inputs = [self.lay(array) for array in (p.constraints, moved, direction, p.inverse_depth)]
         out = self.grid.allocate(len(p.constraints))
         return lambda: epipolar.along(self.grid, *inputs, out), lambda _: self.read(out)
+
+    def add_along(self) -> Timed:
+        p = self.problem
+        moved, direction = np.split(displaced(p), 2)
+        arrays = p.tensor, moved, direction, p.inverse_depth, p.trust[None]
+        inputs, out = [self.lay(array) for array in arrays], self.grid.allocate(3)
+        return lambda: several_frames.add_along(self.grid, *inputs, out), lambda _: self.read(out)
+
+    def as_constraint(self) -> Timed:
+        sums, out = self.lay(restricted_sums(self.problem)), self.grid.allocate(3)
+        return (
+            lambda: several_frames.as_constraint(self.grid, sums, out),
+            lambda _: self.read(out),
+        )
 
     def motion_system(self) -> Timed:
         p = self.problem
@@ -131,6 +160,28 @@ class DepthReferences(NumpySide):
 
         return run
 
+    def add_along(self) -> Run:
+        p = self.problem
+        moved, direction = np.split(displaced(p), 2)
+        sums = np.zeros((3, p.height, p.width))
+
+        def run() -> np.ndarray:
+            nonlocal sums
+            found = reference.along([p.tensor], moved, direction, p.inverse_depth[0])[0]
+            sums = sums + p.trust * found[[0, 3, 5]]
+            return sums
+
+        return run
+
+    def as_constraint(self) -> Run:
+        square, product, _ = restricted_sums(self.problem)
+
+        def run() -> np.ndarray:
+            root = np.sqrt(np.maximum(square, LEAST_DIVISOR))
+            return np.stack([np.sqrt(np.maximum(square, 0)), 0 * square, product / root])
+
+        return run
+
     def motion_system(self) -> Run:
         p, weights = self.problem, self.problem.weights(1)
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
@@ -191,6 +242,13 @@ class DepthReferences(NumpySide):
             return np.concatenate([flow, rho])
 
         return run
+
+
+def restricted_sums(problem: Problem) -> np.ndarray:
+    """Return the tensor restricted to epipolar lines, A, B and C, (3, H, W)."""
+    moved, direction = np.split(displaced(problem), 2)
+    found = reference.along([problem.tensor], moved, direction, problem.inverse_depth[0])[0]
+    return single(found[[0, 3, 5]])
 
 
 def displaced(problem: Problem) -> np.ndarray:

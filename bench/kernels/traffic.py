@@ -36,6 +36,7 @@ class Traffic:
         return BYTES * (fixed + each * components)
 
 
+VIEWS = 2  # frames beside the first, where there are several
 TRAFFIC = {
     "image_to_lanes": Traffic(read=(1, 0), written=(1, 0)),  # image | lanes
     "lanes_to_images": Traffic(read=(0, 1), written=(0, 1)),  # ρ̂ | images
@@ -84,11 +85,17 @@ TRAFFIC = {
     "second_order_plane": Traffic(read=(17, 0), written=(0, 0)),
     "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
     "along": Traffic(read=(14, 0), written=(9, 0)),  # constraints, flow, direction, D | constraints
+    # tensor, flow, direction, D, weight, sums | sums
+    "add_along": Traffic(read=(15, 0), written=(3, 0)),
+    "as_constraint": Traffic(read=(2, 0), written=(2, 0)),  # A, B | p, c
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
     "score": Traffic(read=(6, 0), written=(4, 0)),  # levels, packed levels, planes | planes
     "improve": Traffic(read=(6, 0), written=(4, 0)),
+    "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # of every other frame, levels
+    "views_improve": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),
+    "views_costs": Traffic(read=(5 + VIEWS, 0), written=(VIEWS, 0)),
     "disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out
     "cheapest": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
     "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂

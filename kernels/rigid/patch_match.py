@@ -236,23 +236,13 @@ def _improve(
                     plane = best
                     if n < 4:
                         plane = neighbour(planes, y, x, n, best)
+                    elif n == 4:
+                        plane = drawn(random, least, largest, STEEPEST / focal)
                     else:
-                        a, b, c = (
-                            unit(random),
-                            unit(random + ti.u32(1)),
-                            unit(random + ti.u32(2)),
-                        )
+                        plane = drawn_near(best, random, span * spread, span * tilt)
+                        span *= 0.5
+                    if n >= 4:
                         random += ti.u32(4)
-                        if n == 4:
-                            plane[0] = least + (largest - least) * a
-                            steepest = STEEPEST / focal * ti.max(plane[0], 0.0)
-                            plane[1] = steepest * (2.0 * b - 1.0)
-                            plane[2] = steepest * (2.0 * c - 1.0)
-                        else:
-                            plane[0] += span * spread * (2.0 * a - 1.0)
-                            plane[1] += span * tilt * (2.0 * b - 1.0)
-                            plane[2] += span * tilt * (2.0 * c - 1.0)
-                            span *= 0.5
                     if plane[0] > least and plane[0] < largest and apart_from(plane, best):
                         plane[3] = cost_in(
                             packed1, 0, height, width, motion, cx, cy, focal, noise,
@@ -285,6 +275,25 @@ def neighbour(planes: ti.template(), y, x, way, best):
         plane = other
         plane[0] = other[0] - other[1] * (away * across) - other[2] * (away * down)
     return plane
+
+
+@ti.func
+def drawn(random, least, largest, steepest):
+    """Return a plane drawn at random, whose slopes are of up to `steepest` times D."""
+    d = least + (largest - least) * unit(random)
+    slope = steepest * ti.max(d, 0.0)
+    east, south = 2.0 * unit(random + ti.u32(1)) - 1.0, 2.0 * unit(random + ti.u32(2)) - 1.0
+    return ti.Vector([d, slope * east, slope * south, UNSEEN])
+
+
+@ti.func
+def drawn_near(plane, random, spread, tilt):
+    """Return a plane drawn near another: so far at most in D, and so much in its slopes."""
+    near = plane
+    near[0] += spread * (2.0 * unit(random) - 1.0)
+    near[1] += tilt * (2.0 * unit(random + ti.u32(1)) - 1.0)
+    near[2] += tilt * (2.0 * unit(random + ti.u32(2)) - 1.0)
+    return near
 
 
 @ti.func

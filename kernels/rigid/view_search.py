@@ -21,13 +21,19 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.rigid.patch_match import STEEPEST, apart_from, cost_in, neighbour
+from tisfm.kernels.rigid.patch_match import (
+    STEEPEST,
+    apart_from,
+    cost_in,
+    drawn,
+    drawn_near,
+    neighbour,
+)
 from tisfm.kernels.rigid.windows import (
     MOST_PIXELS,
     UNSEEN,
     mixed,
     packed,
-    unit,
     window,
     with_margin,
 )
@@ -254,23 +260,13 @@ def _improve(
                     plane = best
                     if n < 4:
                         plane = neighbour(planes, row, column, n, best)
+                    elif n == 4:
+                        plane = drawn(random, least, largest, stride * (STEEPEST / focal))
                     else:
-                        a, b, c = (
-                            unit(random),
-                            unit(random + ti.u32(1)),
-                            unit(random + ti.u32(2)),
-                        )
+                        plane = drawn_near(best, random, span * spread, span * tilt)
+                        span *= 0.5
+                    if n >= 4:
                         random += ti.u32(4)
-                        if n == 4:
-                            plane[0] = least + (largest - least) * a
-                            steepest = stride * (STEEPEST / focal) * ti.max(plane[0], 0.0)
-                            plane[1] = steepest * (2.0 * b - 1.0)
-                            plane[2] = steepest * (2.0 * c - 1.0)
-                        else:
-                            plane[0] += span * spread * (2.0 * a - 1.0)
-                            plane[1] += span * tilt * (2.0 * b - 1.0)
-                            plane[2] += span * tilt * (2.0 * c - 1.0)
-                            span *= 0.5
                     if plane[0] > least and plane[0] < largest and apart_from(plane, best):
                         plane[3] = _cost_of_best(
                             others, count, best_frames, height, width, motions, cx, cy, focal,

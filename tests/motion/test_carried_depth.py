@@ -72,7 +72,7 @@ def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
     scene = three_blocks(240, 320, camera_motion=(0.5, 0, 0, 0, 0.02, 0), block_motions=still)
 
     def motions(bare):
-        monkeypatch.setattr(tisfm.motion.camera, "bare_share", lambda _: bare)
+        monkeypatch.setattr(tisfm.motion.camera, "bare_share", lambda *_: bare)
         return interpreted(scene).motions
 
     joint = motions(0.0)  # nothing is carried

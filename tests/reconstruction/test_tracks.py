@@ -20,7 +20,8 @@ def picture(shift):
 def test_tracks_follow_a_shift():
     tracker = Tracker(CAMERA, TRACKING)
     first, second = (tracker.go_on(picture(shift)) for shift in ((0, 0), (3.25, -1.5)))
-    _, before, after = np.intersect1d(first.tracks, second.tracks, return_indices=True)
+    before, after = first.shared(second)
+    np.testing.assert_array_equal(first.tracks[before], second.tracks[after])
     there = first.points - (3.25, -1.5)
     inside = there[((there > 5) & (there < (314, 234))).all(axis=1)]
     assert len(before) > 0.95 * len(spread(inside, 6.0))

@@ -52,3 +52,36 @@ def test_a_sequence_without_end():
 
     results = tisfm.interpret_sequence(forever(), settings=QUICK)
     assert [next(results).status for _ in range(3)]
+
+
+def test_masks_are_those_of_their_frames():
+    masks = np.ones((len(FRAMES), *FRAMES[0].shape[:2]), bool)
+    masks[2, :8] = False
+    results = list(tisfm.interpret_sequence(FRAMES, settings=QUICK, mask=masks))
+    for k, result in enumerate(results):
+        expected = tisfm.interpret(*FRAMES[k : k + 2], settings=QUICK, mask=masks[k : k + 2])
+        np.testing.assert_array_equal(result.rho, expected.rho)
+        np.testing.assert_array_equal(result.occlusion, expected.occlusion)
+        assert (result.occlusion[:8].mean() > 0.8) == (k in (1, 2))
+    assert len(results) == len(FRAMES) - 1
+    every_second = list(tisfm.interpret_sequence(FRAMES, settings=QUICK, mask=masks, step=2))
+    assert every_second[1].occlusion[:8].all()  # of frames 2 and 4
+
+
+def test_one_mask_is_for_all_frames():
+    mask = np.ones(FRAMES[0].shape[:2], bool)
+    mask[:8] = False
+    for result in tisfm.interpret_sequence(FRAMES, settings=QUICK, mask=mask):
+        assert result.occlusion[:8].all() and not result.confidence[:8].any()
+
+
+@pytest.mark.parametrize(
+    ("mask", "error", "words"),
+    [(np.ones((3, 5)), ValueError, "frame_000000 is"), ("gone", FileNotFoundError, "gone"),
+     (np.zeros(FRAMES[0].shape[:2]), ValueError, "frame_000000 and frame_000001: mask is black"),
+     (np.ones((2, *FRAMES[0].shape[:2])), ValueError, "2 masks")],
+    ids=["size", "path", "black", "number"],
+)  # fmt: skip
+def test_what_are_no_masks(mask, error, words):
+    with pytest.raises(error, match=words):
+        next(tisfm.interpret_sequence(FRAMES, settings=QUICK, mask=mask))

@@ -85,6 +85,8 @@ class Run:
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
     (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
+    mask: Annotated[str | None, arg(metavar="MASK")] = None
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
@@ -116,6 +118,7 @@ class Run:
             settings=self.settings.settings(),
             frames=self.frames,
             poses=self.poses,
+            mask=self.mask,
             resume=self.resume,
             figures=self.figures,
             ply=self.ply,

@@ -49,6 +49,7 @@ def run(
     settings: Settings,
     frames: FrameOptions,
     poses: Path | None = None,
+    mask: str | None = None,
     resume: bool = False,
     figures: bool = True,
     ply: bool = False,
@@ -58,10 +59,13 @@ def run(
     """Interpret every pair of a source and write the results; return the exit code.
 
     With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
-    is a file of a pose for every frame, those that are not taken included.
+    is a file of a pose for every frame, those that are not taken included. `mask` is a picture,
+    or a folder or pattern of one for every frame.
     """
-    pairs = frames.open(source)
-    _refuse_mixing(source, pairs.files, output)
+    pairs = frames.open(source, mask=mask)
+    _refuse_mixing(source, pairs.frame_files, output)
+    if mask is not None:
+        _refuse_mixing(mask, pairs.mask_files, output, kind="masks")
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
     first = next(posed)  # before anything is written; the others have its size
@@ -226,7 +230,9 @@ def _require_writable(loaded: LoadedPair) -> None:
     require_writable_flow("frame0", *loaded.frame0.shape[:2])
 
 
-def _refuse_mixing(source: Source, files: Iterable[Path], output: Path) -> None:
+def _refuse_mixing(
+    source: Source, files: Iterable[Path], output: Path, *, kind: str = "frames"
+) -> None:
     """Refuse to write among the frames, where results would count as frames the next time."""
     if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
         return
@@ -236,7 +242,7 @@ def _refuse_mixing(source: Source, files: Iterable[Path], output: Path) -> None:
     )
     if among or (glob.has_magic(os.fspath(source)) and _matches(output, Path(source).parent)):
         raise ValueError(
-            f"the results would lie among the frames in {output}, and count as frames the "
+            f"the results would lie among the {kind} in {output}, and count as {kind} the "
             "next time: give another folder with -o"
         )
 

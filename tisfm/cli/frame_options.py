@@ -26,6 +26,6 @@ class FrameOptions:
     bad_frames: BadFrames = "raise"
     """What becomes of damaged frames: an error, or they are left out."""
 
-    def open(self, source: Source) -> FrameSource:
-        """Open a source."""
-        return FrameSource(source, **asdict(self))
+    def open(self, source: Source, *, mask: str | None = None) -> FrameSource:
+        """Open a source, with its masks."""
+        return FrameSource(source, mask=mask, **asdict(self))

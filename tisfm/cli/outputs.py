@@ -133,12 +133,12 @@ class PairWriter:
         ----------
         name : str
         digest : str
-            Hash of the pair's frames, and of its pose if that was given.
+            Hash of the pair's frames, and of its pose and masks if those were given.
 
         Raises
         ------
         ValueError
-            If it finished a pair of this name, but of other frames, or with another pose.
+            If it finished a pair of this name, but of other frames, or with another pose or mask.
         """
         pair = self._record["pairs"].get(name)
         if pair is None or not (self.folder / f"{name}.npz").is_file():
@@ -146,8 +146,8 @@ class PairWriter:
         if pair["frames"] != digest:
             raise ValueError(
                 f"{self.folder} holds a run in which {name} was another pair of frames, or had "
-                "another pose: give the same frames and step again, and the same poses, or run "
-                "without --resume to start again"
+                "another pose or mask: give the same frames and step again, and the same poses and "
+                "masks, or run without --resume to start again"
             )
         return True
 

@@ -73,7 +73,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     solution: RigidSolution | None = None
     low, high = sweep.range
     deep = high - low >= CARRIED_RANGE * max(pyramid.shape)
-    bare = bare_share(pyramid.frames0[level]) if deep else 0.0
+    bare = bare_share(pyramid.frames0[level], pyramid.counted0(level)) if deep else 0.0
     refined: RigidSolution | None = None
     if bare >= BARE:
         surer = motions

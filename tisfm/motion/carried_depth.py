@@ -67,10 +67,16 @@ class CarriedSolution(RigidSolution):
         return self.carried_deviation.copy()
 
 
-def bare_share(frame: np.ndarray) -> float:
-    """Return which share of the windows of a frame, (H, W) float32, shows no more than noise."""
-    noise = noise_deviation(frame)
-    return float((window_variance(frame, WINDOW) <= SHOWN * noise**2).mean())
+def bare_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
+    """Return which share of the windows of a frame, (H, W) float32, shows no more than noise.
+
+    Of those around pixels that count, if `counted`, (H, W) bool, says so.
+    """
+    noise = noise_deviation(frame, counted=counted)
+    bare = window_variance(frame, WINDOW) <= SHOWN * noise**2
+    if counted is not None:
+        bare = bare[counted]
+    return float(bare.mean()) if bare.size else 0.0
 
 
 def carried_depth(
@@ -99,10 +105,12 @@ def carried_depth(
     if pyramid.frames0[-1].size > MOST:
         return None
     planes = matched_planes(pyramid, motion)
-    counted = np.ones(planes.believed.shape, bool)
+    seen = pyramid.counted0(planes.level)
+    counted = np.ones(planes.believed.shape, bool) if seen is None else seen
     if support is not None:
         size = counted.shape[::-1]
-        counted = cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        inside = cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        counted = counted & inside
         planes = replace(planes, believed=planes.believed & counted)
     if planes.believed.sum() < max(1, FEWEST * counted.sum()):
         return None
@@ -151,7 +159,7 @@ class _Level:
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([believed, believed * target])),
-            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges),
+            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.counted0(level)),
             SECOND_ORDER,
             constraints=restricted,
             scales=[DATA * scale for scale in data_term.scales],
@@ -160,7 +168,8 @@ class _Level:
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-        share = np.float32(DATA**0.5) * texture_weight(frame) * counted  # of what is squared
+        textured = texture_weight(frame, counted=pyramid.counted0(level))
+        share = np.float32(DATA**0.5) * textured * counted  # of what is squared
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
@@ -222,11 +231,14 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
     return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
 
 
-def texture_weight(frame: np.ndarray, *, half: float = TEXTURE) -> np.ndarray:
+def texture_weight(
+    frame: np.ndarray, *, half: float = TEXTURE, counted: np.ndarray | None = None
+) -> np.ndarray:
     """Return how much more than noise a window shows, (H, W) float32, from 0 to 1.
 
-    A window that varies by `half` times the variance of the noise has ½.
+    A window that varies by `half` times the variance of the noise has ½. Pixels that count,
+    (H, W) bool, tell the noise; by default all do.
     """
-    noise = noise_deviation(frame)
+    noise = noise_deviation(frame, counted=counted)
     variance = window_variance(frame, WINDOW)
     return variance / (variance + np.float32(half * noise**2))

@@ -56,7 +56,7 @@ class FastThings:
         """
         self._thing = _enlarged(self._thing, windows.shape)
         self._outline(windows, unknowns)
-        step = max(mean_step(windows.levels0), FAINTEST_EDGE)
+        step = max(mean_step(windows.levels0, windows.counted0), FAINTEST_EDGE)
         lifted = windows.levels0.copy()
         lifted[self._thing] += np.float32(LIFTED * step)
         rate = self._problem.smoothness.image_edges / step

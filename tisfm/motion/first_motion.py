@@ -234,9 +234,12 @@ def _flow_alone(
     solution = coarse_to_fine(pyramid, problem, last=level)
     flow = solution.unknowns.flow()
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
+        unseen = leaves_image(flow)
+        if pyramid.counted is not None:
+            unseen |= pyramid.counted.missing(flow, level)
         trust = confidence(
             solution.unknowns.precision(solution.system),
-            leaves_image(flow),
+            unseen,
             normalized=settings.normalization is not None,
         )
     return FirstMotion(

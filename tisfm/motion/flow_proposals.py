@@ -354,9 +354,11 @@ def _carried(
     distance = np.where(known, 0, np.float32(found.size)).astype(np.float32)
     nearest = np.zeros((*windows.shape, 4), np.float32)
     nearest[..., :2], nearest[..., 3] = found, 1
+    usual = mean_step(windows.levels0, windows.counted0)
     for _ in range(PASSES):
-        carry(windows.levels0, distance, nearest, edge=EDGE * mean_step(windows.levels0))
+        carry(windows.levels0, distance, nearest, edge=EDGE * usual)
     windows.search.score(nearest, seen=SEEN)
+    windows.ignore(nearest)
     cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
     lower = (nearest[..., 2] < cost - BETTER) & (cost > CARRIED_COST)
     lower &= evidence.better(nearest[..., :2], found, window=EVIDENCE, by=CARRIED)

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
-from tisfm.kernels.rigid.windows import LEVELS
+from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -74,7 +74,11 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
         [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
     )
     low, gain = grey_scale(first[-1], second[-1])
-    noise = gain * max(noise_deviation(frames[-1]) for frames in (first, second))
+    counted = pyramid.counted_on(finest)
+    noise = gain * max(
+        noise_deviation(frames[-1], counted=None if counted is None else counted[k])
+        for k, frames in enumerate((first, second))
+    )
     first, second = (
         [np.clip(gain * (frame - low), 0, LEVELS) for frame in frames] for frames in (first, second)
     )
@@ -84,6 +88,9 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
     )
     there = search.run(first, second, motion, seed=0)
     here = search.run(second, first, back, seed=1)
+    if counted is not None:
+        for planes, counts in zip((there, here), counted, strict=True):
+            planes[~counts, 3] = UNSEEN
     apart = np.empty(there.shape[:2], np.float32)
     camera = pyramid.cameras[finest]
     center = camera.center_for(*pyramid.frames0[finest].shape)
@@ -199,11 +206,14 @@ def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.f
     return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
 
 
-def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
+def noise_deviation(
+    frame: np.ndarray, *, every: int = 1, counted: np.ndarray | None = None
+) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
     That of what a mask leaves which smooth images do not pass, in the quietest blocks; within
-    bounds. Every so many blocks across and down take part.
+    bounds. Every so many blocks across and down take part, and those alone whose pixels all
+    count, if there are such: `counted`, (H, W) bool.
 
     References
     ----------
@@ -213,14 +223,21 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1) -> float:
     left = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
     height, width = (side // BLOCK for side in frame.shape)
     if height * width:
-        blocks = left[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
-        left = np.median(blocks[::every, :, ::every], axis=(1, 3))
-        found = float(np.quantile(left, QUIET))
+        quiet = np.median(_blocks(left, height, width)[::every, :, ::every], axis=(1, 3))
+        if counted is not None:
+            whole = _blocks(counted, height, width)[::every, :, ::every].all(axis=(1, 3))
+            quiet = quiet[whole] if whole.any() else quiet
+        found = float(np.quantile(quiet, QUIET))
     else:
         found = float(np.median(left))
     low, high = np.percentile(_sampled(frame), RANGE)
     least = float(np.clip(LEAST_SHARE * (high - low), LEAST_NOISE / 100, LEAST_NOISE))
     return min(max(least, MAD_TO_DEVIATION * found), MOST_NOISE)
+
+
+def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return as many whole blocks down and across, (height, BLOCK, width, BLOCK)."""
+    return image[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
 
 
 def _sampled(frame: np.ndarray) -> np.ndarray:

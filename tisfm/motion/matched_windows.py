@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
-from tisfm.kernels.rigid.windows import LEVELS
+from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 from tisfm.motion.matched_planes import DENSE, QUIETEST, grey_scale, noise_deviation
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.sampling import goes_to
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
 SEEN = 1.8  # times the variance of the noise: windows that vary by less are not compared
@@ -39,12 +40,16 @@ class Windows:
         Standard deviation of the noise of the noisier frame, levels.
     scale : float
         Sampling density relative to the finest level of the pyramid.
+    counted0, counted1 : (h, w) bool or None
+        Pixels of both frames that count; None for all. Others have nothing to be compared.
     """
 
     levels0: np.ndarray
     levels1: np.ndarray
     noise: float
     scale: float
+    counted0: np.ndarray | None = None
+    counted1: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -54,11 +59,26 @@ class Windows:
 
     def turned(self) -> "Windows":
         """Return the same with the frames exchanged."""
-        return replace(self, levels0=self.levels1, levels1=self.levels0)
+        return replace(
+            self,
+            levels0=self.levels1,
+            levels1=self.levels0,
+            counted0=self.counted1,
+            counted1=self.counted0,
+        )
 
     def part(self, part: tuple[slice, slice]) -> "Windows":
         """Return the same of some rows and columns."""
-        return replace(self, levels0=self.levels0[part], levels1=self.levels1[part])
+        counted0, counted1 = (
+            None if counted is None else counted[part] for counted in (self.counted0, self.counted1)
+        )
+        return replace(
+            self,
+            levels0=self.levels0[part],
+            levels1=self.levels1[part],
+            counted0=counted0,
+            counted1=counted1,
+        )
 
     @cached_property
     def search(self) -> FlowSearch:
@@ -83,7 +103,14 @@ class Windows:
         state[..., :2] = flow
         state[..., 3] = True if sought is None else sought
         self.search.score(state, seen=seen)
+        self.ignore(state)
         return state
+
+    def ignore(self, state: np.ndarray) -> None:
+        """Take back the costs of a state (h, w, 4) where pixels or what they go to do not count."""
+        if self.counted0 is not None and self.counted1 is not None:
+            there = goes_to(np.moveaxis(state[..., :2], -1, 0))
+            state[~(self.counted0 & self.counted1[there]), 2] = UNSEEN
 
 
 class WindowSearch:
@@ -112,7 +139,11 @@ class WindowSearch:
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
         every = 2 if frames[0].size > DENSE else 1
-        noise = max(noise_deviation(gain * frame, every=every) for frame in frames)
+        counted = pyramid.counted_on(finest) or (None, None)
+        noise = max(
+            noise_deviation(gain * frame, every=every, counted=counts)
+            for frame, counts in zip(frames, counted, strict=True)
+        )
         self._noise = noise / (gain * pyramid.scales[finest])
 
     def windows(self, level: int) -> Windows:
@@ -124,7 +155,15 @@ class WindowSearch:
         low, gain = grey_scale(*frames)
         levels0, levels1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
         noise = max(gain * scale * self._noise, QUIETEST)
-        windows = Windows(levels0=levels0, levels1=levels1, noise=noise, scale=scale)
+        counted0, counted1 = self._pyramid.counted_on(level) or (None, None)
+        windows = Windows(
+            levels0=levels0,
+            levels1=levels1,
+            noise=noise,
+            scale=scale,
+            counted0=counted0,
+            counted1=counted1,
+        )
         if level >= self.levels[-1]:
             self._windows[level] = windows
         return windows
@@ -215,6 +254,7 @@ def _searched(
                 seed=(seed * len(levels) + k) * max(ROUNDS) + turn,
             )
     assert state is not None
+    levels[-1].ignore(state)
     return state
 
 

@@ -121,6 +121,7 @@ class PlaneSweep:
             hypotheses,
             guess,
             cv2.resize(self._trust, width_height),
+            counted=pyramid.counted_on(level),
         )
 
 
@@ -168,6 +169,8 @@ def swept(
     hypotheses: np.ndarray,
     guess: np.ndarray,
     trust: np.ndarray,
+    *,
+    counted: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Return the best of some inverse depths at every pixel, along paths that seldom jump.
 
@@ -183,6 +186,8 @@ def swept(
         D, px/frame, evenly spaced and positive; at least 2.
     guess, trust : (H, W) float32
         Inverse depth that is likely, and how likely, in [0, 1].
+    counted : tuple of two (H, W) bool, optional
+        Pixels of each frame that count, by default all. Others count as little as what is hidden.
 
     Returns
     -------
@@ -198,7 +203,7 @@ def swept(
     height, width = frame0.shape
     count, wide = len(hypotheses), lanes()
     padded = -(-count // wide) * wide
-    unit = max(mean_step(frame0), FAINTEST_STEP)
+    unit = max(mean_step(frame0, None if counted is None else counted[0]), FAINTEST_STEP)
     cost = aligned_empty((height, width, padded))
     cost[..., count:] = FORBIDDEN
     matching_cost(
@@ -215,8 +220,13 @@ def swept(
         count=count,
         near=NEAR,
     )
+    if counted is not None:
+        cost[~counted[0]] *= HIDDEN
     depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
-    cost[_hidden(depth, motion, camera)] *= HIDDEN
+    hidden = _hidden(depth, motion, camera, None if counted is None else counted[1])
+    if counted is not None:
+        hidden &= counted[0]  # others are taken back already
+    cost[hidden] *= HIDDEN
     depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
     return cv2.medianBlur(depth, MEDIAN)
 
@@ -232,8 +242,13 @@ def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray, wide:
     return np.float32(hypotheses[0]) + np.float32(spacing) * best
 
 
-def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return which pixels leave the image or lie behind others in frame 1, (H, W) bool."""
+def _hidden(
+    depth: np.ndarray, motion: np.ndarray, camera: Camera, counted1: np.ndarray | None
+) -> np.ndarray:
+    """Return which pixels leave the image or lie behind others in frame 1, (H, W) bool.
+
+    Or go to where it does not count, if `counted1`, (H, W) bool, says so.
+    """
     height, width = depth.shape
     x, y = _rays(height, width, camera)
     moved = np.stack(np.broadcast_arrays(x, y, np.float32(1)))
@@ -252,6 +267,8 @@ def _hidden(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray
     around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
     hidden: np.ndarray = ~inside
     hidden[inside] = around[rows, columns] > after[inside] + BEHIND
+    if counted1 is not None:
+        hidden[inside] |= ~counted1[rows, columns]
     return hidden
 
 

@@ -14,9 +14,16 @@ from tisfm.solver.smoothness import Smoothness
 
 
 def pyramid_of(
-    grey0: np.ndarray, grey1: np.ndarray, camera: Camera, settings: Settings
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+    camera: Camera,
+    settings: Settings,
+    counted: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> ImagePyramid:
-    """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale."""
+    """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale.
+
+    `counted`, (H, W) bool each, says which of their pixels count, by default all.
+    """
     return ImagePyramid(
         grey0,
         grey1,
@@ -25,6 +32,7 @@ def pyramid_of(
         levels=settings.pyramid_levels,
         presmoothing=settings.presmoothing,
         last=settings.finest_level,
+        counted=counted,
     )
 
 

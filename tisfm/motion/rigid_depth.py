@@ -263,7 +263,7 @@ class _Level:
             image_to_lanes(grid, resized, self._labels)
         self._label_image = resized
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
-        inside = grid.inside()[0, self._rows, 1:-1]
+        inside = _inside(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
         sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         self._samples = [np.flatnonzero(sample == label) for label in range(count)]
         if labels.any():
@@ -430,6 +430,16 @@ def _stepped(
     turn = cv2.Rodrigues(step[3:])[0]
     moved = turn @ translation + step[:3]
     return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
+
+
+def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
+    """Return 1 on the pixels of the image that count, else 0, as a lane array; not placed."""
+    inside = unknowns.grid.inside()
+    if counted is None:
+        return inside
+    weight = unknowns.grid.allocate(1)
+    image_to_lanes(unknowns.grid, counted.astype(np.float32), weight)
+    return inside * on_host(weight)
 
 
 def _within(unknowns: Unknowns, labels: np.ndarray) -> LaneData:

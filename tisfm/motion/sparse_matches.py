@@ -47,7 +47,11 @@ class Described:
     roots: np.ndarray
 
 
-def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
+def sparse_matches(
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    counted: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Matches:
     """Find points that look alike in two frames.
 
     Detected points are thinned out where they are dense, so that a textured corner does not
@@ -58,6 +62,8 @@ def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
     ----------
     frame0, frame1 : (H, W) float32
         Grey levels on any scale.
+    counted : tuple of two (H, W) bool, optional
+        Pixels of each frame whose points are matched, by default all.
 
     Returns
     -------
@@ -78,6 +84,8 @@ def sparse_matches(frame0: np.ndarray, frame1: np.ndarray) -> Matches:
     other = beside(described, scaled[1]) if runtime.threads() > 1 else None
     first = described(scaled[0])
     second = other() if other is not None else described(scaled[1])
+    if counted is not None:
+        first, second = map(_where, (first, second), counted)
     index0, index1 = alike(first, second)
     pairs = np.hstack([first.points[index0], second.points[index1]])
     pairs = np.unique(pairs, axis=0)  # a point has several descriptors if it has several directions
@@ -111,6 +119,14 @@ def described(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Described:
     descriptors = descriptors[kept]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # they have no negative entries
     return Described(points=points[kept], roots=np.sqrt(descriptors / total))
+
+
+def _where(found: Described, counted: np.ndarray) -> Described:
+    """Return the points whose pixels count."""
+    column, row = np.rint(found.points).astype(np.intp).T
+    height, width = counted.shape
+    kept = counted[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return Described(points=found.points[kept], roots=found.roots[kept])
 
 
 def _spread(points: np.ndarray, response: np.ndarray, *, side: float, most: int) -> np.ndarray:

@@ -125,7 +125,8 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
     finest = next(
         (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
     )
-    return finest, sparse_matches(pyramid.frames0[finest], pyramid.frames1[finest])
+    frames = pyramid.frames0[finest], pyramid.frames1[finest]
+    return finest, sparse_matches(*frames, pyramid.counted_on(finest))
 
 
 class _View:
@@ -146,11 +147,22 @@ class _View:
         hypotheses = np.arange(max(np.ceil(high), FEWEST_HYPOTHESES))
         hypotheses = hypotheses[: max(FEWEST_HYPOTHESES, ENTRIES // frame0.size)]
         guess = np.full_like(frame0, np.median(seen))
-        depth = swept(frame0, frame1, scaled, camera, hypotheses, guess, np.zeros_like(guess))
+        depth = swept(
+            frame0,
+            frame1,
+            scaled,
+            camera,
+            hypotheses,
+            guess,
+            np.zeros_like(guess),
+            counted=pyramid.counted_on(level),
+        )
         self.flow = _flow(depth, scaled, camera)
         alike = correlation(frame0, frame1, self.flow)
-        leaves = leaves_image(np.moveaxis(self.flow, -1, 0))
-        weight = np.where(leaves, 0, texture(frame0))
+        unseen = leaves_image(np.moveaxis(self.flow, -1, 0))
+        if pyramid.counted is not None:
+            unseen |= pyramid.counted.missing(np.moveaxis(self.flow, -1, 0), level)
+        weight = np.where(unseen, 0, texture(frame0))
         total = float(weight.sum())
         self.score = float((weight * alike).sum() / total) if total > 0 else -1.0
         self.trust = np.clip(weight * alike, 0, 1).astype(np.float32)

@@ -190,9 +190,7 @@ def chosen_keyframes(piece: Piece, seen: Sequence[Seen], side: int) -> list[int]
     keys = frames[:1]
     for frame in frames[1:]:
         before, now = seen[keys[-1]], seen[frame]
-        _, index0, index1 = np.intersect1d(
-            before.tracks, now.tracks, assume_unique=True, return_indices=True
-        )
+        index0, index1 = before.shared(now)
         if len(index0) < max(1, KEPT * len(before.tracks)):
             keys.append(frame)
             continue

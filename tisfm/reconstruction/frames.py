@@ -9,6 +9,7 @@ from tisfm.camera import Camera
 from tisfm.formats import atomic_write
 from tisfm.frames import eight_bit, grey_pair
 from tisfm.lens import Undistortion
+from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
 
 QUALITY = 95  # of the JPEG pictures that colours are taken from
@@ -57,6 +58,8 @@ class PreparedFrames:
         grey, _ = grey_pair(frame.image, frame.image, stretch=frame.stretch)
         picture = eight_bit(frame.image, frame.image, stretch=frame.stretch)
         ignored = frame.ignored
+        if ignored is not None and ignored.any():
+            grey = filled(grey, ignored)
         if not self._taken.is_pinhole:
             if self._lens is None:
                 self._lens = Undistortion(self._taken, *grey.shape)

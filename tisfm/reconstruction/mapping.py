@@ -200,9 +200,7 @@ def _directions(
 
 def _shared(first: Seen, second: Seen) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
-    _, index0, index1 = np.intersect1d(
-        first.tracks, second.tracks, assume_unique=True, return_indices=True
-    )
+    index0, index1 = first.shared(second)
     if len(index0) < FEWEST_SHARED:
         return np.empty((0, 2), np.intp)
     return np.stack([index0, index1], axis=1)

@@ -40,6 +40,13 @@ class Seen:
     points: np.ndarray
     tracks: np.ndarray
 
+    def shared(self, other: "Seen") -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices, here and in another frame, of the tracks that are in both."""
+        _, here, there = np.intersect1d(
+            self.tracks, other.tracks, assume_unique=True, return_indices=True
+        )
+        return here, there
+
 
 class Tracker:
     """Carries points from each frame to the next.

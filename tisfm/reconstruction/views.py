@@ -52,9 +52,7 @@ class Views:
         if not self.chosen:
             return len(seen.tracks) > 0
         before = self.chosen[-1].seen
-        _, index0, index1 = np.intersect1d(
-            before.tracks, seen.tracks, assume_unique=True, return_indices=True
-        )
+        index0, index1 = before.shared(seen)
         if len(index0) < KEPT * len(before.tracks):
             return True
         if len(index0) == 0:
@@ -90,8 +88,8 @@ class Views:
         return follows < FOLLOWING * (count - 1) and len(others) > KNOWN_ELSEWHERE * count
 
     def _share_tracks(self, first: int, second: int) -> bool:
-        tracks = self.chosen[first].seen.tracks, self.chosen[second].seen.tracks
-        return len(np.intersect1d(*tracks, assume_unique=True)) >= FEWEST_MATCHES
+        index, _ = self.chosen[first].seen.shared(self.chosen[second].seen)
+        return len(index) >= FEWEST_MATCHES
 
     def _match(
         self, earlier: int, later: int, shape: tuple[int, ...], *, fewest: int, share: float

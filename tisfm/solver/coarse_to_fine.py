@@ -136,7 +136,8 @@ def unknowns_on(
         unknowns.start_from(coarse, pyramid.factor)
     if problem.smoothness.image_edges > 0:
         strength = problem.smoothness.image_edges
-        unknowns.edges = image_edges_in_lanes(grid, frame0, strength)
+        counted = pyramid.counted0(level)
+        unknowns.edges = image_edges_in_lanes(grid, frame0, strength, counted)
     return unknowns
 
 
@@ -151,6 +152,7 @@ def data_term_on(
         pyramid.taps1(level),
         problem.constancy,
         pyramid.contrast,
+        pyramid.counted_on(level),
     )
 
 

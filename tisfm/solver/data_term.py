@@ -9,9 +9,10 @@ import numpy as np
 from tisfm.kernels.data.constraints import constancy_constraints, constraint_count
 from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.data.warp import warp
-from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes
+from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes, multiply
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 from tisfm.kernels.layout.launch import in_turn
+from tisfm.solver.sampling import weight_taps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +63,9 @@ class DataTerm:
     constancy : Constancy
     unit : float
         Mean step between neighbours of the frame, grey levels, of which ζ is a share.
+    counted : tuple of two (H, W) bool, optional
+        Pixels of each frame that count, by default all. The others have no constraints, nor have
+        those that go to them.
 
     Attributes
     ----------
@@ -79,6 +83,7 @@ class DataTerm:
         taps1: np.ndarray,
         constancy: Constancy,
         unit: float,
+        counted: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self._grid, self._constancy, self._unit = grid, constancy, unit
         self.scales = constancy.scales
@@ -90,6 +95,7 @@ class DataTerm:
         self._mask = grid.allocate(1, zeros=False)
         self.constraints = grid.allocate(3 * constancy.count, zeros=False)
         image_to_lanes(grid, frame0, self._lanes0)
+        self._counted = None if counted is None else _BothCount(grid, *counted)
 
     def bind_linearise(self, flow: LaneData, tensor: LaneData | None = None) -> Callable[[], None]:
         """Return what warps frame 1 by a flow and writes `constraints` there.
@@ -103,8 +109,10 @@ class DataTerm:
         """
         grid, constancy = self._grid, self._constancy
         share = constancy.normalization
+        ignore = [] if self._counted is None else [self._counted.bind(flow, self._mask)]
         return in_turn(
             warp.bind(grid, self._frame1, self._taps1, flow, self._lanes1, self._mask),
+            *ignore,
             derivatives.bind(
                 grid, self._lanes0, self._lanes1, self._derivatives, scheme=constancy.derivatives
             ),
@@ -120,4 +128,24 @@ class DataTerm:
                 normalization=None if share is None else share * self._unit,
                 scales=constancy.scales,
             ),
+        )
+
+
+class _BothCount:
+    """The weights of pixels that count in frame 0, and go to where frame 1 counts."""
+
+    def __init__(self, grid: LaneGrid, counted0: np.ndarray, counted1: np.ndarray) -> None:
+        self._grid = grid
+        self._weight0, self._weight1, self._inside = (grid.allocate(1) for _ in range(3))
+        image_to_lanes(grid, counted0.astype(np.float32), self._weight0)
+        image, taps = weight_taps(counted1.astype(np.float32))
+        self._image1, self._taps1 = grid.place(image), grid.place(taps, vectors=True)
+
+    def bind(self, flow: LaneData, mask: LaneData) -> Callable[[], None]:
+        """Return what multiplies a mask by the weights under a flow."""
+        grid = self._grid
+        return in_turn(
+            warp.bind(grid, self._image1, self._taps1, flow, self._weight1, self._inside),
+            multiply.bind(grid, self._weight0, mask),
+            multiply.bind(grid, self._weight1, mask),
         )

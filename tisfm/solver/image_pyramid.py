@@ -11,6 +11,7 @@ import numpy as np
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.second_thread import beside
+from tisfm.solver.counted import Counted
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 
@@ -35,6 +36,8 @@ class ImagePyramid:
         Standard deviation of a Gaussian applied first, px.
     last : int
         The level that coarse to fine is to end on, or the coarsest if there are fewer.
+    counted : tuple of two (H, W) bool, optional
+        Pixels of each frame that count, by default all. Others are filled from around already.
 
     Attributes
     ----------
@@ -51,6 +54,8 @@ class ImagePyramid:
         As given.
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
+    counted : Counted or None
+        Which pixels count; None for all of them.
     """
 
     def __init__(
@@ -63,6 +68,7 @@ class ImagePyramid:
         levels: int | None = None,
         presmoothing: float = 0.0,
         last: int = 0,
+        counted: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.factor = factor
         if grey0.min() == grey0.max() and grey1.min() == grey1.max():
@@ -88,7 +94,20 @@ class ImagePyramid:
         if together:
             for level in reversed(range(self.last, count)):  # the coarsest comes first
                 self._taps1[level] = beside(spline_taps, self.frames1[level])
-        self.contrast = mean_step(self.frames0[0])
+        self.counted: Counted | None = None
+        if counted is not None:
+            self.counted = Counted(
+                *counted, [(len(frame), frame.shape[1]) for frame in self.frames0]
+            )
+        self.contrast = mean_step(self.frames0[0], self.counted0(0))
+
+    def counted_on(self, level: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the pixels of both frames that count on a level, (h, w) bool; None for all."""
+        return None if self.counted is None else self.counted.levels[level]
+
+    def counted0(self, level: int) -> np.ndarray | None:
+        """Return the same of frame 0."""
+        return None if self.counted is None else self.counted.levels[level][0]
 
     def taps1(self, level: int) -> np.ndarray:
         """Return `tisfm.solver.sampling.spline_taps` of frame 1 at a level."""
@@ -103,7 +122,8 @@ class ImagePyramid:
         other = copy(self)
         other.frames0, other.frames1 = self.frames1, self.frames0
         other._taps1 = [other._spline(level) for level in range(self.levels)]
-        other.contrast = mean_step(other.frames0[0])
+        other.counted = None if self.counted is None else self.counted.reversed()
+        other.contrast = mean_step(other.frames0[0], other.counted0(0))
         return other
 
     def _spline(self, level: int) -> Callable[[], np.ndarray]:

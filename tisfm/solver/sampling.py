@@ -12,6 +12,7 @@ import numpy as np
 
 from tisfm import runtime
 
+FAR = 1e7  # px/frame: outside any image
 _POLE = math.sqrt(3) - 2
 _REACH = 12  # px: what lies farther has a weight below 1e-7, less than float32 resolves
 # The inverse of the filter (1, 4, 1)/6, by which coefficients give values at pixels.
@@ -52,12 +53,30 @@ def spline_taps(image: np.ndarray) -> np.ndarray:
         sample between rows y and y + 1 and columns x and x + 1 are in r = y to y + 3. Beyond the
         border they are mirrored at the centres of its pixels. Aligned.
     """
+    return _taps(spline_coefficients(image))
+
+
+def weight_taps(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return weights smoothed by a B-spline, (H, W) float32, and the taps of that spline.
+
+    Its coefficients are the weights themselves, so that samples lie between them, as those of a
+    spline through them would not.
+
+    Parameters
+    ----------
+    weight : (H, W) float32
+    """
+    smoothing = np.array([1, 4, 1]) / 6
+    border = cv2.BORDER_REFLECT_101
+    return cv2.sepFilter2D(weight, -1, smoothing, smoothing, borderType=border), _taps(weight)
+
+
+def _taps(coefficients: np.ndarray) -> np.ndarray:
+    """Return coefficients, (H, W) float32, as `spline_taps` does."""
     from tisfm.kernels.layout.lanes import aligned_empty
 
-    height, width = image.shape
-    coefficients = cv2.copyMakeBorder(
-        spline_coefficients(image), 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101
-    )
+    height, width = coefficients.shape
+    coefficients = cv2.copyMakeBorder(coefficients, 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101)
     taps = aligned_empty(((height + 3) * width, 4))
     shifted = [coefficients[:, k : k + width] for k in range(4)]
     cv2.merge(shifted, taps.reshape(height + 3, width, 4))
@@ -91,6 +110,18 @@ def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) 
     out = aligned_empty(image.shape)
     lanes_to_images(grid, warped, out[None])
     return out
+
+
+def goes_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and columns, (H, W), of the pixels nearest to where a flow, (2, H, W), leads.
+
+    Those of the border where it leaves the image, or is not finite.
+    """
+    height, width = flow.shape[1:]
+    flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+    x = np.rint(flow[0] + np.arange(width)).clip(0, width - 1)
+    y = np.rint(flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
+    return y.astype(np.intp), x.astype(np.intp)
 
 
 def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:

@@ -39,8 +39,16 @@ class Smoothness:
     image_edges: float
 
 
-def mean_step(frame: np.ndarray) -> float:
-    """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast."""
+def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
+    """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast.
+
+    With `counted`, (H, W) bool, that of neighbours which both count; 0 if there are none.
+    """
+    if counted is not None:
+        across, down = counted[:, 1:] & counted[:, :-1], counted[1:] & counted[:-1]
+        total = float(np.abs(np.diff(frame, axis=1))[across].sum(dtype=np.float64))
+        total += float(np.abs(np.diff(frame, axis=0))[down].sum(dtype=np.float64))
+        return total / max(int(across.sum()) + int(down.sum()), 1)
     height, width = frame.shape
     count = height * (width - 1) + (height - 1) * width
     total = cv2.norm(frame[:, 1:], frame[:, :-1], cv2.NORM_L1) if width > 1 else 0.0
@@ -48,7 +56,9 @@ def mean_step(frame: np.ndarray) -> float:
     return total / max(count, 1)
 
 
-def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> LaneData:
+def image_edges_in_lanes(
+    grid: LaneGrid, frame: np.ndarray, strength: float, counted: np.ndarray | None = None
+) -> LaneData:
     """Return g = c/(1 + κ|ΔI|/m) of every edge, m the mean of |ΔI|, c such that the mean of g is 1.
 
     It depends on the contrast of an edge relative to those of the whole frame alone, and leaves
@@ -61,6 +71,8 @@ def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> 
         Grey levels.
     strength : float
         κ; 0 for g = 1.
+    counted : (H, W) bool, optional
+        The pixels that m is a mean over, by default all.
 
     Returns
     -------
@@ -68,5 +80,6 @@ def image_edges_in_lanes(grid: LaneGrid, frame: np.ndarray, strength: float) -> 
         Eastern and southern edges; 0 across the border.
     """
     out = grid.allocate(2)
-    image_edges(grid, frame, out, rate=strength / max(mean_step(frame), FAINTEST_EDGE))
+    usual = max(mean_step(frame, counted), FAINTEST_EDGE)
+    image_edges(grid, frame, out, rate=strength / usual)
     return out

@@ -1,6 +1,7 @@
 """Pairs of consecutive frames."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -20,7 +21,8 @@ class FramePair:
     the frames so far show that float frames of the source are on the 8-bit scale, though those of
     this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
     they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
-    s, or None where the source does not say.
+    s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
+    of the frames that do not count, or None where all do.
     """
 
     name0: str
@@ -31,6 +33,8 @@ class FramePair:
     stretch: bool = True
     full: tuple[int, int] | None = None
     times: tuple[float, float] | None = None
+    ignored0: np.ndarray | None = None
+    ignored1: np.ndarray | None = None
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
@@ -39,7 +43,10 @@ class FramePair:
         """Interpret the pair; errors name its frames."""
         from tisfm.pair import interpret, interpret_pair
 
-        work = interpret if self.stretch else partial(interpret_pair, stretch=False)
+        ignored = self.ignored0, self.ignored1
+        work: Callable[..., Interpretation] = interpret
+        if not self.stretch or any(part is not None for part in ignored):
+            work = partial(interpret_pair, stretch=self.stretch, ignored=ignored)
         try:
             return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
@@ -48,10 +55,16 @@ class FramePair:
 
     @property
     def digest(self) -> str:
-        """A short hash of both frames, and of the pose if there is one, to know them again by."""
+        """A short hash of both frames, to know them again by.
+
+        And of their masks and the pose, if there are such.
+        """
         both = hashlib.blake2b(digest_size=8)
         for frame in self._digests or (Digest(self.frame0), Digest(self.frame1)):
             both.update(frame.value)
+        for ignored in (self.ignored0, self.ignored1):
+            if ignored is not None:
+                both.update(Digest(ignored).value)
         if self.pose is not None:
             both.update(np.array(self.pose, np.float64).tobytes())
         return both.hexdigest()

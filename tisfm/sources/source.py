@@ -120,6 +120,16 @@ class FrameSource:
         self.skipped: list[tuple[int, str]] = []
 
     @property
+    def frame_files(self) -> tuple[Path, ...]:
+        """Files of the frames: all images of the source, or the video."""
+        return self._reader.files
+
+    @property
+    def mask_files(self) -> tuple[Path, ...]:
+        """Files of the masks."""
+        return () if self._masks is None else self._masks.files
+
+    @property
     def first_file(self) -> Path | None:
         """The image file of the first frame not skipped, where frames have files of their own."""
         if self.names is None:
@@ -158,6 +168,8 @@ class FrameSource:
                         stretch=frame.stretch,
                         full=frame.full,
                         times=times,
+                        ignored0=before.ignored,
+                        ignored1=frame.ignored,
                         _digests=(digest0, digest),
                     )
                     del before, digest0  # or the frame would be held while the next is read

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.settings import Settings
-from tisfm.solver.sampling import enlarged, reduced, sample
+from tisfm.solver.sampling import FAR, enlarged, reduced, sample
 
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
@@ -18,7 +18,6 @@ DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be see
 APART = 0.07
 MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
 RESIDUAL_WINDOW = 3  # px: residuals are means over it
-FAR = 1e7  # px/frame: outside any image
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 
@@ -93,12 +92,12 @@ def occlusion_in(
 ) -> np.ndarray:
     """Find which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
 
-    As `occlusion` does; the frames of `level` tell how well the flow meets them, where its pixels
-    are whole numbers of others.
+    As `occlusion` does, and with those that do not count in one of the frames; the frames of
+    `level` tell how well the flow meets them, where its pixels are whole numbers of others.
     """
     if pyramid.factor != 0.5:
         level = 0
-    return occlusion(
+    hidden = occlusion(
         pyramid.frames0[level],
         pyramid.frames1[level],
         flow,
@@ -107,6 +106,7 @@ def occlusion_in(
         taps1=pyramid.taps1(level),
         leaves=leaves,
     )
+    return hidden if pyramid.counted is None else hidden | pyramid.counted.missing(flow)
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:

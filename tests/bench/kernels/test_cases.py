@@ -26,12 +26,10 @@ def test_every_kernel_has_its_traffic():
 
 
 # Not timed: no reference improves or carries displacements of all pixels at once, those of fusion
-# and rendering go point by point. Not timed yet: the data of several frames.
+# and rendering go point by point.
 AS_A_WHOLE = {
     "rigid.flow_search",
     "rigid.rendering",
-    "rigid.several_frames",
-    "rigid.view_search",
     "fusion.agreement",
     "fusion.colors",
     "fusion.distance_field",

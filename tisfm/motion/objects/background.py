@@ -42,7 +42,7 @@ def with_carried_background(
         None if little of the frame is bare, if the background shows too little parallax between
         near and far, or if too little of it could be matched.
     """
-    if bare_share(pyramid.frames0[pyramid.last]) < BARE:
+    if bare_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)) < BARE:
         return None
     background = labels == 0
     low, high = np.percentile(solution.inverse_depth[background], COMMON)

@@ -60,7 +60,11 @@ def far_apart(
     places = np.stack([columns, rows], axis=-1)
     gone = leaves_image(np.moveaxis(cv2.perspectiveTransform(places, turn) - places, -1, 0))
     unseen = cv2.dilate(gone.astype(np.uint8), np.ones((BEYOND, BEYOND), np.uint8)) > 0
-    found = first_motion(pyramid_of(grey0, turned, camera, settings), settings, unseen=unseen)
+    found = first_motion(
+        pyramid_of(grey0, turned, camera, settings, _turned_counted(pyramid, turn)),
+        settings,
+        unseen=unseen,
+    )
     if found.status in ("unrelated", "no_texture", "aperture"):
         return matched
     flow = cv2.perspectiveTransform(places + found.flow, turn) - places
@@ -82,6 +86,23 @@ def far_apart(
         history=matched.history + found.history,
         matched=True,
     )
+
+
+def _turned_counted(
+    pyramid: ImagePyramid, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pixels of frame 0 and of the turned frame 1 that count; None for all."""
+    if pyramid.counted is None:
+        return None
+    counted0, counted1 = pyramid.counted.whole
+    turned = cv2.warpPerspective(
+        counted1.astype(np.float32),
+        turn,
+        counted0.shape[::-1],
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return counted0, turned == 1
 
 
 def _homography(rotation: np.ndarray, camera: Camera, height: int, width: int) -> np.ndarray:

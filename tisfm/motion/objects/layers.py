@@ -92,8 +92,11 @@ class Layering:
         self._potts = Potts(grey0)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.smallest = smallest_object(grey0.size)
-        bare = bare_share(pyramid.frames0[pyramid.last]) >= BARE
-        self._weight = texture_weight(grey0) if bare else np.ones_like(grey0)
+        frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
+        bare = bare_share(frame, counted) >= BARE
+        self._weight = np.ones_like(grey0)
+        if bare:
+            self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
         self._bare = bare
 
     def fitted(
@@ -129,7 +132,9 @@ class Layering:
             background = surface
             flows.reverse()
             stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
-            usual = float(np.median(np.take_along_axis(stacked, labels[None], axis=0)))
+            own = np.take_along_axis(stacked, labels[None], axis=0)[0]
+            counted = self._pyramid.counted0(0)
+            usual = float(np.median(own if counted is None else own[counted]))
             unit = COST_UNIT * max(usual, self._quiet**2)
             costs = np.minimum(stacked / unit, TRUNCATED)
             # Where a layer leaves the image, the others have to decide.

@@ -1,0 +1,111 @@
+"""Pixels that count in both frames of a pair, at every level of the pyramid, and what fills others.
+
+Those that are ignored contribute no data. Frames are filled there from around, so that neither
+smoothing nor the stencils of their neighbours meet the edges of what covers the scene.
+"""
+
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from tisfm.solver.sampling import goes_to
+
+RIM = 3  # px: the side of the square, by pixels of a level, in which all have to count
+MOST_IGNORED = 0.5  # of a pixel of a level
+
+
+class Counted:
+    """Where the pixels of a pair count.
+
+    Parameters
+    ----------
+    counted0, counted1 : (H, W) bool
+        Of each frame.
+    shapes : list of (int, int)
+        Height and width of every level, the finest first, px.
+
+    Attributes
+    ----------
+    whole : tuple of two (H, W) bool
+        As given.
+    """
+
+    def __init__(
+        self, counted0: np.ndarray, counted1: np.ndarray, shapes: list[tuple[int, int]]
+    ) -> None:
+        self.whole = counted0, counted1
+        self._shapes = shapes
+
+    @cached_property
+    def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The pixels of both frames, (h, w) bool, whose stencils see what counts alone."""
+        first, second = (
+            [_on_level(counted, shape) for shape in self._shapes] for counted in self.whole
+        )
+        return list(zip(first, second, strict=True))
+
+    def missing(self, flow: np.ndarray, level: int | None = None) -> np.ndarray:
+        """Return which pixels do not count, or go to where none does in frame 1.
+
+        Parameters
+        ----------
+        flow : (2, h, w) float32
+            px/frame of the level.
+        level : int, optional
+            By default the finest, where pixels count as they were given.
+
+        Returns
+        -------
+        (h, w) bool
+        """
+        counted0, counted1 = self.whole if level is None else self.levels[level]
+        return ~(counted0 & counted1[goes_to(flow)])
+
+    def reversed(self) -> "Counted":
+        """Return the same of the frames the other way round."""
+        return Counted(*self.whole[::-1], self._shapes)
+
+
+def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:
+    """Return an image whose ignored pixels are means of those around, ever wider ones further in.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    ignored : (H, W) bool
+
+    Returns
+    -------
+    (H, W) float32
+        0 where all are ignored.
+    """
+    if ignored.all():
+        return np.zeros_like(image)
+    weight = (~ignored).astype(np.float32)
+    seen = image[~ignored]
+    # Rounding would leave a texture where there is none.
+    return _filled(image, weight).clip(seen.min(), seen.max())
+
+
+def _filled(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return an image with means of its surroundings where pixels have no weight."""
+    if weight.all():
+        return image
+    height, width = image.shape
+    size = (-(-width // 2), -(-height // 2))
+    coarse, total = (
+        cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image * weight, weight)
+    )
+    np.divide(coarse, total, out=coarse, where=total > 0)
+    coarse = _filled(coarse, (total > 0).astype(np.float32))
+    around = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.where(weight > 0, image, around)
+
+
+def _on_level(counted: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the pixels of a level that count, and so do those around them."""
+    size = shape[::-1]
+    share = cv2.resize(counted.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    within = (share > 1 - MOST_IGNORED).astype(np.uint8)
+    return cv2.erode(within, np.ones((RIM, RIM), np.uint8)) > 0
