@@ -141,9 +141,11 @@ def _spread(points: np.ndarray, response: np.ndarray, *, side: float, most: int)
 
 def _nearest(alike: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each row, the most alike column, and whether the next is clearly less alike."""
-    rows = np.arange(len(alike))
-    best = alike.argmax(axis=1)
-    next_two = np.partition(alike, -2, axis=1)[:, -2:]
+    others = np.array(alike, order="C")
+    rows = np.arange(len(others))
+    best = others.argmax(axis=1)
     # Of vectors of length 1, the squared distance is 2 − 2 cos.
-    nearest, following = 1 - alike[rows, best], 1 - next_two[:, 0]
+    nearest = 1 - others[rows, best]
+    others[rows, best] = -np.inf
+    following = 1 - others.max(axis=1)
     return best, nearest < RATIO**2 * following

@@ -14,6 +14,9 @@ INLIER = 6.0  # px: of a view that is added
 SMALLEST = 3  # views of a model
 OUTLYING = 0.5  # px: residuals beyond count less and less in adjustments of all
 GROWN = 1.5  # times as many views, or points, as when all of them were adjusted the last time
+# Of adjustments of all, while a model grows and at its end: steps at most, and the relative change
+# of the sum of squares that is none.
+GROWING, ENDING = (10, 1e-4), (50, 1e-5)
 # Of first pairs: triangulation angles in degrees, the first that finds one counts; the parallax
 # from where on more is no better, rad; and how many are tried.
 ANGLES, ENOUGH_PARALLAX, TRIED = (4.0, 1.0), 0.03, 24
@@ -105,12 +108,11 @@ def _needed(motion: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
 
 
 def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> None:
-    everything = _adjustment(options)
     local = options.get_local_bundle_adjustment()
 
-    def adjust_all(refinements: int) -> tuple[int, int]:
+    def adjust_all(refinements: int, limits: tuple[int, float] = GROWING) -> tuple[int, int]:
         mapper.iterative_global_refinement(
-            refinements, 1e-3, options.mapper, everything, options.triangulation
+            refinements, 1e-3, options.mapper, _adjustment(options, *limits), options.triangulation
         )
         return reconstruction.num_reg_images(), reconstruction.num_points3D()
 
@@ -130,7 +132,8 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
         now = reconstruction.num_reg_images(), reconstruction.num_points3D()
         if now[0] >= GROWN * views or now[1] >= GROWN * points:
             views, points = adjust_all(1)
-    adjust_all(2)
+    adjust_all(1)
+    adjust_all(1, ENDING)
 
 
 def _promising(pairs: Pairs) -> Pairs:
@@ -163,8 +166,8 @@ def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     )
     weights = np.ones(len(before))
     for _ in range(ROUNDS):
-        normal = np.einsum("knp,n,knq->pq", equations, weights**2, equations)
-        moved = before @ np.linalg.eigh(normal)[1][:, 0].reshape(3, 3).T
+        weighted = (equations * weights[:, None]).reshape(-1, 9)
+        moved = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
         moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
         left = np.linalg.norm(np.cross(after, moved), axis=1)
         weights = 1 / np.sqrt(left + NEAREST)
@@ -189,7 +192,7 @@ def _options() -> Any:
     return options
 
 
-def _adjustment(options: Any) -> Any:
+def _adjustment(options: Any, steps: int, tolerance: float) -> Any:
     """Return what all views and points are adjusted by, robustly."""
     adjustment = options.get_global_bundle_adjustment()
     adjustment.print_summary = False
@@ -197,5 +200,5 @@ def _adjustment(options: Any) -> Any:
     adjustment.ceres.loss_function_scale = OUTLYING
     solver = adjustment.ceres.solver_options
     solver.num_threads = 1
-    solver.function_tolerance = 1e-5
+    solver.max_num_iterations, solver.function_tolerance = steps, tolerance
     return adjustment

@@ -4,7 +4,7 @@ One thread and fixed seeds: the same input gives the same bits.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown
+from tisfm.reconstruction.lasting import lasting
+from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -85,15 +87,22 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
-    pairs = _pairs(views, matches)
+    few = [
+        replace(view, seen=seen)
+        for view, seen in zip(
+            views, lasting([view.seen for view in views], max(shape)), strict=True
+        )
+    ]
+    pairs = _pairs(few, matches)
     database = pycolmap().Database.open(":memory:")
     try:
-        _write_views(database, views, _camera(camera, shape))
+        _write_views(database, few, _camera(camera, shape))
         _write_pairs(database, pairs)
-        reconstructions = grown(database, _directions(views, pairs, camera, shape), len(views))
+        reconstructions = grown(database, _directions(few, pairs, camera, shape), len(few))
     finally:
         database.close()
-    return [_model(reconstruction, views) for reconstruction in reconstructions]
+    models = [_model(reconstruction, few) for reconstruction in reconstructions]
+    return [_with_others(model, views, camera, shape) for model in models]
 
 
 def pose_from_points(
@@ -220,6 +229,15 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
     return Model(poses=dict(sorted(poses.items())), points=points)
+
+
+def _with_others(
+    model: Model, views: Sequence[View], camera: Camera, shape: tuple[int, int]
+) -> Model:
+    """Add the points of the tracks that poses were not adjusted for."""
+    seen = [view.seen for view in views if view.frame in model.poses]
+    poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
+    return replace(model, points=triangulated(seen, poses, camera, shape) | model.points)
 
 
 def _matrix(cam_from_world: Any) -> np.ndarray:

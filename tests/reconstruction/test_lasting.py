@@ -1,0 +1,62 @@
+"""Tracks that a path is built from."""
+
+import numpy as np
+
+from tisfm.reconstruction.lasting import CELLS, lasting
+from tisfm.reconstruction.tracks import Seen
+
+SIDE = 400  # px: of the frames
+CELL = SIDE / CELLS
+
+
+def views(seed=0, count=5):
+    """Return what views see of tracks of chance."""
+    random = np.random.default_rng(seed)
+    seen = []
+    for _ in range(count):
+        tracks = np.sort(random.choice(400, 250, replace=False))
+        seen.append(Seen(points=random.uniform(0, SIDE, (250, 2)), tracks=tracks))
+    return seen
+
+
+def expected(seen):
+    """Return the tracks of the same choice, cell by cell."""
+    lives = {track: sum(track in one.tracks for one in seen) for track in range(400)}
+    kept = set()
+    for one in seen:
+        best = {}
+        for point, track in zip(one.points, one.tracks.tolist(), strict=True):
+            rank = (-lives[track], track)
+            cell = tuple((point // CELL).astype(int))
+            best[cell] = min(best.get(cell, rank), rank)
+        kept |= {track for _, track in best.values()}
+    return kept
+
+
+def test_every_cell_gives_the_track_that_most_views_see():
+    seen = views()
+    kept = expected(seen)
+    few = lasting(seen, SIDE)
+    assert len(few) == len(seen)
+    for one, before in zip(few, seen, strict=True):
+        inside = np.array([track in kept for track in before.tracks.tolist()])
+        np.testing.assert_array_equal(one.tracks, before.tracks[inside])
+        np.testing.assert_array_equal(one.points, before.points[inside])
+    assert sum(len(one.tracks) for one in few) < 0.9 * sum(len(one.tracks) for one in seen)
+
+
+def test_views_without_tracks_stay():
+    nothing = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    few = lasting([nothing, *views(count=2), nothing], SIDE)
+    assert [len(one.tracks) for one in (few[0], few[-1])] == [0, 0]
+    assert len(few[1].tracks) > 0
+    assert lasting([], SIDE) == []
+
+
+def test_one_track_of_a_cell_is_enough():
+    points = np.array([[3.0, 3.0], [5.0, 4.0], [3.0 + CELL, 3.0]])
+    seen = [
+        Seen(points=points, tracks=np.array([0, 1, 2])),
+        Seen(points=points[1:], tracks=np.array([1, 2])),
+    ]
+    assert [one.tracks.tolist() for one in lasting(seen, SIDE)] == [[1, 2], [1, 2]]
