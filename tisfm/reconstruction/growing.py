@@ -39,9 +39,7 @@ def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
     count : int
         Of views.
     """
-    settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = FEWEST
-    cache = pycolmap().DatabaseCache.create(database, settings)
+    cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options()
     left = set(range(1, count + 1)) & set(cache.images)
@@ -54,6 +52,40 @@ def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
         left -= set(reconstruction.reg_image_ids())
         found.append(reconstruction)
     return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
+
+
+def grown_from(database: Any, known: Mapping[int, np.ndarray]) -> Any:
+    """Return pycolmap's reconstruction of views, grown from those whose poses are known.
+
+    These stay where they are.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+    known : mapping of int to (3, 4) array
+        World to camera, of two views at least, whose numbers begin with 1.
+    """
+    cache = _cache(database)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options()
+    options.mapper.fix_existing_frames = True
+    reconstruction = pycolmap().Reconstruction()
+    reconstruction.load(cache)
+    for number, pose in known.items():
+        reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
+        reconstruction.register_frame(number)
+    mapper.begin_reconstruction(reconstruction)
+    for number in known:
+        mapper.triangulate_image(options.triangulation, number)
+    _grow(mapper, reconstruction, options, set(cache.images) - set(known))
+    mapper.end_reconstruction(False)
+    return reconstruction
+
+
+def _cache(database: Any) -> Any:
+    settings = pycolmap().DatabaseCacheOptions()
+    settings.min_num_matches = FEWEST
+    return pycolmap().DatabaseCache.create(database, settings)
 
 
 def _one(mapper: Any, cache: Any, options: Any, promising: Pairs, left: set[int]) -> Any | None:
@@ -110,7 +142,12 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
 
     def adjust_all(refinements: int) -> tuple[int, int]:
         mapper.iterative_global_refinement(
-            refinements, 1e-3, options.mapper, everything, options.triangulation
+            refinements,
+            1e-3,
+            options.mapper,
+            everything,
+            options.triangulation,
+            normalize_reconstruction=not options.mapper.fix_existing_frames,
         )
         return reconstruction.num_reg_images(), reconstruction.num_points3D()
 

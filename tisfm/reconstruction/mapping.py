@@ -3,7 +3,8 @@
 One thread and fixed seeds: the same input gives the same bits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.colmap import pycolmap
-from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown
+from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -86,14 +87,57 @@ def models_of(
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
     pairs = _pairs(views, matches)
+    with _database(views, pairs, camera, shape) as database:
+        reconstructions = grown(database, _directions(views, pairs, camera, shape), len(views))
+    return [_model(reconstruction, views) for reconstruction in reconstructions]
+
+
+def continued(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    known: Mapping[int, np.ndarray],
+) -> Model:
+    """Find poses of further views, and points, where those of some views are known and stay.
+
+    Parameters
+    ----------
+    views, matches, camera, shape
+        As for `models_of`.
+    known : mapping of int to (4, 4) array
+        Camera to world, by frame, of two views at least.
+
+    Returns
+    -------
+    Model
+        In the axes and the unit of the known poses; these are in it as they are.
+    """
+    matrices = {
+        number: np.linalg.inv(known[view.frame])[:3]
+        for number, view in enumerate(views, start=1)
+        if view.frame in known
+    }
+    with _database(views, _pairs(views, matches), camera, shape) as database:
+        model = _model(grown_from(database, matrices), views)
+    poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
+    return Model(poses=poses, points=model.points)
+
+
+@contextmanager
+def _database(
+    views: Sequence[View],
+    pairs: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+) -> Iterator[Any]:
     database = pycolmap().Database.open(":memory:")
     try:
         _write_views(database, views, _camera(camera, shape))
         _write_pairs(database, pairs)
-        reconstructions = grown(database, _directions(views, pairs, camera, shape), len(views))
+        yield database
     finally:
         database.close()
-    return [_model(reconstruction, views) for reconstruction in reconstructions]
 
 
 def pose_from_points(

@@ -21,6 +21,10 @@ from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.version import __version__
 
+NO_PARALLAX = Status(
+    "little_parallax", "no frame near by shows enough parallax to see depth by; its pose is known"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Read:
@@ -82,13 +86,10 @@ class Run:
                 poses[frame], piece[frame] = np.linalg.solve(world, pose), number
                 poses[frame, :3, 3] /= unit
                 if frame not in found:
-                    status[frame] = Status(
-                        "little_parallax",
-                        "no frame near by shows enough parallax to see depth by; its pose is known",
-                    )
+                    status[frame] = NO_PARALLAX
             if number > 0:
                 first = min(part.poses)
-                status[first] = Status(str(status[first]), _new_piece(status[first]))
+                status[first] = begins_piece(status[first])
         result = Reconstruction(
             poses=poses,
             piece=piece,
@@ -195,10 +196,11 @@ class Run:
         return found, unit
 
 
-def _new_piece(status: Status) -> str:
+def begins_piece(status: Status) -> Status:
+    """Return the status of a frame that begins another piece than the first."""
     told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
     told += "its own"
-    return f"{status.message}; {told}" if status.message else told
+    return Status(str(status), f"{status.message}; {told}" if status.message else told)
 
 
 def _count(source: FrameSource) -> int | None:
