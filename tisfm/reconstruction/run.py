@@ -13,7 +13,7 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.progress import Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
@@ -135,7 +135,10 @@ class Run:
                     seen.append(tracker.go_on(grey, ignored))
                 names.append(frame.name)
                 times.append(frame.time)
-                self._progress("reading", len(names), total)
+                try:
+                    self._progress("reading", len(names), total)
+                except Enough:
+                    break
         if len(names) < 2 or finder is None:
             raise ValueError(
                 f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
