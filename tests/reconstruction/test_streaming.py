@@ -200,7 +200,7 @@ def test_what_was_read_before_an_error_is_given_out(disk):
     film = swing()
 
     def broken():
-        yield from film.frames[:11]
+        yield from film.frames[:20]
         raise OSError("the plug was pulled")
 
     found = []
@@ -209,8 +209,8 @@ def test_what_was_read_before_an_error_is_given_out(disk):
             broken(), camera=film.camera, settings=FAST, delay=DELAY
         ):
             found.append(frame)
-    assert [frame.index for frame in found] == list(range(11))
-    assert path_error(poses_of(found), film.poses[:11]) < 0.02
+    assert [frame.index for frame in found] == list(range(20))
+    assert path_error(poses_of(found), film.poses[:20]) < 0.02
     assert list(disk.iterdir()) == []
 
 
@@ -284,18 +284,38 @@ def test_poses_are_adjusted_to_the_images_in_balanced():
     assert path_error(found["balanced"], film.poses[:24]) < 0.01
 
 
-def test_masked_pixels_and_frames_are_chosen():
+def test_masked_pixels_count_for_nothing_and_frames_are_chosen():
     film = swing()
     kept = np.ones(film.frames[0].shape, bool)
     kept[:, :40] = False
     images = film.frames.copy()
     images[:, :, :40] = np.random.default_rng(1).integers(0, 255, (120, 40))  # it does not move
+    source = FrameSource(images, mask=kept, step=2, stop=24)
+    running = Stream(source, film.camera, FAST, 8)
+    found = list(running.frames())
+    assert [frame.index for frame in found] == list(range(0, 24, 2))
+    assert path_error(poses_of(found), film.poses[:24:2]) < 0.04
+    tracks = [seen.points for seen in running._path.seen]
+    assert len(tracks) == 12 and min(points[:, 0].min() for points in tracks) > 39
+
+
+def test_options_of_the_source_are_handed_on():
+    film = swing()
     frames = tisfm.reconstruct_stream(
-        images, camera=film.camera, settings=FAST, mask=kept, step=2, stop=24, delay=8
+        film.frames,
+        camera=film.camera,
+        settings=FAST,
+        mask=np.ones(film.frames[0].shape, bool),
+        start=4,
+        step=3,
+        stop=11,
+        size=80,
+        crop=(8, 0, 120, 120),
     )
     found = list(frames)
-    assert [frame.index for frame in found] == list(range(0, 24, 2))
-    assert path_error(poses_of(found), film.poses[:24:2]) < 0.02
+    assert [frame.index for frame in found] == [4, 7, 10]
+    assert found[0].picture.shape == (80, 80)
+    assert found[0].camera.focal == pytest.approx(film.camera.focal * 80 / 120)
 
 
 @pytest.mark.parametrize(
