@@ -12,7 +12,8 @@ from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.streaming import StreamedFrame, reconstruct_stream
+from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.reconstruction.streaming import reconstruct_stream
 from tisfm.sequence import interpret_sequence
 from tisfm.settings import Settings
 from tisfm.version import __version__

@@ -88,7 +88,7 @@ def models_of(
     """
     pairs = _pairs(views, matches)
     with _database(views, pairs, camera, shape) as database:
-        reconstructions = grown(database, _directions(views, pairs, camera, shape), len(views))
+        reconstructions = grown(database, _Directions(views, pairs, camera, shape), len(views))
     return [_model(reconstruction, views) for reconstruction in reconstructions]
 
 
@@ -210,7 +210,7 @@ def _pairs(
             begun = len(views[first].seen.points), len(views[second].seen.points)
             both = np.vstack([both, matches[first, second] + begun])
         if len(both) >= FEWEST:
-            pairs[first, second] = both
+            pairs[first, second] = both.astype(np.int32)
     return pairs
 
 
@@ -219,27 +219,39 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
         pair = pycolmap().TwoViewGeometry()
         pair.config = CALIBRATED
         pair.inlier_matches = both.astype(np.uint32)
-        database.write_matches(first + 1, second + 1, both.astype(np.uint32))
         database.write_two_view_geometry(first + 1, second + 1, pair)
 
 
-def _directions(
-    views: Sequence[View],
-    pairs: Mapping[tuple[int, int], np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
-) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
-    """Return, for pairs of numbers of views, unit directions to the same points."""
-    center = np.array(camera.center_for(*shape))
-    rays = []
-    for view in views:
-        x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
-        ray = np.column_stack([x, np.ones(len(x))])
-        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    return {
-        (first + 1, second + 1): (rays[first][both[:, 0]], rays[second][both[:, 1]])
-        for (first, second), both in pairs.items()
-    }
+class _Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
+    """Unit directions to the same points, for pairs of numbers of views; made when asked for.
+
+    Together they would be many times as large as the views.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        pairs: Mapping[tuple[int, int], np.ndarray],
+        camera: Camera,
+        shape: tuple[int, int],
+    ) -> None:
+        self._pairs, self._rays = pairs, list[np.ndarray]()
+        center = np.array(camera.center_for(*shape))
+        for view in views:
+            x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
+            ray = np.column_stack([x, np.ones(len(x))])
+            self._rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+
+    def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        first, second = numbers[0] - 1, numbers[1] - 1
+        both = self._pairs[first, second]
+        return self._rays[first][both[:, 0]], self._rays[second][both[:, 1]]
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return ((first + 1, second + 1) for first, second in self._pairs)
+
+    def __len__(self) -> int:
+        return len(self._pairs)
 
 
 def _shared(first: Seen, second: Seen) -> np.ndarray:

@@ -20,7 +20,7 @@ from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.run import NO_PARALLAX, begins_piece
 from tisfm.reconstruction.sliding_path import SlidingPath, Stretch
 from tisfm.reconstruction.sparse_points import depths_of
-from tisfm.reconstruction.streaming import StreamedFrame
+from tisfm.reconstruction.streamed_frame import StreamedFrame
 from tisfm.reconstruction.window_depth import WindowDepth
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
@@ -162,7 +162,7 @@ class Stream:
 
     def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
         """Return what finds the depth of the frames of a piece after one of them."""
-        return PieceDepths(
+        depths = PieceDepths(
             self._frames,
             self._remembered(piece),
             self._path.seen,
@@ -171,6 +171,9 @@ class Stream:
             before=self._keys.get(number),
             after=after,
         )
+        # The first keyframe, which the unit is of, is to be one that is given out, if any is.
+        depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
+        return depths
 
     def _remembered(self, piece: Piece) -> Piece:
         """Return the piece of those frames alone that are still there."""
