@@ -12,6 +12,8 @@ from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.reconstruction.streaming import reconstruct_stream
 from tisfm.sequence import interpret_sequence
 from tisfm.settings import Settings
 from tisfm.version import __version__
@@ -21,10 +23,12 @@ __all__ = [
     "Interpretation",
     "Reconstruction",
     "Settings",
+    "StreamedFrame",
     "__version__",
     "interpret",
     "interpret_sequence",
     "reconstruct",
+    "reconstruct_stream",
 ]
 
 _SUBMODULES = (

@@ -1,6 +1,7 @@
 """`tisfm reconstruct`: the folder it writes, and what it tells."""
 
 import re
+import signal
 
 import cv2
 import numpy as np
@@ -52,6 +53,42 @@ def test_a_mesh_is_written(tisfm_run, film, place):
     pytest.importorskip("skimage")
     assert tisfm_run("reconstruct", "film", *options(film, "--mesh", "glb"))[0] == 0
     assert (place / "out" / "mesh.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_a_camera_is_read_until_it_is_interrupted(tisfm_run, film, place, monkeypatch):
+    class Webcam:
+        """Plays the film, and presses Ctrl-C as it shows the eighth frame."""
+
+        def __init__(self, number):
+            self.shown = 0
+
+        def isOpened(self):
+            return True
+
+        def get(self, property):
+            return 1e6
+
+        def grab(self):
+            return True
+
+        def retrieve(self):
+            image = cv2.cvtColor(film.frames[self.shown], cv2.COLOR_GRAY2BGR)
+            self.shown += 1
+            if self.shown == 8:
+                signal.raise_signal(signal.SIGINT)
+            return True, image
+
+        def release(self):
+            pass
+
+    monkeypatch.setattr(cv2, "VideoCapture", Webcam)
+    before = signal.getsignal(signal.SIGINT)
+    code, _, err = tisfm_run("reconstruct", "webcam:0", *options(film))
+    assert code == 0 and "Ctrl-C" in err
+    found = tisfm.Reconstruction.load("out")
+    assert found.names == tuple(f"webcam_{k:06d}" for k in range(8))
+    assert (found.piece == 0).all()
+    assert signal.getsignal(signal.SIGINT) == before
 
 
 def test_an_earlier_reconstruction_is_replaced(tisfm_run, film, place):

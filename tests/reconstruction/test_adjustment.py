@@ -50,6 +50,25 @@ def test_shaken_poses_come_nearer_to_the_truth():
     np.testing.assert_array_equal(found[0], start[0])
 
 
+def test_frames_that_are_held_stay_and_draw_others_to_them():
+    film = walk()
+    start = shaken(film.poses, 0.003)
+    held = {k: film.poses[k] for k in (0, 1, 2, 3)}
+    images = [frame.astype(np.float32) for frame in film.frames]
+    found = adjusted(
+        {**start, **held}, stars_of(film, (0, 4, 8), noise=0.02), images.__getitem__, film.camera,
+        SETTINGS, held=held, rounds=5,
+    )  # fmt: skip
+    for frame, pose in held.items():
+        np.testing.assert_array_equal(found[frame], pose)
+    free = range(4, len(images))
+    away = [
+        np.mean([np.linalg.norm((one[k] - film.poses[k])[:3, 3]) for k in free])
+        for one in (found, start)
+    ]
+    assert away[0] < away[1] / 2
+
+
 def test_the_true_path_stays():
     film = walk()
     start = dict(enumerate(film.poses))

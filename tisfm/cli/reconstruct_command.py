@@ -1,8 +1,12 @@
 """What `tisfm reconstruct` does."""
 
+import signal
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -11,11 +15,12 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
-from tisfm.reconstruction.progress import Stage
+from tisfm.reconstruction.progress import Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import Source
+from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import read_trajectory, write_kitti, write_tum
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
@@ -46,10 +51,15 @@ def reconstruct(
     if poses is not None and output.resolve() in poses.resolve().parents:
         raise ValueError(f"{poses} lies in {output}, which is written to: give another folder")
     runtime.start(arch, threads=threads)
-    with progress_bar() as bar:
+    endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
+    if endless:
+        tell("Ctrl-C ends the recording; a second one ends the command.")
+    with progress_bar() as bar, interrupted(endless) as is_interrupted:
         task = bar.add_task("", total=None)
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:
+            if stage == "reading" and is_interrupted():
+                raise Enough
             bar.update(task, description=_STAGES[stage], completed=done, total=total)
 
         result = tisfm.reconstruct(
@@ -72,6 +82,26 @@ def reconstruct(
         result.mesh().save(output / f"mesh.{mesh}")
     _tell(result, output)
     return 0
+
+
+@contextmanager
+def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
+    """Give what tells whether Ctrl-C was pressed; the first one interrupts nothing if `watched`."""
+    told = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal told
+        told = True
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.getsignal(signal.SIGINT)
+    if watched:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: told
+    finally:
+        if watched:
+            signal.signal(signal.SIGINT, before)
 
 
 def write_trajectories(result: Reconstruction, folder: Path) -> None:

@@ -5,7 +5,7 @@ and says by the motion tensors of all frames of the star how these have to move:
 frame, its depth eliminated. Frames are in several stars, which carries one scale through them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -120,6 +120,7 @@ def adjusted(
     camera: Camera,
     settings: Settings,
     *,
+    held: Collection[int] = (),
     rounds: int = ROUNDS,
 ) -> dict[int, np.ndarray]:
     """Return poses that meet the images better; depth of the stars is moved with them, in place.
@@ -134,6 +135,8 @@ def adjusted(
     camera : Camera
         A pinhole, of the frames.
     settings : Settings
+    held : collection of int
+        Frames whose poses stay as they are; by default the first.
     rounds : int
         Of Gauss–Newton.
     """
@@ -144,7 +147,8 @@ def adjusted(
     for number in range(rounds):
         systems = [_system(star, found, seen, move_depth=number > 0) for star in stars]
         moved = {frame: _twist_between(found[frame], pose) for frame, pose in poses.items()}
-        for frame, step in _solved(systems, sorted(found), moved).items():
+        steps = _solved(systems, sorted(found), moved, held or (min(found),))
+        for frame, step in steps.items():
             turn, shift = rigid_motion(step)
             back = np.eye(4)
             back[:3, :3], back[:3, 3] = turn.T, -turn.T @ shift
@@ -285,9 +289,12 @@ def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _solved(
-    systems: Sequence[_System], frames: Sequence[int], moved: Mapping[int, np.ndarray]
+    systems: Sequence[_System],
+    frames: Sequence[int],
+    moved: Mapping[int, np.ndarray],
+    held: Collection[int],
 ) -> dict[int, np.ndarray]:
-    """Return the step of every frame, that of the first of all being 0.
+    """Return the step of every frame, that of those which are held being 0.
 
     Stars say little of how far frames are from others far away: there, what frames had `moved`
     from holds them.
@@ -304,12 +311,12 @@ def _solved(
             matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
             vector[there] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
-        held = np.where(diagonal > 0, PRIOR * diagonal, 1.0)
-        matrix += np.diag(held)
-        vector += held * np.concatenate([moved[frame] for frame in lot])
-        free = slice(6, None) if begin == 0 else slice(0, None)
+        prior = np.where(diagonal > 0, PRIOR * diagonal, 1.0)
+        matrix += np.diag(prior)
+        vector += prior * np.concatenate([moved[frame] for frame in lot])
+        free = _six([number[frame] for frame in lot if frame not in held])
         step = np.zeros(6 * len(lot))
-        step[free] = -np.linalg.solve(matrix[free, free], vector[free])
+        step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
         steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in number.items()})
     return steps
 

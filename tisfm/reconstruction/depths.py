@@ -1,5 +1,6 @@
 """Depth of the frames of a piece: keyframes from windows, the others rendered from theirs."""
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -52,11 +53,17 @@ class PieceDepths:
         Tracks of every frame.
     settings : Settings
     effort : {"fast", "balanced", "accurate"}
+    before : (int, WindowDepth), optional
+        A keyframe that is known already, and its depth: those of later frames are found.
+    after : int, optional
+        Frames between keyframes are left out up to this one.
 
     Attributes
     ----------
     keyframes : list of int
         Chosen beforehand; those without depth are taken out as they turn up.
+    known : dict of int to WindowDepth
+        Of the keyframe in use, and the one before.
     """
 
     def __init__(
@@ -66,28 +73,32 @@ class PieceDepths:
         seen: Sequence[Seen],
         settings: Settings,
         effort: Effort,
+        *,
+        before: tuple[int, WindowDepth] | None = None,
+        after: int = -1,
     ) -> None:
         self._frames, self._piece, self._seen = frames, piece, seen
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
-        self._known: dict[int, WindowDepth] = {}  # of the keyframes in use
-        self.keyframes = chosen_keyframes(piece, seen, max(frames.shape))
+        self._previous, self._after = None if before is None else before[0], after
+        self.known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        self.keyframes = chosen_keyframes(piece, seen, max(frames.shape), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:
         """Yield the depth of every frame that has any: keyframes as soon as they are known."""
-        previous: int | None = None
+        previous = self._previous
         for key in list(self.keyframes):
             found = self._keyframe(key, previous, self._effort)
             if found is None:
                 self.keyframes.remove(key)
                 continue
-            self._known[key] = found
+            self.known[key] = found
             yield FrameDepth(
                 frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation
             )
             after = min(self._piece.poses) - 1 if previous is None else previous
             yield from self._between(after, key)
-            self._known = {k: v for k, v in self._known.items() if k == key}
+            self.known = {k: v for k, v in self.known.items() if k == key}
             previous = key
         if previous is not None:
             yield from self._between(previous, max(self._piece.poses) + 1)
@@ -117,7 +128,7 @@ class PieceDepths:
 
     def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
         for frame in sorted(self._piece.poses):
-            if after < frame < before:
+            if max(after, self._after) < frame < before:
                 inverse_depth, deviation = self._rendered(frame)
                 if np.isfinite(inverse_depth).any():
                     yield FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
@@ -160,7 +171,7 @@ class PieceDepths:
 
     def _shown(self, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none."""
-        known, poses = self._known[key], self._piece.poses
+        known, poses = self.known[key], self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
         out, deviation = (np.empty(self._frames.shape, np.float32) for _ in range(2))
         rendered(
@@ -177,18 +188,23 @@ class PieceDepths:
 
     def _rendered(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
-        views = [self._shown(key, frame) for key in self._known]
+        views = [self._shown(key, frame) for key in self.known]
         inverse_depth, deviation = views[0]
         for other, its_deviation in views[1:]:
             inverse_depth, deviation = _merged(inverse_depth, deviation, other, its_deviation)
         return _filled(inverse_depth, deviation)
 
 
-def chosen_keyframes(piece: Piece, seen: Sequence[Seen], side: int) -> list[int]:
-    """Return the frames of a piece that are far enough from one another, in order."""
+def chosen_keyframes(
+    piece: Piece, seen: Sequence[Seen], side: int, previous: int | None = None
+) -> list[int]:
+    """Return the frames of a piece that are far enough from one another, in order.
+
+    Where there is a keyframe before, `previous`, they are far enough from it as well.
+    """
     frames = sorted(piece.poses)
-    keys = frames[:1]
-    for frame in frames[1:]:
+    keys = frames[:1] if previous is None else [previous]
+    for frame in frames[bisect_right(frames, keys[0]) :]:
         before, now = seen[keys[-1]], seen[frame]
         index0, index1 = before.shared(now)
         if len(index0) < max(1, KEPT * len(before.tracks)):
@@ -197,7 +213,7 @@ def chosen_keyframes(piece: Piece, seen: Sequence[Seen], side: int) -> list[int]
         moved = np.hypot(*(now.points[index1] - before.points[index0]).T)
         if np.median(moved) > MOVED * side:
             keys.append(frame)
-    return keys
+    return keys if previous is None else keys[1:]
 
 
 def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray | None:

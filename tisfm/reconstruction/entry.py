@@ -76,7 +76,7 @@ def reconstruct(
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
         settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
     """
-    settings = _checked(settings)
+    settings = checked_settings(settings)
     given = None if poses is None else _checked_poses(poses)
     frames = FrameSource(
         source,
@@ -116,7 +116,8 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
 
 
-def _checked(settings: Settings | None) -> Settings:
+def checked_settings(settings: Settings | None) -> Settings:
+    """Return settings that serve for sequences; by default the preset balanced."""
     if settings is None:
         return Settings.preset("balanced", motion="camera")
     if not isinstance(settings, Settings):

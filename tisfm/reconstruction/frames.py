@@ -74,9 +74,16 @@ class PreparedFrames:
         if ignored is not None and ignored.any():
             np.save(self._mask_path(number), ignored)
             self._masked.add(number)
-        write_picture(self._pictures / f"{number:06d}.jpg", picture)
+        write_picture(self._picture_path(number), picture)
         self.count += 1
         return whole, ignored
+
+    def forget(self, number: int) -> None:
+        """Delete a frame; numbers of the others stay."""
+        self._held.pop(number, None)
+        self._masked.discard(number)
+        for path in (self._grey_path(number), self._mask_path(number), self._picture_path(number)):
+            path.unlink(missing_ok=True)
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
@@ -100,6 +107,9 @@ class PreparedFrames:
 
     def _mask_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}_ignored.npy"
+
+    def _picture_path(self, number: int) -> Path:
+        return self._pictures / f"{number:06d}.jpg"
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:

@@ -1,7 +1,6 @@
 """Models grown view by view: a first pair, then whatever sees enough of what is known."""
 
-from collections.abc import Iterator, Mapping
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,16 +41,14 @@ def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
     count : int
         Of views.
     """
-    settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = FEWEST
-    cache = pycolmap().DatabaseCache.create(database, settings)
+    cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options()
     left = set(range(1, count + 1)) & set(cache.images)
     promising = _promising(pairs)
     found = []
     while len(left) >= SMALLEST:
-        reconstruction = _one(mapper, cache, options, promising, left)
+        reconstruction = _one(mapper, cache, options, pairs, promising, left)
         if reconstruction is None:
             break
         left -= set(reconstruction.reg_image_ids())
@@ -59,15 +56,56 @@ def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
     return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
 
 
-def _one(mapper: Any, cache: Any, options: Any, promising: Pairs, left: set[int]) -> Any | None:
+def grown_from(database: Any, known: Mapping[int, np.ndarray]) -> Any:
+    """Return pycolmap's reconstruction of views, grown from those whose poses are known.
+
+    These stay where they are.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+    known : mapping of int to (3, 4) array
+        World to camera, of two views at least, whose numbers begin with 1.
+    """
+    cache = _cache(database)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options()
+    options.mapper.fix_existing_frames = True
+    reconstruction = pycolmap().Reconstruction()
+    reconstruction.load(cache)
+    for number, pose in known.items():
+        reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
+        reconstruction.register_frame(number)
+    mapper.begin_reconstruction(reconstruction)
+    for number in known:
+        mapper.triangulate_image(options.triangulation, number)
+    _grow(mapper, reconstruction, options, set(cache.images) - set(known))
+    mapper.end_reconstruction(False)
+    return reconstruction
+
+
+def _cache(database: Any) -> Any:
+    settings = pycolmap().DatabaseCacheOptions()
+    settings.min_num_matches = FEWEST
+    return pycolmap().DatabaseCache.create(database, settings)
+
+
+def _one(
+    mapper: Any,
+    cache: Any,
+    options: Any,
+    pairs: Pairs,
+    promising: Sequence[tuple[int, int]],
+    left: set[int],
+) -> Any | None:
     """Return a reconstruction of some of the views that are left, None if there is none.
 
     A first pair may leave the motion open, and a model that is grown from it is bent: it explains
     little. Then others are grown, and the one that explains most counts.
     """
     best, most, begun = None, 0, list[int]()
-    possible = {pair: both for pair, both in promising.items() if left.issuperset(pair)}
-    for pair in _starts(mapper, options, possible):
+    possible = [pair for pair in promising if left.issuperset(pair)]
+    for pair in _starts(mapper, options, pairs, possible):
         if any(abs(number - other) < ELSEWHERE for number in pair[:2] for other in begun):
             continue
         begun += pair[:2]
@@ -86,13 +124,15 @@ def _one(mapper: Any, cache: Any, options: Any, promising: Pairs, left: set[int]
     return best
 
 
-def _starts(mapper: Any, options: Any, promising: Pairs) -> Iterator[tuple[int, int, Any]]:
+def _starts(
+    mapper: Any, options: Any, pairs: Pairs, promising: Sequence[tuple[int, int]]
+) -> Iterator[tuple[int, int, Any]]:
     """Give pairs that serve as a beginning, with the motion from the first to the second."""
     for angle in ANGLES:
         options.mapper.init_min_tri_angle = angle
-        for (first, second), directions in islice(promising.items(), TRIED):
+        for first, second in promising[:TRIED]:
             motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
-            if motion is not None and _needed(motion.matrix(), *directions):
+            if motion is not None and _needed(motion.matrix(), *pairs[first, second]):
                 yield first, second, motion
 
 
@@ -112,7 +152,12 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
 
     def adjust_all(refinements: int, limits: tuple[int, float] = GROWING) -> tuple[int, int]:
         mapper.iterative_global_refinement(
-            refinements, 1e-3, options.mapper, _adjustment(options, *limits), options.triangulation
+            refinements,
+            1e-3,
+            options.mapper,
+            _adjustment(options, *limits),
+            options.triangulation,
+            normalize_reconstruction=not options.mapper.fix_existing_frames,
         )
         return reconstruction.num_reg_images(), reconstruction.num_points3D()
 
@@ -136,7 +181,7 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
     adjust_all(1, ENDING)
 
 
-def _promising(pairs: Pairs) -> Pairs:
+def _promising(pairs: Pairs) -> list[tuple[int, int]]:
     """Return pairs of views to begin with, the best first.
 
     They share many points that neither a turn of the camera nor a plane explains: either leaves
@@ -150,7 +195,7 @@ def _promising(pairs: Pairs) -> Pairs:
                 worth[pair] = len(before) * min(
                     float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
                 )
-    return {pair: pairs[pair] for pair in sorted(worth, key=lambda one: (-worth[one], one))}
+    return sorted(worth, key=lambda one: (-worth[one], one))
 
 
 def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 One thread and fixed seeds: the same input gives the same bits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.colmap import pycolmap
-from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown
+from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen
@@ -87,22 +88,67 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
-    few = [
-        replace(view, seen=seen)
-        for view, seen in zip(
-            views, lasting([view.seen for view in views], max(shape)), strict=True
-        )
-    ]
+    few = _lasting(views, shape)
     pairs = _pairs(few, matches)
-    database = pycolmap().Database.open(":memory:")
-    try:
-        _write_views(database, few, _camera(camera, shape))
-        _write_pairs(database, pairs)
-        reconstructions = grown(database, _directions(few, pairs, camera, shape), len(few))
-    finally:
-        database.close()
+    with _database(few, pairs, camera, shape) as database:
+        reconstructions = grown(database, _Directions(few, pairs, camera, shape), len(few))
     models = [_model(reconstruction, few) for reconstruction in reconstructions]
     return [_with_others(model, views, camera, shape) for model in models]
+
+
+def continued(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    known: Mapping[int, np.ndarray],
+) -> Model:
+    """Find poses of further views, and points, where those of some views are known and stay.
+
+    Parameters
+    ----------
+    views, matches, camera, shape
+        As for `models_of`.
+    known : mapping of int to (4, 4) array
+        Camera to world, by frame, of two views at least.
+
+    Returns
+    -------
+    Model
+        In the axes and the unit of the known poses; these are in it as they are.
+    """
+    matrices = {
+        number: np.linalg.inv(known[view.frame])[:3]
+        for number, view in enumerate(views, start=1)
+        if view.frame in known
+    }
+    few = _lasting(views, shape)
+    with _database(few, _pairs(few, matches), camera, shape) as database:
+        model = _model(grown_from(database, matrices), few)
+    poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
+    return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
+
+
+def _lasting(views: Sequence[View], shape: tuple[int, int]) -> list[View]:
+    """Return the views with those of their tracks that last."""
+    kept = lasting([view.seen for view in views], max(shape))
+    return [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
+
+
+@contextmanager
+def _database(
+    views: Sequence[View],
+    pairs: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+) -> Iterator[Any]:
+    database = pycolmap().Database.open(":memory:")
+    try:
+        _write_views(database, views, _camera(camera, shape))
+        _write_pairs(database, pairs)
+        yield database
+    finally:
+        database.close()
 
 
 def pose_from_points(
@@ -175,7 +221,7 @@ def _pairs(
             begun = len(views[first].seen.points), len(views[second].seen.points)
             both = np.vstack([both, matches[first, second] + begun])
         if len(both) >= FEWEST:
-            pairs[first, second] = both
+            pairs[first, second] = both.astype(np.int32)
     return pairs
 
 
@@ -184,27 +230,39 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
         pair = pycolmap().TwoViewGeometry()
         pair.config = CALIBRATED
         pair.inlier_matches = both.astype(np.uint32)
-        database.write_matches(first + 1, second + 1, both.astype(np.uint32))
         database.write_two_view_geometry(first + 1, second + 1, pair)
 
 
-def _directions(
-    views: Sequence[View],
-    pairs: Mapping[tuple[int, int], np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
-) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
-    """Return, for pairs of numbers of views, unit directions to the same points."""
-    center = np.array(camera.center_for(*shape))
-    rays = []
-    for view in views:
-        x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
-        ray = np.column_stack([x, np.ones(len(x))])
-        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    return {
-        (first + 1, second + 1): (rays[first][both[:, 0]], rays[second][both[:, 1]])
-        for (first, second), both in pairs.items()
-    }
+class _Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
+    """Unit directions to the same points, for pairs of numbers of views; made when asked for.
+
+    Together they would be many times as large as the views.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        pairs: Mapping[tuple[int, int], np.ndarray],
+        camera: Camera,
+        shape: tuple[int, int],
+    ) -> None:
+        self._pairs, self._rays = pairs, list[np.ndarray]()
+        center = np.array(camera.center_for(*shape))
+        for view in views:
+            x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
+            ray = np.column_stack([x, np.ones(len(x))])
+            self._rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+
+    def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        first, second = numbers[0] - 1, numbers[1] - 1
+        both = self._pairs[first, second]
+        return self._rays[first][both[:, 0]], self._rays[second][both[:, 1]]
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return ((first + 1, second + 1) for first, second in self._pairs)
+
+    def __len__(self) -> int:
+        return len(self._pairs)
 
 
 def _shared(first: Seen, second: Seen) -> np.ndarray:

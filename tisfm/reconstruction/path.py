@@ -1,6 +1,6 @@
 """The camera's path through a sequence."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,54 +100,72 @@ class PathFinder:
                 "frame before, but what others show; sort them, or give a video"
             )
         models = models_of(views.chosen, views.matches, self._camera, grey.shape)
-        pieces, unplaced = self._with_others(
-            [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models]
+        pieces, unplaced = with_others(
+            [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
+            dict(enumerate(self._seen)),
+            self._camera,
+            self._shape,
         )
-        lost = {frame: self._why(frame, pieces) for frame in unplaced}
+        lost = {frame: why_lost(self._seen[frame], pieces, len(views.chosen)) for frame in unplaced}
         ordered = sorted(pieces, key=lambda piece: min(piece.poses))
         return CameraPath(pieces=tuple(ordered), lost=lost, seen=tuple(self._seen))
 
-    def _with_others(self, pieces: list[Piece]) -> tuple[list[Piece], list[int]]:
-        """Add the frames between views to the pieces; return those that are in none as well."""
-        placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
-        added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
-        unplaced = []
-        for frame, seen in enumerate(self._seen):
-            if frame in placed:
-                continue
-            for k in _nearest(frame, placed):
-                pose = pose_from_points(seen, pieces[k].points, self._camera, self._shape)
-                if pose is not None:
-                    added[k][frame] = pose
-                    break
-            else:
-                unplaced.append(frame)
-        return [
-            replace(piece, poses=dict(sorted(poses.items())))
-            for piece, poses in zip(pieces, added, strict=True)
-        ], unplaced
 
-    def _why(self, frame: int, pieces: list[Piece]) -> Status:
-        """Return the status of a frame without a pose."""
-        count = len(self._seen[frame].tracks)
-        if count < FEWEST:
-            return Status(
-                "no_texture",
-                f"it shows {count} points that could be followed: it is dark, bare or blurred",
-            )
-        if not pieces and len(self._views.chosen) <= 2:
-            return Status("no_motion", "frames hardly differ: the camera has to change its place")
-        if not pieces:
-            return Status(
-                "little_parallax",
-                "no two frames show enough parallax to begin with, as where the camera only turns: "
-                "it has to change its place, before something that has texture",
-            )
+def with_others(
+    pieces: Sequence[Piece], seen: Mapping[int, Seen], camera: Camera, shape: tuple[int, int]
+) -> tuple[list[Piece], list[int]]:
+    """Add the frames between views to pieces; return those that are in none as well.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    seen : mapping of int to Seen
+        Tracks, by frame.
+    camera : Camera
+        A pinhole, of the frames.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
+    added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
+    unplaced = []
+    for frame, tracks in seen.items():
+        if frame in placed:
+            continue
+        for k in _nearest(frame, placed):
+            pose = pose_from_points(tracks, pieces[k].points, camera, shape)
+            if pose is not None:
+                added[k][frame] = pose
+                break
+        else:
+            unplaced.append(frame)
+    return [
+        replace(piece, poses=dict(sorted(poses.items())))
+        for piece, poses in zip(pieces, added, strict=True)
+    ], unplaced
+
+
+def why_lost(seen: Seen, pieces: Sequence[Piece], views: int) -> Status:
+    """Return the status of a frame without a pose, where there are so many views."""
+    count = len(seen.tracks)
+    if count < FEWEST:
         return Status(
-            "unrelated",
-            f"its {count} tracks lead to too few points that are known: it shows what other "
-            "frames do not, or from where points show no parallax; take frames closer in time",
+            "no_texture",
+            f"it shows {count} points that could be followed: it is dark, bare or blurred",
         )
+    if not pieces and views <= 2:
+        return Status("no_motion", "frames hardly differ: the camera has to change its place")
+    if not pieces:
+        return Status(
+            "little_parallax",
+            "no two frames show enough parallax to begin with, as where the camera only turns: "
+            "it has to change its place, before something that has texture",
+        )
+    return Status(
+        "unrelated",
+        f"its {count} tracks lead to too few points that are known: it shows what other "
+        "frames do not, or from where points show no parallax; take frames closer in time",
+    )
 
 
 def _nearest(frame: int, placed: Mapping[int, int]) -> list[int]:

@@ -13,13 +13,17 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.progress import Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.version import __version__
+
+NO_PARALLAX = Status(
+    "little_parallax", "no frame near by shows enough parallax to see depth by; its pose is known"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,13 +86,10 @@ class Run:
                 poses[frame], piece[frame] = np.linalg.solve(world, pose), number
                 poses[frame, :3, 3] /= unit
                 if frame not in found:
-                    status[frame] = Status(
-                        "little_parallax",
-                        "no frame near by shows enough parallax to see depth by; its pose is known",
-                    )
+                    status[frame] = NO_PARALLAX
             if number > 0:
                 first = min(part.poses)
-                status[first] = Status(str(status[first]), _new_piece(status[first]))
+                status[first] = begins_piece(status[first])
         result = Reconstruction(
             poses=poses,
             piece=piece,
@@ -134,7 +135,10 @@ class Run:
                     seen.append(tracker.go_on(grey, ignored))
                 names.append(frame.name)
                 times.append(frame.time)
-                self._progress("reading", len(names), total)
+                try:
+                    self._progress("reading", len(names), total)
+                except Enough:
+                    break
         if len(names) < 2 or finder is None:
             raise ValueError(
                 f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
@@ -195,10 +199,11 @@ class Run:
         return found, unit
 
 
-def _new_piece(status: Status) -> str:
+def begins_piece(status: Status) -> Status:
+    """Return the status of a frame that begins another piece than the first."""
     told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
     told += "its own"
-    return f"{status.message}; {told}" if status.message else told
+    return Status(str(status), f"{status.message}; {told}" if status.message else told)
 
 
 def _count(source: FrameSource) -> int | None:

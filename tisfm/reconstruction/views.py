@@ -76,6 +76,16 @@ class Views:
             if pair not in self._compared:
                 self._match(*pair, shape, fewest=FEWEST_OF_LOOP, share=SHARE_OF_LOOP)
 
+    def forget(self, count: int) -> None:
+        """Forget the first views."""
+        del self.chosen[:count], self._looks[:count]
+        self.matches = {
+            (earlier - count, later - count): both
+            for (earlier, later), both in self.matches.items()
+            if earlier >= count
+        }
+        self._compared = {(i - count, k - count) for i, k in self._compared if i >= count}
+
     def out_of_order(self) -> bool:
         """Return whether most views show nothing of the view before, but what others show."""
         count = len(self.chosen)

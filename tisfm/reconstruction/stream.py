@@ -1,0 +1,274 @@
+"""A stream of frames: read, given poses and depth, given out, forgotten."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.focal_guess import guess_camera
+from tisfm.outcome import Status
+from tisfm.reconstruction.adjustment import adjusted
+from tisfm.reconstruction.depths import REACH, FrameDepth, PieceDepths, effort_of, unit_of
+from tisfm.reconstruction.folder import CACHE, PICTURES, read_picture
+from tisfm.reconstruction.frames import PreparedFrames
+from tisfm.reconstruction.path import Piece
+from tisfm.reconstruction.run import NO_PARALLAX, begins_piece
+from tisfm.reconstruction.sliding_path import SlidingPath, Stretch
+from tisfm.reconstruction.sparse_points import depths_of
+from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.reconstruction.window_depth import WindowDepth
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource, SourceFrame
+
+AHEAD = 3  # one in so many frames of the delay is looked at before, but not yet given out
+
+
+class Stream:
+    """Frames in, frames with poses and depth out.
+
+    Parameters
+    ----------
+    source : FrameSource
+    camera : Camera or None
+        Of the frames as they come; None for a guess.
+    settings : Settings
+    delay : int
+        Frames that are read, at most, before the one before them is given out.
+    """
+
+    def __init__(
+        self, source: FrameSource, camera: Camera | None, settings: Settings, delay: int
+    ) -> None:
+        self._source, self._camera, self._settings = source, camera, settings
+        self._delay, self._effort = delay, effort_of(settings)
+        self._folder = Path()
+        self._frames: PreparedFrames
+        self._path: SlidingPath
+        self._about: dict[int, tuple[int, str, float | None]] = {}  # index, name and time
+        self._keys: dict[int, tuple[int, WindowDepth]] = {}  # the last of each piece
+        self._begun: set[int] = set()  # pieces
+        self._told = 0
+
+    def frames(self) -> Iterator[StreamedFrame]:
+        """Yield every frame, in order; an error of the source after the frames before it."""
+        fault: Exception | None = None
+        count = 0
+        with (
+            TemporaryDirectory(prefix="tisfm-") as folder,
+            closing(self._source.frames()) as incoming,
+        ):
+            self._folder = Path(folder)
+            while fault is None:
+                try:
+                    frame = next(incoming, None)
+                except Exception as error:
+                    fault = error
+                    break
+                self._warn_of_skipped()
+                if frame is None:
+                    break
+                self._add(frame, count)
+                del frame  # or it would be held while others are worked on
+                count += 1
+                if len(self._about) > self._delay:
+                    yield from self._given(count - 1 - self._delay // AHEAD)
+            if self._about and (count > 1 or fault is not None):
+                yield from self._given(count - 1, at_end=True)
+        if fault is not None:
+            raise fault
+        if count < 2:
+            raise ValueError(
+                f"{self._source.title} has {count} frame{'s' * (count != 1)} that can be read: "
+                "expected at least 2"
+            )
+
+    def _add(self, frame: SourceFrame, number: int) -> None:
+        if number == 0:
+            camera = self._camera or guess_camera(
+                self._source.first_file or frame.full or frame.image.shape
+            )
+            camera = self._source.camera_after(camera, frame.full)
+            for name in (CACHE, PICTURES):
+                (self._folder / name).mkdir()
+            self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
+            self._path = SlidingPath(self._frames.camera)
+        self._path.add(*self._frames.add(frame))
+        self._about[number] = frame.index, frame.name, frame.time
+
+    def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
+        """Yield the frames up to one, and forget what later ones do not need."""
+        path, first = self._path, self._path.settled + 1
+        stretch = path.found(at_end=at_end)
+        pieces = {
+            number: self._final(number, piece, stretch, first)
+            for number, piece in stretch.pieces.items()
+            if any(first <= frame <= last for frame in piece.poses)
+        }
+        path.settle(last, pieces)
+        placed = {frame: number for number, piece in pieces.items() for frame in piece.poses}
+        depths = {
+            number: _InOrder(self._depths(number, piece, first - 1))
+            for number, piece in pieces.items()
+        }
+        for frame in range(first, last + 1):
+            number = placed.get(frame, -1)
+            if number < 0:
+                yield self._frame(frame, None, -1, stretch.lost[frame], None, False)
+                continue
+            depth, key = depths[number].of(frame), depths[number].key
+            if key is not None:
+                self._keys[number] = key
+            status = Status("converged") if depth is not None else NO_PARALLAX
+            if number not in self._begun and number > 0:
+                status = begins_piece(status)
+            self._begun.add(number)
+            keyframe = key is not None and key[0] == frame
+            yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
+        self._forget()
+
+    def _final(self, number: int, piece: Piece, stretch: Stretch, first: int) -> Piece:
+        """Return a piece with its final poses, in its own axes and unit."""
+        piece = self._adjusted(number, piece, stretch)
+        if number in self._begun:
+            return piece
+        begin = min(frame for frame in piece.poses if frame >= first)
+        depth = next(iter(self._depths(number, piece, first - 1)), None)
+        if depth is not None:
+            unit = unit_of(depth.inverse_depth)
+        else:
+            seen = self._path.seen[begin]
+            unit = float(np.median([*depths_of(seen, piece.points, piece.poses[begin])[1], 1.0]))
+        return _moved(piece, piece.poses[begin], unit)
+
+    def _adjusted(self, number: int, piece: Piece, stretch: Stretch) -> Piece:
+        """Return the piece with its new poses adjusted to the images, but for the fast preset."""
+        if self._effort == "fast":
+            return piece
+        here = self._remembered(piece)
+        if number in self._keys:
+            since = self._keys[number][0]
+            here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
+        stars = self._depths(number, here, -1).stars()
+        held = {frame: stretch.held[frame] for frame in here.poses if frame in stretch.held}
+        poses = adjusted(
+            here.poses, stars, self._frames.grey, self._frames.camera, self._settings, held=held
+        )
+        return replace(piece, poses={**piece.poses, **poses, **held})
+
+    def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
+        """Return what finds the depth of the frames of a piece after one of them."""
+        depths = PieceDepths(
+            self._frames,
+            self._remembered(piece),
+            self._path.seen,
+            self._settings,
+            self._effort,
+            before=self._keys.get(number),
+            after=after,
+        )
+        # The first keyframe, which the unit is of, is to be one that is given out, if any is.
+        depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
+        return depths
+
+    def _remembered(self, piece: Piece) -> Piece:
+        """Return the piece of those frames alone that are still there."""
+        there = set(self._path.seen.frames())
+        return replace(
+            piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in there}
+        )
+
+    def _frame(
+        self,
+        frame: int,
+        pose: np.ndarray | None,
+        piece: int,
+        status: Status,
+        depth: FrameDepth | None,
+        keyframe: bool,
+    ) -> StreamedFrame:
+        index, name, time = self._about.pop(frame)
+        shape = self._frames.shape
+        return StreamedFrame(
+            index=index,
+            name=name,
+            time=time,
+            pose=np.full((4, 4), np.nan) if pose is None else pose.copy(),
+            piece=piece,
+            status=status,
+            keyframe=keyframe,
+            inverse_depth=np.full(shape, np.nan, np.float32)
+            if depth is None
+            else depth.inverse_depth,
+            inverse_depth_std=np.full(shape, np.inf, np.float32)
+            if depth is None
+            else depth.deviation,
+            picture=read_picture(self._folder, frame),
+            camera=self._frames.camera,
+        )
+
+    def _forget(self) -> None:
+        """Forget what the path and depth of later frames do not need."""
+        kept = {key for key, _ in self._keys.values()}
+        for frame in self._path.forget(self._path.settled + 1 - REACH, kept=kept):
+            self._frames.forget(frame)
+        alive = self._path.pieces
+        self._keys = {number: key for number, key in self._keys.items() if number in alive}
+
+    def _warn_of_skipped(self) -> None:
+        for _, reason in self._source.skipped[self._told :]:
+            warnings.warn(f"{reason}; the frame is skipped", stacklevel=4)
+        self._told = len(self._source.skipped)
+
+
+class _InOrder:
+    """Depth of the frames of a piece in their order; a keyframe's is known before it is its turn.
+
+    Attributes
+    ----------
+    key : (int, WindowDepth) or None
+        The last keyframe so far, and its depth.
+    """
+
+    def __init__(self, depths: PieceDepths) -> None:
+        self.key: tuple[int, WindowDepth] | None = None
+        self._depths, self._found = depths, self._sorted(depths)
+        self._next: FrameDepth | None = next(self._found, None)
+
+    def of(self, frame: int) -> FrameDepth | None:
+        """Return the depth of a frame, None if it has none; frames are asked for in order."""
+        while self._next is not None and self._next.frame < frame:
+            self._next = next(self._found, None)
+        return self._next if self._next is not None and self._next.frame == frame else None
+
+    def _sorted(self, depths: PieceDepths) -> Iterator[FrameDepth]:
+        waiting: tuple[FrameDepth, WindowDepth] | None = None
+        for depth in depths:
+            if waiting is not None and depth.frame > waiting[0].frame:
+                self.key = waiting[0].frame, waiting[1]
+                yield waiting[0]
+                waiting = None
+            if depth.frame in depths.known:
+                waiting = depth, depths.known[depth.frame]
+            else:
+                yield depth
+        if waiting is not None:
+            self.key = waiting[0].frame, waiting[1]
+            yield waiting[0]
+
+
+def _moved(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
+    """Return the piece in the axes of a camera, (4, 4) camera to world, and another unit."""
+    poses = {}
+    for frame, pose in piece.poses.items():
+        poses[frame] = np.linalg.solve(origin, pose)
+        poses[frame][:3, 3] /= unit
+    points = {
+        track: (point - origin[:3, 3]) @ origin[:3, :3] / unit
+        for track, point in piece.points.items()
+    }
+    return Piece(poses=poses, views=piece.views, points=points)

@@ -1,0 +1,93 @@
+"""`tisfm.reconstruct_stream`: sequences without end, frame by frame."""
+
+from collections.abc import Iterator
+
+from tisfm.camera import Camera, check_camera
+from tisfm.reconstruction.entry import checked_settings
+from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.masks import Mask
+from tisfm.sources.reading import is_whole
+
+DELAY = 60  # frames
+SHORTEST = 6  # frames: of a delay
+
+
+def reconstruct_stream(
+    source: Source,
+    *,
+    camera: Camera | None = None,
+    settings: Settings | None = None,
+    mask: Mask | None = None,
+    delay: int = DELAY,
+    step: int = 1,
+    start: int = 0,
+    stop: int | None = None,
+    size: int | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    bad_frames: BadFrames = "raise",
+) -> Iterator[StreamedFrame]:
+    """Reconstruct a sequence as it comes, which need not end.
+
+    Frames are given out in order, each once; what was said of a frame stays. Memory and disk hold
+    the last frames only. The path is that of `tisfm.reconstruct` while it looks at the first
+    frames; later ones continue it in the same axes and scale. A place that is seen again much
+    later is not recognised: errors grow along the path.
+
+    Parameters
+    ----------
+    source, camera, settings, mask, step, start, stop, size, crop
+        As for `tisfm.reconstruct`; or ``"webcam"``, ``"webcam:1"``, … for a camera, whose frames
+        are dropped while others are worked on.
+    delay : int
+        A frame is given out before more than so many later frames are read, 6 at least. The more,
+        the better: a path needs views from places that are apart.
+    bad_frames : {"raise", "skip"}
+        What becomes of frames that are damaged: an error, or they are left out, with a warning
+        each.
+
+    Returns
+    -------
+    iterator of StreamedFrame
+        Close it, or use it up, to delete its temporary folder.
+
+    Warns
+    -----
+    UserWarning
+        Of every frame that is skipped.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, TypeError, ValueError
+        At once if the source does not exist, is known to have fewer than two frames, or if
+        settings ask for another motion; while iterating if it ends after one frame, or if a frame
+        cannot be read: after the frames before it.
+    """
+    settings = checked_settings(settings)
+    camera = None if camera is None else check_camera(camera)
+    if not is_whole(delay):
+        raise TypeError(f"delay is {delay!r}: expected a whole number of frames")
+    if delay < SHORTEST:
+        raise ValueError(f"delay is {delay}: expected {SHORTEST} frames at least")
+    frames = FrameSource(
+        source,
+        step=step,
+        start=start,
+        stop=stop,
+        size=size,
+        crop=crop,
+        mask=mask,
+        bad_frames=bad_frames,
+    )
+    return _streamed(frames, camera, settings, int(delay))
+
+
+def _streamed(
+    frames: FrameSource, camera: Camera | None, settings: Settings, delay: int
+) -> Iterator[StreamedFrame]:
+    from tisfm import runtime
+    from tisfm.reconstruction.stream import Stream
+
+    runtime.start()
+    yield from Stream(frames, camera, settings, delay).frames()
