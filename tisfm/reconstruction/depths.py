@@ -1,7 +1,7 @@
 """Depth of the frames of a piece: keyframes from windows, the others rendered from theirs."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,6 +23,10 @@ REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
 GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
 DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
+# Of the relative deviation of a keyframe: times how far the keyframes before and after are from it
+# around a pixel, in a window of so much of the longer side; no difference counts for more than so
+# much; and as many pixels' worth, of a window, as the median of the frame counts for.
+APART, NEARBY, MOST_APART, USUAL = 1.75, 0.1, 0.5, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,11 +74,13 @@ class PieceDepths:
         self._frames, self._piece, self._seen = frames, piece, seen
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
-        self._known: dict[int, WindowDepth] = {}  # of the keyframes in use
+        # Of the keyframes in use: as their windows have it, and as it is written.
+        self._known: dict[int, WindowDepth] = {}
+        self._settled: dict[int, WindowDepth] = {}
         self.keyframes = chosen_keyframes(piece, seen, max(frames.shape))
 
     def __iter__(self) -> Iterator[FrameDepth]:
-        """Yield the depth of every frame that has any: keyframes as soon as they are known."""
+        """Yield the depth of every frame that has any: keyframes once the next one is known."""
         previous: int | None = None
         for key in list(self.keyframes):
             found = self._keyframe(key, previous, self._effort)
@@ -82,15 +88,32 @@ class PieceDepths:
                 self.keyframes.remove(key)
                 continue
             self._known[key] = found
-            yield FrameDepth(
-                frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation
-            )
-            after = min(self._piece.poses) - 1 if previous is None else previous
-            yield from self._between(after, key)
-            self._known = {k: v for k, v in self._known.items() if k == key}
+            if previous is not None:
+                yield from self._up_to(previous)
+                self._known = {k: v for k, v in self._known.items() if k >= previous}
             previous = key
         if previous is not None:
+            yield from self._up_to(previous)
             yield from self._between(previous, max(self._piece.poses) + 1)
+
+    def _up_to(self, key: int) -> Iterator[FrameDepth]:
+        """Yield a keyframe, whose neighbours are known, and the frames between the last and it."""
+        after = max(self._settled, default=min(self._piece.poses) - 1)
+        found = self._settled[key] = self._compared(key)
+        yield FrameDepth(frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation)
+        yield from self._between(after, key)
+        self._settled = {key: found}
+
+    def _compared(self, key: int) -> WindowDepth:
+        """Return the depth of a keyframe, as unsure as those before and after it differ from it.
+
+        They say the same but for errors of poses and of matches, which a window knows nothing of.
+        """
+        found = self._known[key]
+        others = [self._shown(self._known[k], k, key)[0] for k in self._known if k != key]
+        apart = np.float32(APART) * _apart(found.inverse_depth, others)
+        deviation = np.hypot(found.deviation, apart * found.inverse_depth)
+        return replace(found, deviation=deviation)
 
     def stars(self) -> list[Star]:
         """Return the keyframes with a rough depth, each with the frames up to the next ones."""
@@ -131,7 +154,7 @@ class PieceDepths:
         places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
         rough = _spread(places, depths, self._frames.shape)
         if rough is None and previous is not None:
-            rough = self._shown(previous, key)[0]
+            rough = self._shown(self._known[previous], previous, key)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
         near = [f for f in poses if abs(f - key) <= REACH]
@@ -158,9 +181,9 @@ class PieceDepths:
             masks=[self._frames.counted(f) for f in chosen],
         )
 
-    def _shown(self, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def _shown(self, known: WindowDepth, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none."""
-        known, poses = self._known[key], self._piece.poses
+        poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
         out, deviation = (np.empty(self._frames.shape, np.float32) for _ in range(2))
         rendered(
@@ -177,7 +200,7 @@ class PieceDepths:
 
     def _rendered(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
-        views = [self._shown(key, frame) for key in self._known]
+        views = [self._shown(known, key, frame) for key, known in self._settled.items()]
         inverse_depth, deviation = views[0]
         for other, its_deviation in views[1:]:
             inverse_depth, deviation = _merged(inverse_depth, deviation, other, its_deviation)
@@ -220,6 +243,27 @@ def _from_nearest(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     table = np.zeros((len(values), nearest.max() + 1), np.float32)
     table[:, nearest[known]] = values[:, known]
     return table[:, nearest]
+
+
+def _apart(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+    """Return how far others, NaN where they show nothing, are from it around every pixel.
+
+    A share of the inverse depth, (H, W) float32; 0 where there are no others.
+    """
+    total, count = np.zeros((2, *inverse_depth.shape), np.float32)
+    for other in others:
+        shown = np.isfinite(other)
+        share = np.abs(np.where(shown, other, inverse_depth) - inverse_depth) / inverse_depth
+        total += np.minimum(share, np.float32(MOST_APART))
+        count += shown
+    seen = count > 0
+    if not seen.any():
+        return total
+    usual = np.float32(USUAL) * np.median(total[seen] / count[seen])
+    side = 2 * round(NEARBY * max(inverse_depth.shape) / 2) + 1
+    around = cv2.blur(np.dstack([total, count]), (side, side))
+    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(USUAL))
+    return apart
 
 
 def _merged(
