@@ -8,6 +8,7 @@ import numpy as np
 
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.adjustment import Star, star_of
+from tisfm.reconstruction.compared_depth import apart_from, filled, merged
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.path import Piece
@@ -21,12 +22,8 @@ from tisfm.settings import Settings
 MOVED, KEPT = 0.1, 0.5
 REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
-GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
-DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
-# Of the relative deviation of a keyframe: times how far the keyframes before and after are from it
-# around a pixel, in a window of so much of the longer side; no difference counts for more than so
-# much; and as many pixels' worth, of a window, as the median of the frame counts for.
-APART, NEARBY, MOST_APART, USUAL = 1.75, 0.1, 0.5, 0.02
+# Of the relative deviation of a keyframe: times how far those before and after are from it.
+APART = 1.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +108,7 @@ class PieceDepths:
         """
         found = self._known[key]
         others = [self._shown(self._known[k], k, key)[0] for k in self._known if k != key]
-        apart = np.float32(APART) * _apart(found.inverse_depth, others)
+        apart = np.float32(APART) * apart_from(found.inverse_depth, others)
         deviation = np.hypot(found.deviation, apart * found.inverse_depth)
         return replace(found, deviation=deviation)
 
@@ -203,8 +200,8 @@ class PieceDepths:
         views = [self._shown(known, key, frame) for key, known in self._settled.items()]
         inverse_depth, deviation = views[0]
         for other, its_deviation in views[1:]:
-            inverse_depth, deviation = _merged(inverse_depth, deviation, other, its_deviation)
-        return _filled(inverse_depth, deviation)
+            inverse_depth, deviation = merged(inverse_depth, deviation, other, its_deviation)
+        return filled(inverse_depth, deviation, self._frames.grey(frame))
 
 
 def chosen_keyframes(piece: Piece, seen: Sequence[Seen], side: int) -> list[int]:
@@ -230,71 +227,14 @@ def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> n
     if len(depths) == 0:
         return None
     x, y = np.rint(places).astype(np.intp).T
-    values, known = np.zeros((1, *shape), np.float32), np.zeros(shape, bool)
-    values[0, y, x], known[y, x] = 1 / depths, True
-    return _from_nearest(values, known)[0]
-
-
-def _from_nearest(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values, (k, H, W) float32, each pixel with those of the nearest that is known."""
+    values, unknown = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
+    values[y, x], unknown[y, x] = 1 / depths, 0
     _, nearest = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        unknown, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros((len(values), nearest.max() + 1), np.float32)
-    table[:, nearest[known]] = values[:, known]
-    return table[:, nearest]
-
-
-def _apart(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
-    """Return how far others, NaN where they show nothing, are from it around every pixel.
-
-    A share of the inverse depth, (H, W) float32; 0 where there are no others.
-    """
-    total, count = np.zeros((2, *inverse_depth.shape), np.float32)
-    for other in others:
-        shown = np.isfinite(other)
-        share = np.abs(np.where(shown, other, inverse_depth) - inverse_depth) / inverse_depth
-        total += np.minimum(share, np.float32(MOST_APART))
-        count += shown
-    seen = count > 0
-    if not seen.any():
-        return total
-    usual = np.float32(USUAL) * np.median(total[seen] / count[seen])
-    side = 2 * round(NEARBY * max(inverse_depth.shape) / 2) + 1
-    around = cv2.blur(np.dstack([total, count]), (side, side))
-    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(USUAL))
-    return apart
-
-
-def _merged(
-    first: np.ndarray, deviation0: np.ndarray, second: np.ndarray, deviation1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what two views say of the same pixels: the mean where they agree, else the surer."""
-    both = np.isfinite(first) & np.isfinite(second)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        alike = both & (np.abs(first - second) < DISAGREE * np.maximum(first, second))
-        weight0, weight1 = 1 / deviation0**2, 1 / deviation1**2
-        mean = (weight0 * first + weight1 * second) / (weight0 + weight1)
-        surer = deviation0 / first <= deviation1 / second
-    inverse_depth = np.where(np.isfinite(first) & (~both | surer), first, second)
-    deviation = np.where(np.isfinite(first) & (~both | surer), deviation0, deviation1)
-    # Both come from overlapping sets of images: their mean is not surer than the surer of them.
-    return np.where(alike, mean, inverse_depth), np.where(
-        alike, np.minimum(deviation0, deviation1), deviation
-    )
-
-
-def _filled(inverse_depth: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fill what no keyframe shows from around it, and say how unsure that is."""
-    known = np.isfinite(inverse_depth)
-    if known.all() or not known.any():
-        return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
-    value, spread = _from_nearest(np.stack([inverse_depth, deviation]), known)
-    unsure = np.maximum(spread, GUESSED * value)
-    return (
-        np.where(known, inverse_depth, value).astype(np.float32),
-        np.where(known, deviation, unsure).astype(np.float32),
-    )
+    table = np.zeros(nearest.max() + 1, np.float32)
+    table[nearest[y, x]] = values[y, x]
+    return table[nearest]
 
 
 def unit_of(inverse_depth: np.ndarray) -> float:
