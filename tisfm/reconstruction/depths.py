@@ -2,13 +2,14 @@
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.adjustment import Star, star_of
+from tisfm.reconstruction.compared_depth import apart_from, filled, merged
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.path import Piece
@@ -22,8 +23,8 @@ from tisfm.settings import Settings
 MOVED, KEPT = 0.1, 0.5
 REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
-GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
-DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
+# Of the relative deviation of a keyframe: times how far those before and after are from it.
+APART = 1.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +63,8 @@ class PieceDepths:
     ----------
     keyframes : list of int
         Chosen beforehand; those without depth are taken out as they turn up.
-    known : dict of int to WindowDepth
-        Of the keyframe in use, and the one before.
+    settled : dict of int to WindowDepth
+        Of the keyframe that came last, and the one before, as they are written.
     """
 
     def __init__(
@@ -81,27 +82,48 @@ class PieceDepths:
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
         self._previous, self._after = None if before is None else before[0], after
-        self.known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        # Of the keyframes in use: as their windows have it, and as it is written.
+        self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        self.settled = dict(self._known)
         self.keyframes = chosen_keyframes(piece, seen, max(frames.shape), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:
-        """Yield the depth of every frame that has any: keyframes as soon as they are known."""
+        """Yield the depth of every frame that has any: keyframes once the next one is known."""
         previous = self._previous
         for key in list(self.keyframes):
             found = self._keyframe(key, previous, self._effort)
             if found is None:
                 self.keyframes.remove(key)
                 continue
-            self.known[key] = found
-            yield FrameDepth(
-                frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation
-            )
-            after = min(self._piece.poses) - 1 if previous is None else previous
-            yield from self._between(after, key)
-            self.known = {k: v for k, v in self.known.items() if k == key}
+            self._known[key] = found
+            if previous is not None:
+                yield from self._up_to(previous)
+                self._known = {k: v for k, v in self._known.items() if k >= previous}
             previous = key
         if previous is not None:
+            yield from self._up_to(previous)
             yield from self._between(previous, max(self._piece.poses) + 1)
+
+    def _up_to(self, key: int) -> Iterator[FrameDepth]:
+        """Yield a keyframe, whose neighbours are known, and the frames between the last and it."""
+        if key in self.settled:
+            return
+        after = max(self.settled, default=min(self._piece.poses) - 1)
+        found = self.settled[key] = self._compared(key)
+        yield FrameDepth(frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation)
+        yield from self._between(after, key)
+        self.settled = {key: found}
+
+    def _compared(self, key: int) -> WindowDepth:
+        """Return the depth of a keyframe, as unsure as those before and after it differ from it.
+
+        They say the same but for errors of poses and of matches, which a window knows nothing of.
+        """
+        found = self._known[key]
+        others = [self._shown(self._known[k], k, key)[0] for k in self._known if k != key]
+        apart = np.float32(APART) * apart_from(found.inverse_depth, others)
+        deviation = np.hypot(found.deviation, apart * found.inverse_depth)
+        return replace(found, deviation=deviation)
 
     def stars(self) -> list[Star]:
         """Return the keyframes with a rough depth, each with the frames up to the next ones."""
@@ -142,7 +164,7 @@ class PieceDepths:
         places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
         rough = _spread(places, depths, self._frames.shape)
         if rough is None and previous is not None:
-            rough = self._shown(previous, key)[0]
+            rough = self._shown(self._known[previous], previous, key)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
         near = [f for f in poses if abs(f - key) <= REACH]
@@ -169,9 +191,9 @@ class PieceDepths:
             masks=[self._frames.counted(f) for f in chosen],
         )
 
-    def _shown(self, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def _shown(self, known: WindowDepth, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none."""
-        known, poses = self.known[key], self._piece.poses
+        poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
         out, deviation = (np.empty(self._frames.shape, np.float32) for _ in range(2))
         rendered(
@@ -188,11 +210,11 @@ class PieceDepths:
 
     def _rendered(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
-        views = [self._shown(key, frame) for key in self.known]
+        views = [self._shown(known, key, frame) for key, known in self.settled.items()]
         inverse_depth, deviation = views[0]
         for other, its_deviation in views[1:]:
-            inverse_depth, deviation = _merged(inverse_depth, deviation, other, its_deviation)
-        return _filled(inverse_depth, deviation)
+            inverse_depth, deviation = merged(inverse_depth, deviation, other, its_deviation)
+        return filled(inverse_depth, deviation, self._frames.grey(frame))
 
 
 def chosen_keyframes(
@@ -221,50 +243,14 @@ def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> n
     if len(depths) == 0:
         return None
     x, y = np.rint(places).astype(np.intp).T
-    values, known = np.zeros((1, *shape), np.float32), np.zeros(shape, bool)
-    values[0, y, x], known[y, x] = 1 / depths, True
-    return _from_nearest(values, known)[0]
-
-
-def _from_nearest(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values, (k, H, W) float32, each pixel with those of the nearest that is known."""
+    values, unknown = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
+    values[y, x], unknown[y, x] = 1 / depths, 0
     _, nearest = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        unknown, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros((len(values), nearest.max() + 1), np.float32)
-    table[:, nearest[known]] = values[:, known]
-    return table[:, nearest]
-
-
-def _merged(
-    first: np.ndarray, deviation0: np.ndarray, second: np.ndarray, deviation1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what two views say of the same pixels: the mean where they agree, else the surer."""
-    both = np.isfinite(first) & np.isfinite(second)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        alike = both & (np.abs(first - second) < DISAGREE * np.maximum(first, second))
-        weight0, weight1 = 1 / deviation0**2, 1 / deviation1**2
-        mean = (weight0 * first + weight1 * second) / (weight0 + weight1)
-        surer = deviation0 / first <= deviation1 / second
-    inverse_depth = np.where(np.isfinite(first) & (~both | surer), first, second)
-    deviation = np.where(np.isfinite(first) & (~both | surer), deviation0, deviation1)
-    # Both come from overlapping sets of images: their mean is not surer than the surer of them.
-    return np.where(alike, mean, inverse_depth), np.where(
-        alike, np.minimum(deviation0, deviation1), deviation
-    )
-
-
-def _filled(inverse_depth: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fill what no keyframe shows from around it, and say how unsure that is."""
-    known = np.isfinite(inverse_depth)
-    if known.all() or not known.any():
-        return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
-    value, spread = _from_nearest(np.stack([inverse_depth, deviation]), known)
-    unsure = np.maximum(spread, GUESSED * value)
-    return (
-        np.where(known, inverse_depth, value).astype(np.float32),
-        np.where(known, deviation, unsure).astype(np.float32),
-    )
+    table = np.zeros(nearest.max() + 1, np.float32)
+    table[nearest[y, x]] = values[y, x]
+    return table[nearest]
 
 
 def unit_of(inverse_depth: np.ndarray) -> float:

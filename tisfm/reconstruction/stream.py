@@ -252,8 +252,8 @@ class _InOrder:
                 self.key = waiting[0].frame, waiting[1]
                 yield waiting[0]
                 waiting = None
-            if depth.frame in depths.known:
-                waiting = depth, depths.known[depth.frame]
+            if depth.frame in depths.settled:
+                waiting = depth, depths.settled[depth.frame]
             else:
                 yield depth
         if waiting is not None:

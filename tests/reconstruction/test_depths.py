@@ -1,0 +1,102 @@
+"""Depth of the frames of a piece: how sure keyframes are that others contradict."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import walk
+from tisfm import Settings
+from tisfm.reconstruction import depths
+from tisfm.reconstruction.compared_depth import GUESSED, MOST_APART, apart_from, filled
+from tisfm.rigid import pose_matrix
+
+FAST = Settings.preset("fast", motion="camera")
+SHAPE = (60, 80)
+
+
+def flat(value=0.5):
+    return np.full(SHAPE, value, np.float32)
+
+
+def test_what_agrees_is_not_apart():
+    np.testing.assert_array_equal(apart_from(flat(), [flat(), flat()]), 0)
+
+
+@pytest.mark.parametrize("others", [[], [flat(np.nan)]])
+def test_what_is_not_compared_is_not_apart(others):
+    np.testing.assert_array_equal(apart_from(flat(), others), 0)
+
+
+def test_the_mean_of_all_that_are_compared_counts():
+    apart = apart_from(flat(), [flat(0.55), flat(0.6)])
+    np.testing.assert_allclose(apart, 0.15, rtol=1e-5)
+
+
+def test_surfaces_of_others_are_limited():
+    np.testing.assert_allclose(apart_from(flat(), [flat(5.0)]), MOST_APART, rtol=1e-6)
+
+
+def test_it_counts_where_it_is_and_else_as_usual():
+    other = flat()
+    other[:, :30] = 0.6
+    other[:, 50:] = np.nan
+    apart = apart_from(flat(), [other])
+    np.testing.assert_allclose(apart[:, :25], 0.2, rtol=0.05)
+    assert (apart[:, 35:48] < 0.02).all()
+    np.testing.assert_allclose(apart[:, 55:], 0.2, rtol=1e-5)  # the median of what is compared
+    assert apart.dtype == np.float32
+
+
+def slanted():
+    """Return the inverse depth of a plane."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return (0.5 + 0.002 * x + 0.003 * y).astype(np.float32)
+
+
+@pytest.mark.parametrize("hole", [np.s_[:, :15], np.s_[20:40, 30:50], np.s_[41:, :]])
+def test_planes_go_on_where_nothing_is_shown(hole):
+    plane = slanted()
+    shown = plane.copy()
+    shown[hole] = np.nan
+    deviation = 0.01 * shown
+    inverse_depth, spread = filled(shown, deviation, flat(100))
+    np.testing.assert_allclose(inverse_depth, plane, rtol=0.02)
+    known = np.isfinite(shown)
+    np.testing.assert_array_equal(inverse_depth[known], plane[known])
+    np.testing.assert_array_equal(spread[known], deviation[known])
+    np.testing.assert_allclose(spread[hole], GUESSED * inverse_depth[hole], rtol=1e-6)
+
+
+def test_holes_end_at_the_edges_of_the_frame():
+    depth, frame = flat(0.5), flat(50)
+    depth[:, 40:], frame[:, 40:] = 1.0, 150
+    shown = depth.copy()
+    shown[:, 30:50] = np.nan
+    inverse_depth, _ = filled(shown, 0.01 * shown, frame)
+    np.testing.assert_allclose(inverse_depth[:, 30:39], 0.5, rtol=0.05)
+    np.testing.assert_allclose(inverse_depth[:, 41:50], 1.0, rtol=0.05)
+
+
+def test_nothing_is_made_of_nothing():
+    inverse_depth, deviation = filled(flat(np.nan), flat(np.nan), flat(100))
+    assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
+
+
+def within_one(film, poses):
+    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=poses)
+    shares = []
+    for k, true in enumerate(film.depth):
+        off = np.abs(found.inverse_depth(k) - 1 / true)
+        shares.append((off <= found.inverse_depth_std(k)).mean())
+    return np.mean(shares)
+
+
+def test_errors_of_poses_are_in_the_deviation(monkeypatch):
+    film = walk()
+    random = np.random.default_rng(2)
+    twists = random.normal(0, 1, (len(film.poses), 6)) * np.repeat((0.02, 0.004), 3)
+    shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
+    share = within_one(film, shaken)
+    assert 0.6 < share < 0.85
+    monkeypatch.setattr(depths, "APART", 0.0)
+    assert within_one(film, shaken) < 0.8 * share

@@ -1,0 +1,101 @@
+"""What several keyframes say of one view: how far they are apart, what they say together, the rest.
+
+Inverse depth is (H, W) float32, NaN where a keyframe shows nothing.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from tisfm.reconstruction.window_depth import FURTHEST, FURTHEST_SHARE, second_order
+from tisfm.solver.sampling import enlarged, reduced
+from tisfm.solver.second_order import fill
+
+DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
+# Differences count in a window of so much of the longer side, and for no more than so much each;
+# the median of all counts for as many pixels' worth, as a share of the window.
+NEARBY, MOST_APART, USUAL = 0.05, 0.5, 0.02
+GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
+CELLS, SPAN = 2**13, 20.0  # at most, to fill holes with; and their median of D, in their sides
+
+
+def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+    """Return how far others are from an inverse depth around every pixel.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        Positive everywhere.
+    others : sequence of (H, W) float32
+
+    Returns
+    -------
+    (H, W) float32
+        A share of the inverse depth; 0 where there are no others.
+    """
+    total, count = np.zeros((2, *inverse_depth.shape), np.float32)
+    for other in others:
+        shown = np.isfinite(other)
+        share = np.abs(np.where(shown, other, inverse_depth) - inverse_depth) / inverse_depth
+        total += np.minimum(share, np.float32(MOST_APART))
+        count += shown
+    seen = count > 0
+    if not seen.any():
+        return total
+    usual = np.float32(USUAL) * np.median(total[seen] / count[seen])
+    side = 2 * round(NEARBY * max(inverse_depth.shape) / 2) + 1
+    around = cv2.blur(np.dstack([total, count]), (side, side))
+    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(USUAL))
+    return apart
+
+
+def merged(
+    first: np.ndarray, deviation0: np.ndarray, second: np.ndarray, deviation1: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what two views say of the same pixels: the mean where they agree, else the surer."""
+    both = np.isfinite(first) & np.isfinite(second)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alike = both & (np.abs(first - second) < DISAGREE * np.maximum(first, second))
+        weight0, weight1 = 1 / deviation0**2, 1 / deviation1**2
+        mean = (weight0 * first + weight1 * second) / (weight0 + weight1)
+        surer = deviation0 / first <= deviation1 / second
+    inverse_depth = np.where(np.isfinite(first) & (~both | surer), first, second)
+    deviation = np.where(np.isfinite(first) & (~both | surer), deviation0, deviation1)
+    # Both come from overlapping sets of images: their mean is not surer than the surer of them.
+    return np.where(alike, mean, inverse_depth), np.where(
+        alike, np.minimum(deviation0, deviation1), deviation
+    )
+
+
+def filled(
+    inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Carry inverse depth to where no keyframe shows any, and say how unsure that is.
+
+    Slopes are carried as well, up to the edges of the frame (`tisfm.solver.second_order`).
+
+    Parameters
+    ----------
+    inverse_depth, deviation, frame : (H, W) float32
+        The frame has grey levels.
+    """
+    known = np.isfinite(inverse_depth)
+    if known.all() or not known.any():
+        return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
+    level = 0
+    while frame.size >> 2 * level > CELLS:
+        level += 1
+    side = 2**level
+    height, width = (-(-length // side) for length in frame.shape)
+    least = np.float32(np.quantile(inverse_depth[known], FURTHEST_SHARE) / FURTHEST)
+    scale = np.float32(SPAN / np.median(inverse_depth[known]))
+    images = np.stack([known, np.where(known, scale * inverse_depth, 0), frame])
+    share, target, small = reduced(images.astype(np.float32), side, height, width)
+    target = np.divide(target, share, out=np.zeros_like(target), where=share > 0)
+    carried, _ = fill(target, share, small, second_order(level), iterations=1)
+    value = np.maximum(enlarged(carried[None] / scale, side, *frame.shape)[0], least)
+    return (
+        np.where(known, inverse_depth, value).astype(np.float32),
+        np.where(known, deviation, GUESSED * value).astype(np.float32),
+    )
