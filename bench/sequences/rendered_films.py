@@ -85,9 +85,15 @@ def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndar
     """Return the poses of a camera that goes, turns where it is, and goes on; step in rad."""
     going = np.array([0.035, 0, 0.02])
     shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
-    shift[before + turning :] -= 0
     angle = np.r_[np.zeros(before), 1 + np.arange(turning), np.full(after, turning)] * step
     return _looking((shift - shift[0])[:, None] * going, angle - step * turning / 2)
+
+
+def around_one(count: int) -> np.ndarray:
+    """Return the poses of a keyframe, and of others on both sides of it, ever further away."""
+    factors = [0, *(sign * k for k in range(1, count) for sign in (1, -1))][:count]
+    motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
+    return np.array([pose_matrix(factor * motion) for factor in factors])
 
 
 def _looking(places: np.ndarray, angles: np.ndarray) -> np.ndarray:
