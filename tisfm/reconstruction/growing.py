@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.places import OnePlace
 
 FEWEST = 15  # observations that two views, or a view and the points, share
 LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
@@ -149,6 +150,7 @@ def _needed(motion: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
 
 def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> None:
     local = options.get_local_bundle_adjustment()
+    one_place = OnePlace(mapper, reconstruction)
 
     def adjust_all(refinements: int, limits: tuple[int, float] = GROWING) -> tuple[int, int]:
         mapper.iterative_global_refinement(
@@ -171,9 +173,11 @@ def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> Non
         else:
             break
         mapper.triangulate_image(options.triangulation, number)
+        one_place.delete(number)
         mapper.iterative_local_refinement(
             1, 1e-3, options.mapper, local, options.triangulation, number
         )
+        one_place.delete(number)
         now = reconstruction.num_reg_images(), reconstruction.num_points3D()
         if now[0] >= GROWN * views or now[1] >= GROWN * points:
             views, points = adjust_all(1)

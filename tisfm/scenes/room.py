@@ -167,6 +167,7 @@ def room_film(
     *,
     seed: int = 0,
     focal: float | None = None,
+    textured: bool = False,
     noise: float = 1.5,
     blur: float = 0.0,
     samples: int = 3,
@@ -179,6 +180,8 @@ def room_film(
         Camera to world, in m; the identity is where `room` has frame 0.
     height, width, seed, focal, noise, blur, samples
         As for `room`. Noise is another one in every frame.
+    textured : bool, default False
+        Whether walls and ceiling are papered with a pattern, rather than bare.
 
     Raises
     ------
@@ -191,7 +194,10 @@ def room_film(
         raise ValueError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
     camera = Camera(focal=_FOCAL * width if focal is None else focal)
     still = np.zeros(6)
-    objects: list[Plane | Box] = [*_shell(still, width, seed), *_things(still, width, seed)]
+    objects: list[Plane | Box] = [
+        *_shell(still, width, seed, textured=textured),
+        *_things(still, width, seed),
+    ]
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     random = np.random.default_rng(seed)
     frames = np.empty((len(path), height, width), np.uint8)
@@ -202,13 +208,23 @@ def room_film(
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
 
-def _shell(motion: Floats, width: int, seed: int) -> list[Plane]:
+def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> list[Plane]:
     """Return walls, ceiling and floor, in the order of their labels."""
 
     def wall(number: int, mean: float, point: Place, normal: Place) -> Plane:
-        # Waves of some metres, and hardly any shorter ones: how light falls on it.
-        light = Texture(wavelength=0.7, octaves=4, mean=mean, contrast=11, seed=seed + number)
-        return Plane(texture=light, point=_AXES @ point, normal=_AXES @ normal, motion=motion)
+        if textured:
+            wavelength, detail, contrast = _wavelength(3.0), _detail(width), 40.0
+        else:  # waves of some metres, and hardly any shorter ones: how light falls on it
+            wavelength, detail, contrast = 0.7, 0, 11.0
+        paint = Texture(
+            wavelength=wavelength,
+            octaves=5 if textured else 4,
+            detail=detail,
+            mean=mean,
+            contrast=contrast,
+            seed=seed + number,
+        )
+        return Plane(texture=paint, point=_AXES @ point, normal=_AXES @ normal, motion=motion)
 
     tiles = _Tiles(
         wavelength=_wavelength(2.5),

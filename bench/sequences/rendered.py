@@ -1,0 +1,258 @@
+"""``python -m bench.sequences.rendered``: what sequences must show on films with exact truth.
+
+Films of a rendered room, with a pattern on its walls and with bare ones: a round trip, frames
+blanked, a turn without parallax, a mesh, depth from more and more frames. Each figure stands beside
+its bar. Rendered frames are kept in a temporary folder. The table, all numbers and a picture of the
+error over the number of frames are left in bench/results.
+"""
+
+import argparse
+import itertools
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import tisfm
+from bench.sequences.rendered_films import SIZE, Take, around_one, round_trip, turned, walked
+from bench.sequences.rendered_scores import (
+    COUNTS,
+    depth_of_window,
+    flicker,
+    gap,
+    path_error,
+    scale_change,
+    share_of_mesh,
+)
+from bench.shared.bar import Bar
+from bench.shared.machine import RESULTS, machine
+from tisfm import runtime
+from tisfm.scenes import Film
+from tisfm.settings import Preset
+
+SMOKE_SIZE = 96, 128
+ROOMS = {"pattern": True, "bare": False}
+
+Found = dict[str, list[float]]  # error of each number of frames, by room
+
+
+class Checks:
+    """Makes films, reconstructs them, and holds what comes out to the bars.
+
+    Parameters
+    ----------
+    settings : Settings
+    smoke : bool
+        Whether films are small and short.
+    seeds : sequence of int
+        Of the textures and the noise.
+    """
+
+    def __init__(self, settings: tisfm.Settings, *, smoke: bool, seeds: list[int]) -> None:
+        self._settings, self._smoke, self._seeds = settings, smoke, seeds
+        self.errors: Found = {}
+
+    def of(self, kind: str, room: str) -> Iterator[Bar]:
+        """Yield the bars of a kind of film in a room."""
+        makers: dict[str, Callable[[str, int], Iterator[Bar]]] = {
+            "trip": self._trip,
+            "blanked": self._blanked,
+            "turn": self._turn,
+            "walk": self._walk,
+            "frames": self._frames,
+        }
+        seeds = self._seeds[:1] if kind == "trip" else self._seeds  # it is long
+        for seed in seeds:
+            yield from makers[kind](room, seed)
+
+    def _film(self, name: str, poses: np.ndarray, room: str, seed: int) -> Film:
+        height, width = SMOKE_SIZE if self._smoke else SIZE
+        return Take(
+            name=name, poses=poses, textured=ROOMS[room], seed=seed, height=height, width=width
+        ).film()
+
+    def _reconstructed(self, film: Film, folder: Path) -> tisfm.Reconstruction:
+        return tisfm.reconstruct(
+            film.frames, camera=film.camera, settings=self._settings, folder=folder
+        )
+
+    def _trip(self, room: str, seed: int) -> Iterator[Bar]:
+        count = 16 if self._smoke else 200
+        film = self._film("trip", round_trip(count), room, seed)
+        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+            result = self._reconstructed(film, Path(folder))
+            name = f"round trip of {count} frames, {room}, seed {seed}"
+            whole = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
+            yield Bar(f"{name}: frames with a pose", float((result.piece == 0).sum()), count, False)
+            yield Bar(
+                f"{name}: gap, % of the path", gap(result.poses, film.poses) if whole else None, 0.3
+            )
+            yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
+
+    def _blanked(self, room: str, seed: int) -> Iterator[Bar]:
+        count, blank = (12, 2) if self._smoke else (40, 10)
+        film = self._film("walk", walked(count), room, seed)
+        frames = film.frames.copy()
+        first = (count - blank) // 2
+        frames[first : first + blank] = 0
+        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+            result = tisfm.reconstruct(
+                frames, camera=film.camera, settings=self._settings, folder=Path(folder)
+            )
+        name = f"{blank} of {count} frames blanked, {room}, seed {seed}"
+        posed = float((result.piece == 0).sum())
+        yield Bar(f"{name}: the others in one piece", posed, count - blank, False)
+        where = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
+        yield Bar(f"{name}: ATE, %", path_error(where, film.poses), None)
+
+    def _turn(self, room: str, seed: int) -> Iterator[Bar]:
+        part = 6 if self._smoke else 20
+        film = self._film("turn", turned(part, part, part), room, seed)
+        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+            poses = self._reconstructed(film, Path(folder)).poses
+        name = f"{part} frames of rotation, {room}, seed {seed}"
+        change = None
+        if np.isfinite(poses).all():
+            change = scale_change(poses, film.poses, slice(0, part), slice(2 * part, None))
+        yield Bar(f"{name}: change of scale, %", change, 2.0)
+
+    def _walk(self, room: str, seed: int) -> Iterator[Bar]:
+        count = 12 if self._smoke else 40
+        film = self._film("walk", walked(count), room, seed)
+        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+            result = self._reconstructed(film, Path(folder))
+            name = f"walk of {count} frames, {room}, seed {seed}"
+            whole = bool((result.piece == 0).all())
+            yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
+            share = share_of_mesh(film, result) if whole else None
+            yield Bar(f"{name}: mesh within 2 % of the depth, %", share, 95.0, False)
+            ratio = flicker(film, result, self._settings) if whole else None
+            yield Bar(f"{name}: flicker over that of pairs", ratio, 1 / 3)
+
+    def _frames(self, room: str, seed: int) -> Iterator[Bar]:
+        film = self._film("frames", around_one(max(COUNTS)), room, seed)
+        found = [depth_of_window(film, count, self._settings) for count in COUNTS]
+        errors = [error for error, _ in found]
+        self.errors[f"{room}, seed {seed}"] = errors
+        name = f"depth from frames, {room}, seed {seed}"
+        yield Bar(f"{name}: error of {COUNTS[0]} frames, %", 100 * errors[0], None)
+        yield Bar(
+            f"{name}: most of a rise with more frames, %",
+            100 * max(after / before - 1 for before, after in itertools.pairwise(errors)),
+            0.0,
+        )
+        fall = 100 * (1 - errors[-1] / errors[0])
+        yield Bar(f"{name}: less error at {COUNTS[-1]}, %", fall, 50.0, False)
+        yield Bar(f"{name}: within one deviation, %, at least", found[-1][1], 60.0, False)
+        yield Bar(f"{name}: within one deviation, %, at most", found[-1][1], 75.0)
+
+
+KINDS = ("trip", "blanked", "turn", "walk", "frames")
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.sequences.rendered", description=__doc__)
+    add = parser.add_argument
+    add("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="of films")
+    add("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS))
+    add("--preset", choices=get_args(Preset), default="balanced")
+    add("--seeds", nargs="+", type=int, default=[0, 1], metavar="N", help="a round trip has one")
+    add("--threads", type=int, default=2, metavar="N")
+    add("--smoke", action="store_true", help="small and short films, whose bars may be missed")
+    add("--output", default="rendered", metavar="NAME", help="of the files in bench/results")
+    options = parser.parse_args(arguments)
+    if options.threads < 1 or min(options.seeds) < 0:
+        parser.error("--threads takes a number of at least 1, --seeds of at least 0")
+    if options.smoke:
+        options.seeds = options.seeds[:1]
+    return options
+
+
+def command(options: argparse.Namespace) -> str:
+    """Return the command of this run."""
+    words = ["python -m bench.sequences.rendered", "--preset", options.preset]
+    words += ["--kinds", *options.kinds, "--rooms", *options.rooms]
+    words += ["--seeds", *map(str, options.seeds), "--threads", str(options.threads)]
+    return f"`{' '.join([*words, *(['--smoke'] if options.smoke else [])])}`"
+
+
+def draw(errors: Found, path: Path) -> None:
+    """Write the picture of the error over the number of frames."""
+    figure = Figure(figsize=(6, 4), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    for name, values in errors.items():
+        axes.plot(COUNTS, 100 * np.array(values), "o-", label=name)
+    axes.set_xlabel("frames, the keyframe included")
+    axes.set_ylabel("mean error of the keyframe's depth, %")
+    axes.set_ylim(bottom=0)
+    axes.set_xticks(COUNTS)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend()
+    figure.savefig(path)
+
+
+def write(conditions: dict[str, Any], found: list[Bar], errors: Found, path: Path) -> None:
+    """Write PATH.md, PATH.json and, if depth was found from more and more frames, PATH.png."""
+    lines = ["# Sequences on rendered films", ""]
+    lines += [f"- {name}: {value}" for name, value in conditions.items()]
+    lines += ["", "| | figure | bar | |", "| --- | ---: | ---: | --- |"]
+    for bar in found:
+        value = "not measured" if bar.value is None else f"{bar.value:.3g}"
+        bound = "" if bar.bound is None else f"{'≤' if bar.at_most else '≥'} {bar.bound:.3g}"
+        lines.append(f"| {bar.name} | {value} | {bound} | {_verdict(bar)} |")
+    if errors:
+        head = " | ".join(map(str, COUNTS))
+        lines += ["", "Mean relative error of a keyframe's depth, %, by the number of frames:", ""]
+        lines += [f"| | {head} |", "| --- |" + " ---: |" * len(COUNTS)]
+        lines += [
+            f"| {name} | {' | '.join(f'{100 * value:.2f}' for value in values)} |"
+            for name, values in errors.items()
+        ]
+        draw(errors, path.with_suffix(".png"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    content = {"conditions": conditions, "bars": [asdict(bar) for bar in found], "errors": errors}
+    text = json.dumps(content, indent=1, ensure_ascii=False)
+    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Return 0, or 1 where a bar was missed; a smoke run only has to go through."""
+    options = parse(arguments)
+    runtime.start(threads=options.threads)
+    settings = tisfm.Settings.preset(options.preset, motion="camera")
+    checks = Checks(settings, smoke=options.smoke, seeds=options.seeds)
+    size = SMOKE_SIZE if options.smoke else SIZE
+    conditions = {
+        "command": command(options),
+        "size": f"{size[0]}×{size[1]} px",
+        "threads": options.threads,
+        **machine(),
+    }
+    console, found = Console(), list[Bar]()
+    for kind in options.kinds:
+        for room in options.rooms:
+            for bar in checks.of(kind, room):
+                console.print(str(bar), highlight=False, soft_wrap=True)
+                found.append(bar)
+            write(conditions, found, checks.errors, RESULTS / options.output)
+    return 1 if not options.smoke and not all(bar.met for bar in found) else 0
+
+
+def _verdict(bar: Bar) -> str:
+    if bar.bound is None:
+        return ""
+    return "met" if bar.met else "**not met**"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Films of a rendered room, with exact truth, that ask for one ability each."""
+
+import hashlib
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import Film, room_film
+
+SIZE = 240, 320
+CACHE = Path(tempfile.gettempdir()) / "tisfm-rendered-films"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Take:
+    """How a film is taken.
+
+    Attributes
+    ----------
+    name : str
+    poses : (N, 4, 4) float64
+        Camera to world, m.
+    textured : bool
+        Whether the room's walls have a pattern.
+    seed : int
+    height, width : int
+        Of the frames, px.
+    """
+
+    name: str
+    poses: np.ndarray
+    textured: bool
+    seed: int = 0
+    height: int = SIZE[0]
+    width: int = SIZE[1]
+
+    def film(self) -> Film:
+        """Return the film; what was rendered once lies in a temporary folder."""
+        words = repr(sorted((asdict(self) | {"poses": self.poses.tobytes()}).items()))
+        path = CACHE / f"{hashlib.sha256(words.encode()).hexdigest()[:16]}.npz"
+        if path.exists():
+            with np.load(path) as kept:
+                camera = Camera(focal=float(kept["focal"]))
+                return Film(
+                    frames=kept["frames"], depth=kept["depth"], poses=self.poses, camera=camera
+                )
+        film = room_film(
+            self.poses, self.height, self.width, seed=self.seed, textured=self.textured, samples=2
+        )
+        CACHE.mkdir(exist_ok=True)
+        part = path.with_suffix(".part.npz")
+        np.savez(part, frames=film.frames, depth=film.depth, focal=film.camera.focal)
+        part.replace(path)
+        return film
+
+
+def walked(count: int) -> np.ndarray:
+    """Return the poses of a camera that goes aside and forward, and turns a little."""
+    return np.array([pose_matrix((0.04 * k, 0, 0.02 * k, 0, 0.01 * k, 0)) for k in range(count)])
+
+
+def round_trip(count: int) -> np.ndarray:
+    """Return the poses of a camera that goes round in the room and ends where it began.
+
+    It looks at the same corner of the room, to the left and to the right of it.
+    """
+    at = np.linspace(0, 2 * np.pi, count)
+    places = np.stack([0.6 * np.sin(at), 0.08 * np.sin(2 * at), 0.5 * (1 - np.cos(at))], axis=1)
+    return _looking(places, 0.35 * np.sin(at))
+
+
+def whole_turn(count: int) -> np.ndarray:
+    """Return the poses of a camera that goes round in the room, and looks ahead of it."""
+    at = np.linspace(0, 2 * np.pi, count)
+    places = np.stack([0.5 * (1 - np.cos(at)), 0 * at, 0.5 * np.sin(at)], axis=1)
+    return _looking(places, at)
+
+
+def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
+    """Return the poses of a camera that goes, turns where it is, and goes on; step in rad."""
+    going = np.array([0.035, 0, 0.02])
+    shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
+    angle = np.r_[np.zeros(before), 1 + np.arange(turning), np.full(after, turning)] * step
+    return _looking((shift - shift[0])[:, None] * going, angle - step * turning / 2)
+
+
+def around_one(count: int) -> np.ndarray:
+    """Return the poses of a keyframe, and of others on both sides of it, ever further away."""
+    factors = [0, *(sign * k for k in range(1, count) for sign in (1, -1))][:count]
+    motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
+    return np.array([pose_matrix(factor * motion) for factor in factors])
+
+
+def _looking(places: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the poses of a camera at places, (N, 3), turned to the right by angles, (N,) rad."""
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    for pose, place, angle in zip(poses, places, angles, strict=True):
+        pose[:3, :3] = cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0]
+        pose[:3, 3] = place
+    return poses

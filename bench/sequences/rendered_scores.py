@@ -1,0 +1,120 @@
+"""What reconstructions of rendered films are off by."""
+
+import itertools
+
+import numpy as np
+
+import tisfm
+from tisfm.metrics import absolute_errors, align, path_length
+from tisfm.reconstruction.window_depth import window_depth
+from tisfm.scenes import Film
+
+COUNTS = (2, 3, 4, 6, 8)  # frames that the depth of a keyframe is found from
+WITHIN = 0.02  # of the true depth
+HIDDEN = 0.05  # of the depth of what is seen: points further behind it are hidden
+
+Poses = np.ndarray  # (N, 4, 4), camera to world
+
+
+def centres(poses: Poses) -> np.ndarray:
+    """Return where the camera was, (N, 3)."""
+    return np.asarray(poses[:, :3, 3])
+
+
+def path_error(found: Poses, true: Poses) -> float:
+    """Return the ATE of the frames that have a pose, % of the true path; NaN if two have none."""
+    known = np.isfinite(found[:, 0, 0])
+    if known.sum() < 2:
+        return float("nan")
+    return 100 * absolute_errors(found[known], true[known]).similarity / path_length(true)
+
+
+def gap(found: Poses, true: Poses) -> float:
+    """Return how far a path's last place is from where it should be, seen from its first.
+
+    In % of the true path, in one scale for the whole of it.
+    """
+    there = align(centres(found), centres(true))
+    both = there.scale * _from_first(found), _from_first(true)
+    return 100 * float(np.linalg.norm(both[0] - both[1])) / path_length(true)
+
+
+def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> float:
+    """Return by how much the scale of one part of a path differs from another's, %."""
+    one, other = (
+        align(centres(found[part]), centres(true[part])).scale for part in (before, after)
+    )
+    return 100 * abs(other / one - 1)
+
+
+def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
+    """Return the spread of the scale of depth of frames, over that of pairs by themselves."""
+    numbers = range(0, len(film.frames) - 1, 3)
+    spread = np.std([_log_scale(film.depth[k], result.depth(k)) for k in numbers])
+    pairs = [
+        tisfm.interpret(*film.frames[k : k + 2], camera=film.camera, settings=settings)
+        for k in numbers
+    ]
+    alone = [_log_scale(film.depth[k], pair.depth) for k, pair in zip(numbers, pairs, strict=True)]
+    return float(spread / np.std(alone))
+
+
+def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
+    """Return the share of the vertices of a mesh of all frames near the true surface, %.
+
+    The mesh is brought to the truth by the path's similarity alone.
+    """
+    vertices = result.mesh(range(len(film.frames))).vertices
+    if not len(vertices):
+        return 0.0
+    moved = align(centres(result.poses), centres(film.poses)).apply(vertices)
+    return 100 * float(np.mean(_distance(moved, film) < WITHIN))
+
+
+def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[float, float]:
+    """Return the mean error of the first frame's depth from so many frames, and its certainty.
+
+    The second is the share of the pixels that are off by one deviation at most, %. Poses are given.
+    """
+    frames = film.frames[:count].astype(np.float32)
+    motions = np.array([(np.linalg.inv(pose) @ film.poses[0])[:3] for pose in film.poses[1:count]])
+    found = window_depth(frames[0], list(frames[1:]), motions, film.camera, settings)
+    if found is None:
+        return float("nan"), float("nan")
+    error = np.abs(1 / found.inverse_depth - film.depth[0]) / film.depth[0]
+    off = np.abs(found.inverse_depth - 1 / film.depth[0])
+    return float(error.mean()), 100 * float(np.mean(off <= found.deviation))
+
+
+def _from_first(poses: Poses) -> np.ndarray:
+    """Return the last place in the axes of the first camera, (3,)."""
+    return np.asarray(poses[0, :3, :3].T @ (poses[-1, :3, 3] - poses[0, :3, 3]))
+
+
+def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
+    return float(np.log(np.nanmedian(true / found)))
+
+
+def _distance(points: np.ndarray, film: Film) -> np.ndarray:
+    """Return how far points, (N, 3), lie from what frames see, relative to the depth, (N,).
+
+    The mean over the frames that do not hide them; infinite where all do.
+    """
+    total, count = np.zeros((2, len(points)))
+    height, width = film.depth.shape[1:]
+    center = film.camera.center_for(height, width)
+    for pose, depth in zip(film.poses, film.depth, strict=True):
+        x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
+        ahead = np.where(z > 0, z, 1)
+        u, v = (film.camera.focal * a / ahead + c for a, c in zip((x, y), center, strict=True))
+        on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
+        column, row = u[on].astype(np.intp), v[on].astype(np.intp)
+        # At an edge, the surface is any of those that four pixels see.
+        each = np.stack(
+            [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
+        )
+        nearest = np.take_along_axis(each, np.abs(each).argmin(axis=0)[None], axis=0)[0]
+        shown = nearest < HIDDEN
+        total[on[shown]] += np.abs(nearest[shown])
+        count[on[shown]] += 1
+    return np.where(count > 0, total / np.maximum(count, 1), np.inf)

@@ -1,0 +1,100 @@
+"""A turn of the camera, without parallax: what only it shows has no depth, and breaks no scale."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tisfm.reconstruction.path import PathFinder
+from tisfm.reconstruction.places import OnePlace
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room_film
+
+TURN = slice(10, 26)
+
+
+def model(places, tracks, *, depth=2.0):
+    """Return a mapper and a model of views at places, and of points by the views that see them."""
+    deleted = []
+
+    def delete(one):
+        deleted.append(one)
+        del points[one]
+        for image in images.values():
+            image.points2D = [seen for seen in image.points2D if seen.point3D_id != one]
+
+    points = {
+        one: SimpleNamespace(
+            xyz=np.array([0.0, 0.0, depth]),
+            track=SimpleNamespace(elements=[SimpleNamespace(image_id=k) for k in numbers]),
+        )
+        for one, numbers in tracks.items()
+    }
+    images = {}
+    for number, place in places.items():
+        pose = np.column_stack([np.eye(3), -np.array(place)])
+        seen = [
+            SimpleNamespace(point3D_id=one, has_point3D=lambda: True)
+            for one, numbers in tracks.items()
+            if number in numbers
+        ]
+        images[number] = SimpleNamespace(
+            points2D=[SimpleNamespace(point3D_id=None, has_point3D=lambda: False), *seen],
+            cam_from_world=lambda pose=pose: SimpleNamespace(matrix=lambda: pose),
+            projection_center=lambda place=place: np.array(place),
+        )
+    mapper = SimpleNamespace(observation_manager=SimpleNamespace(delete_point3D=delete))
+    return mapper, SimpleNamespace(images=images, points3D=points), deleted
+
+
+PLACES = {1: (-0.5, 0.0, 0.0), 2: (0.0, 0.0, 0.0), 3: (0.01, 0.0, 0.0)}
+
+
+def test_points_that_are_seen_from_one_place_are_deleted():
+    mapper, found, deleted = model(PLACES, {10: (1, 2, 3), 11: (2, 3), 12: (1, 2)})
+    one_place = OnePlace(mapper, found)
+    one_place.delete(2)
+    assert deleted == [11] and set(found.points3D) == {10, 12}
+    one_place.delete(1)
+    one_place.delete(3)
+    assert deleted == [11]
+
+
+def test_how_far_apart_is_a_share_of_the_depth():
+    for depth, gone in ((0.4, []), (0.6, [11])):
+        mapper, found, deleted = model(PLACES, {11: (2, 3)}, depth=depth)
+        OnePlace(mapper, found).delete(3)
+        assert deleted == gone
+
+
+def test_a_view_without_points_is_left():
+    mapper, found, deleted = model(PLACES, {12: (1, 2)})
+    OnePlace(mapper, found).delete(3)
+    assert deleted == []
+
+
+def going_and_turning():
+    """Return poses of a camera that goes aside, turns where it is, and goes on."""
+    places = np.clip(np.arange(36), 0, 9) + np.clip(np.arange(36) - 25, 0, None)
+    turns = 0.025 * (np.clip(np.arange(36) - 9, 0, 16) - 8)
+    poses = np.array([pose_matrix((0, 0, 0, 0, turn, 0)) for turn in turns])
+    poses[:, :3, 3] = places[:, None] * np.array([0.035, 0, 0.02])
+    return poses
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("textured", "most"), [(True, 0.02), (False, 0.2)])
+def test_a_turn_keeps_the_scale(textured, most):
+    film = room_film(going_and_turning(), 180, 240, samples=2, textured=textured)
+    finder = PathFinder(film.camera)
+    for frame in film.frames:
+        finder.add(frame)
+    (piece,) = finder.finish().pieces
+    assert len(piece.poses) == 36
+    steps = [np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+             for poses in (np.array(list(piece.poses.values())), film.poses)]  # fmt: skip
+    before, after = (
+        np.median(steps[0][part]) / np.median(steps[1][part])
+        for part in (slice(0, TURN.start - 1), slice(TURN.stop, None))
+    )
+    assert abs(np.log(after / before)) < most
