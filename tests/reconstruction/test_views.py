@@ -35,5 +35,5 @@ def test_a_frame_becomes_a_view_where_tracks_have_moved():
     views.chosen = [View(frame=0, seen=seen, detected=points)]
     assert not views.needs(Seen(points=np.add(points, (7, 0)), tracks=tracks), 320)
     assert views.needs(Seen(points=np.add(points, (9, 0)), tracks=tracks), 320)
-    assert views.needs(Seen(points=points[:30], tracks=tracks[:30]), 320)
-    assert not views.needs(Seen(points=points[:40], tracks=tracks[:40]), 320)
+    assert views.needs(Seen(points=points[:15], tracks=tracks[:15]), 320)
+    assert not views.needs(Seen(points=points[:20], tracks=tracks[:20]), 320)

@@ -20,7 +20,7 @@ from tisfm.settings import Settings
 
 # A frame becomes a keyframe where tracks have moved by this share of the longer side since the
 # last keyframe, or fewer than this share of its tracks are still seen.
-MOVED, KEPT = 0.1, 0.5
+MOVED, KEPT = 0.1, 0.25
 REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
 # Of the relative deviation of a keyframe: times how far those before and after are from it.

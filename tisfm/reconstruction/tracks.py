@@ -17,7 +17,7 @@ APART = 0.6  # of a cell: of tracks that have come into one square of this side,
 STRUCTURE = 5  # px: the window in which a point is to stand out
 STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
 BORDER = 4  # px that no point comes nearer to
-RETURN = 1 / 640  # of the longer side: the way there and back ends no further from its start
+RETURN = 0.5 / 640  # of the longer side: the way there and back ends no further from its start
 PATCH = 7  # px across, of what is compared along a track
 UNLIKE = 12.0  # grey levels, mean difference of patches of one track, but for brightness
 # Of the search for the place where a point looks as before: it begins where the flow leads.
@@ -78,8 +78,7 @@ class Tracker:
         small = smaller(grey)
         points, tracks = self._seen.points, self._seen.tracks
         if self._grey is not None and self._small is not None:
-            there, back = self._flows(self._small, small)
-            points, kept = carried(self._grey, grey, points, there, back)
+            points, kept = carried(self._grey, grey, points, self._flow(self._small, small))
             points, tracks = points[kept], tracks[kept]
             kept = spread(points, APART * _cell(grey))
             points, tracks = points[kept], tracks[kept]
@@ -93,8 +92,8 @@ class Tracker:
         self._seen = Seen(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
         return self._seen
 
-    def _flows(self, small0: np.ndarray, small1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the image motion there and back, (h, w, 2) float32, px of the small frames."""
+    def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
+        """Return the image motion, (h, w, 2) float32, px of the small frames."""
         scale = small0.shape[1] / self._grey.shape[1] if self._grey is not None else 1.0
         camera = Camera(focal=self._camera.focal * scale)
         pyramid = ImagePyramid(
@@ -105,26 +104,24 @@ class Tracker:
             presmoothing=self._settings.presmoothing,
         )
         problem = flow_problem(self._settings, camera.focal)
-        there, back = (
-            coarse_to_fine(way, problem).unknowns.flow() for way in (pyramid, pyramid.reversed())
-        )
-        return cv2.merge(list(there)), cv2.merge(list(back))
+        return cv2.merge(list(coarse_to_fine(pyramid, problem).unknowns.flow()))
 
 
 def carried(
-    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, there: np.ndarray, back: np.ndarray
+    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where points of frame 0 are in frame 1, and which of them were found there.
 
     The flow leads to a place; where the point looks as before near by, that is taken. A point is
-    found if the flow leads back to it, and what is around it is alike.
+    found if, sought from there in frame 0, it comes back to where it was, and what is around it is
+    alike. Few points pass that, but those drift little.
 
     Parameters
     ----------
     grey0, grey1 : (H, W) uint8
     points : (N, 2) float64
-    there, back : (h, w, 2) float32
-        Image motion from frame 0 to frame 1 and back, px of its own size.
+    flow : (h, w, 2) float32
+        Image motion from frame 0 to frame 1, px of its own size.
 
     Returns
     -------
@@ -134,33 +131,43 @@ def carried(
     References
     ----------
     Lucas and Kanade, "An iterative image registration technique with an application to stereo
-    vision", IJCAI 1981.
+    vision", IJCAI 1981. Kalal, Mikolajczyk and Matas, "Forward-backward error", ICPR 2010,
+    doi 10.1109/ICPR.2010.675.
     """
     height, width = grey0.shape
     if len(points) == 0:
         return points, np.zeros(0, bool)
-    led = points + _flow_at(there, points, width)
-    returned = led + _flow_at(back, led, width)
-    found = np.hypot(*(returned - points).T) < RETURN * max(height, width)
-    near, seen, _ = cv2.calcOpticalFlowPyrLK(
-        grey0,
-        grey1,
-        points.astype(np.float32),
-        led.astype(np.float32),
-        winSize=(WINDOW, WINDOW),
-        maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ROUNDS, STEP),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=1e-5,
-    )
-    taken = (seen[:, 0] > 0) & (np.hypot(*(near - led).T) < FURTHEST)
-    moved = np.where(taken[:, None], near, led).astype(np.float64)
+    motion = _flow_at(flow, points, width)
+    led = points + motion
+    near, seen = _sought(grey0, grey1, points, led)
+    taken = seen & (np.hypot(*(near - led).T) < FURTHEST)
+    moved = np.where(taken[:, None], near, led)
+    returned, found = _sought(grey1, grey0, moved, moved - motion)
+    found &= np.hypot(*(returned - points).T) < RETURN * max(height, width)
     low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
     found &= ((moved >= low) & (moved <= high)).all(axis=1)
     difference = _patches(grey0, points) - _patches(grey1, moved)
     difference -= difference.mean(axis=1, keepdims=True)
     found &= np.abs(difference).mean(axis=1) < UNLIKE
     return moved, found
+
+
+def _sought(
+    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, near: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where points of frame 0 look as before, near places in frame 1, and whether any do."""
+    found, seen, _ = cv2.calcOpticalFlowPyrLK(
+        grey0,
+        grey1,
+        points.astype(np.float32),
+        near.astype(np.float32),
+        winSize=(WINDOW, WINDOW),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ROUNDS, STEP),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-5,
+    )
+    return found.astype(np.float64), seen[:, 0] > 0
 
 
 def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> np.ndarray:

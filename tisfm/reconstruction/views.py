@@ -11,7 +11,7 @@ from tisfm.reconstruction.tracks import Seen, smaller
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
 # view, or fewer than this share of its tracks are still seen.
-MOVED, KEPT = 0.025, 0.7
+MOVED, KEPT = 0.025, 0.35
 PER_CELL = 4  # points of a cell: fewer than for pairs, since views are matched with several
 MATCHED = 3  # views before, that a view is matched with by what points look like
 FEWEST_MATCHES = 15
