@@ -33,7 +33,8 @@ class OnePlace:
         """
         images, points = self._reconstruction.images, self._reconstruction.points3D
         image = images[number]
-        seen = [one.point3D_id for one in image.points2D if one.has_point3D()]
+        # Some twice: a point's track may be in one view more than once.
+        seen = list(dict.fromkeys(one.point3D_id for one in image.points2D if one.has_point3D()))
         if not seen:
             return
         pose = image.cam_from_world().matrix()

@@ -170,7 +170,7 @@ class Run:
         from tisfm.reconstruction.depths import PieceDepths, effort_of
 
         effort = effort_of(self._settings)
-        if self._given is not None or effort == "fast":
+        if self._given is not None or effort != "accurate":
             return piece
         stars = PieceDepths(self._frames, piece, seen, self._settings, effort="fast").stars()
         frames, camera = self._frames.grey, self._frames.camera

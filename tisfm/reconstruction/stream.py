@@ -146,8 +146,8 @@ class Stream:
         return _moved(piece, piece.poses[begin], unit)
 
     def _adjusted(self, number: int, piece: Piece, stretch: Stretch) -> Piece:
-        """Return the piece with its new poses adjusted to the images, but for the fast preset."""
-        if self._effort == "fast":
+        """Return the piece with its new poses adjusted to the images, if it is to be accurate."""
+        if self._effort != "accurate":
             return piece
         here = self._remembered(piece)
         if number in self._keys:
