@@ -21,6 +21,10 @@ from tisfm.settings import Settings
 # A frame becomes a keyframe where tracks have moved by this share of the longer side since the
 # last keyframe, or fewer than this share of its tracks are still seen.
 MOVED, KEPT = 0.1, 0.25
+# Keyframes are compared on every other pixel; and shown to frames between, by effort.
+COMPARED = 2
+SHOWN: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
+STAR = 24  # frames that a keyframe is compared with at a time: a camera may rest for long
 REACH = 40  # frames before and after a keyframe that it may be compared with
 MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
 # Of the relative deviation of a keyframe: times how far those before and after are from it.
@@ -120,8 +124,11 @@ class PieceDepths:
         They say the same but for errors of poses and of matches, which a window knows nothing of.
         """
         found = self._known[key]
-        others = [self._shown(self._known[k], k, key)[0] for k in self._known if k != key]
-        apart = np.float32(APART) * apart_from(found.inverse_depth, others)
+        others = [self._shown(self._known[k], k, key, COMPARED)[0] for k in self._known if k != key]
+        rough = found.inverse_depth[::COMPARED, ::COMPARED]
+        apart = np.float32(APART) * _repeated(
+            apart_from(rough, others), COMPARED, self._frames.shape
+        )
         deviation = np.hypot(found.deviation, apart * found.inverse_depth)
         return replace(found, deviation=deviation)
 
@@ -136,16 +143,10 @@ class PieceDepths:
                 continue
             first, last = limits[number], limits[number + 2]
             members = [frame for frame in frames if first <= frame <= last and frame != key]
-            stars.append(
-                star_of(
-                    key,
-                    members,
-                    self._frames.grey(key),
-                    found.inverse_depth,
-                    found.deviation,
-                    self._frames.counted(key),
-                )
-            )
+            about = self._frames.grey(key), found.inverse_depth, found.deviation
+            for begin in range(0, len(members), STAR):
+                lot = members[begin : begin + STAR]
+                stars.append(star_of(key, lot, *about, self._frames.counted(key)))
         return stars
 
     def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
@@ -164,7 +165,7 @@ class PieceDepths:
         places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
         rough = _spread(places, depths, self._frames.shape)
         if rough is None and previous is not None:
-            rough = self._shown(self._known[previous], previous, key)[0]
+            rough = self._shown(self._known[previous], previous, key, 1)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
         near = [f for f in poses if abs(f - key) <= REACH]
@@ -191,30 +192,48 @@ class PieceDepths:
             masks=[self._frames.counted(f) for f in chosen],
         )
 
-    def _shown(self, known: WindowDepth, key: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none."""
+    def _shown(
+        self, known: WindowDepth, key: int, frame: int, stride: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none.
+
+        They are of every pixel in `stride` rows and columns, from 0.
+        """
         poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
-        out, deviation = (np.empty(self._frames.shape, np.float32) for _ in range(2))
+        own = [known.inverse_depth, known.deviation]
+        own = [np.nan_to_num(one[::stride, ::stride], posinf=0.0) for one in own]
+        out, deviation = (np.empty(own[0].shape, np.float32) for _ in range(2))
+        cx, cy = self._camera.center_for(*self._frames.shape)
         rendered(
-            np.ascontiguousarray(np.nan_to_num(known.inverse_depth)),
-            np.ascontiguousarray(np.nan_to_num(known.deviation, posinf=0.0)),
+            *map(np.ascontiguousarray, own),
             motion,
             out,
             deviation,
-            center=self._camera.center_for(*self._frames.shape),
-            focal=self._camera.focal,
+            center=(cx / stride, cy / stride),
+            focal=self._camera.focal / stride,
         )
         seen = out > 0
         return np.where(seen, out, np.nan), np.where(seen, deviation, np.nan)
 
     def _rendered(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
-        views = [self._shown(known, key, frame) for key, known in self.settled.items()]
+        stride = SHOWN[self._effort]
+        views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
         inverse_depth, deviation = views[0]
         for other, its_deviation in views[1:]:
             inverse_depth, deviation = merged(inverse_depth, deviation, other, its_deviation)
-        return filled(inverse_depth, deviation, self._frames.grey(frame))
+        grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
+        found, spread = filled(inverse_depth, deviation, grey)
+        shape = self._frames.shape
+        return _repeated(found, stride, shape), _repeated(spread, stride, shape)
+
+
+def _repeated(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return an image of every pixel in `stride` rows and columns, each repeated."""
+    if stride == 1:
+        return image
+    return image.repeat(stride, axis=0).repeat(stride, axis=1)[: shape[0], : shape[1]]
 
 
 def chosen_keyframes(
