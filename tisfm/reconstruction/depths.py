@@ -201,12 +201,15 @@ class PieceDepths:
         """
         poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
-        own = [known.inverse_depth, known.deviation]
-        own = [np.nan_to_num(one[::stride, ::stride], posinf=0.0) for one in own]
-        out, deviation = (np.empty(own[0].shape, np.float32) for _ in range(2))
+        depth, spread = (
+            np.ascontiguousarray(np.nan_to_num(one[::stride, ::stride], posinf=0.0))
+            for one in (known.inverse_depth, known.deviation)
+        )
+        out, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
         cx, cy = self._camera.center_for(*self._frames.shape)
         rendered(
-            *map(np.ascontiguousarray, own),
+            depth,
+            spread,
             motion,
             out,
             deviation,
