@@ -38,6 +38,9 @@ TOLERANCES = {
     "data_precision": 1e-4,
     "share_of_data": 1e-5,  # of determinants, which are such differences
     "update": 1e-4,
+    "squared_residual": 1e-4,
+    "add_frame": 1e-4,
+    "answered": 1e-5,
     "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,
     "improve": 1e-4,  # of quantiles of costs
@@ -136,6 +139,7 @@ PLAIN = {
     "rigid.epipolar": ("displacement", "along"),
     "rigid.several_frames": ("add_along", "as_constraint"),
     "rigid.motion_system": ("motion_system",),
+    "rigid.shared_depth": ("squared_residual", "add_frame", "answered"),
     "rigid.plane_sweep": ("matching_cost",),
     "rigid.patch_match": ("score", "improve", "disagreement"),
     "rigid.view_search": ("score", "improve", "costs"),

@@ -22,6 +22,7 @@ from tisfm.kernels.rigid import (
     plane_sweep,
     semi_global,
     several_frames,
+    shared_depth,
 )
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
@@ -58,6 +59,35 @@ class DepthOperations(TaichiSide):
         return (
             lambda: several_frames.as_constraint(self.grid, sums, out),
             lambda _: self.read(out),
+        )
+
+    def squared_residual(self) -> Timed:
+        p, out = self.problem, self.grid.allocate(1)
+        inputs = [self.lay(array) for array in (p.tensor, displaced(p)[:2])]
+        return (
+            lambda: shared_depth.squared_residual(self.grid, *inputs, out),
+            lambda _: self.read(out),
+        )
+
+    def add_frame(self) -> Timed:
+        p = self.problem
+        inverse_depth, _, *place = self._geometry()
+        arguments = self.lay(p.tensor), inverse_depth, self.lay(p.trust[None]), *place
+        slopes, sums = self.grid.allocate(6), self.grid.allocate(2)
+        motion = np.ascontiguousarray(p.motions[0], np.float32)
+        options = {"number": 0, "motion": motion, "focal": p.camera.focal}
+        return (
+            lambda: shared_depth.add_frame(
+                self.grid, *arguments, slopes, sums, tolerated=TOLERATED_SQUARE, **options
+            ),
+            lambda found: np.column_stack(found),
+        )
+
+    def answered(self) -> Timed:
+        slopes, sums = (self.lay(array) for array in shared(self.problem))
+        return (
+            lambda: shared_depth.answered(self.grid, slopes, sums, held=HELD),
+            lambda found: np.column_stack(found),
         )
 
     def motion_system(self) -> Timed:
@@ -182,6 +212,35 @@ class DepthReferences(NumpySide):
 
         return run
 
+    def squared_residual(self) -> Run:
+        p, moved = self.problem, displaced(self.problem)[:2]
+        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+        return lambda: np.maximum(reference.residual(p.tensor, identity, moved), 0)[None]
+
+    def add_frame(self) -> Run:
+        p = self.problem
+        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+        pose = p.motions[0, :, :3], p.motions[0, :, 3]
+        moved = reference.displacement(p.inverse_depth[0], p.camera, *pose)
+
+        def run() -> np.ndarray:
+            square = np.maximum(reference.residual(p.tensor, identity, moved), 0)
+            trusted = p.tensor * p.trust / (1 + square / TOLERATED_SQUARE) ** 2
+            found = reference.frame_equations(trusted, p.inverse_depth[0], p.camera, *pose)
+            return np.column_stack(found[:2])
+
+        return run
+
+    def answered(self) -> Run:
+        slopes, sums = shared(self.problem)
+        rows, (curvature, gradient) = slopes.reshape(len(slopes), -1), sums.reshape(2, -1)
+
+        def run() -> np.ndarray:
+            answer = rows / (curvature + HELD)
+            return np.column_stack([answer @ rows.T, answer @ gradient])
+
+        return run
+
     def motion_system(self) -> Run:
         p, weights = self.problem, self.problem.weights(1)
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
@@ -242,6 +301,18 @@ class DepthReferences(NumpySide):
             return np.concatenate([flow, rho])
 
         return run
+
+
+def shared(p: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Return aᵀJB of two frames, (12, H, W), and the sums of aᵀJa and aᵀe, (2, H, W)."""
+    parts = [
+        reference.frame_equations(
+            p.tensor * p.trust, p.inverse_depth[0], p.camera, motion[:, :3], motion[:, 3]
+        )[2:]
+        for motion in (p.motions[0], p.motions[-1])
+    ]
+    slopes, sums = zip(*parts, strict=True)
+    return np.concatenate(slopes), np.sum(sums, axis=0)
 
 
 def restricted_sums(problem: Problem) -> np.ndarray:

@@ -88,6 +88,9 @@ TRAFFIC = {
     # tensor, flow, direction, D, weight, sums | sums
     "add_along": Traffic(read=(15, 0), written=(3, 0)),
     "as_constraint": Traffic(read=(2, 0), written=(2, 0)),  # A, B | p, c
+    "squared_residual": Traffic(read=(8, 0), written=(1, 0)),  # tensor, flow | out
+    "add_frame": Traffic(read=(10, 0), written=(8, 0)),  # tensor, D, weight, sums | slopes, sums
+    "answered": Traffic(read=(14, 0), written=(0, 0)),  # slopes of two frames, sums
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),

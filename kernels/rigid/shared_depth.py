@@ -252,5 +252,7 @@ def _answered(
                     share = inverse * mine
                     for j in ti.static(range(6)):
                         sums[6 * i + j] += share * others[j]
-        for k in ti.static(range(PAIR)):
-            store_sum(partial, band, pair, k, sums[k], ti.static(lane_count(slopes)))
+        for i in ti.static(range(7)):  # in two loops: Taichi warns of long ones that it unrolls
+            for j in ti.static(range(6)):
+                k = ti.static(6 * i + j)
+                store_sum(partial, band, pair, k, sums[k], ti.static(lane_count(slopes)))
