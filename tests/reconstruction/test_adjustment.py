@@ -99,6 +99,13 @@ def test_without_stars_nothing_moves():
     assert all((found[k] == start[k]).all() for k in start)
 
 
+def test_stars_whose_frames_have_no_poses_are_left_out():
+    film = walk()
+    start = {0: film.poses[0], 8: film.poses[8]}
+    found = adjusted(start, stars_of(film, (0,)), lambda k: film.frames[k], film.camera, SETTINGS)
+    assert all((found[k] == start[k]).all() for k in start)
+
+
 def test_frames_that_no_star_has_stay():
     film = walk()
     start = {k: pose for k, pose in enumerate(film.poses)}

@@ -141,6 +141,7 @@ def adjusted(
         Of Gauss–Newton.
     """
     found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
+    stars = [star for star in stars if any(f in found and f != star.key for f in star.members)]
     if not stars:
         return found
     seen = _Views(frames, camera, settings)
