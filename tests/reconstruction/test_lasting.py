@@ -1,12 +1,20 @@
 """Tracks that a path is built from."""
 
 import numpy as np
+import pytest
 
-from tisfm.reconstruction.lasting import CELLS, lasting
+from tisfm.reconstruction import lasting as module
+from tisfm.reconstruction.lasting import CELLS, ENOUGH, lasting
 from tisfm.reconstruction.tracks import Seen
 
 SIDE = 400  # px: of the frames
-CELL = SIDE / CELLS
+CELL = SIDE / CELLS[0]
+
+
+@pytest.fixture
+def any_number(monkeypatch):
+    """The first number of cells is taken, however few tracks it gives."""
+    monkeypatch.setattr(module, "ENOUGH", 0)
 
 
 def views(seed=0, count=5):
@@ -33,7 +41,7 @@ def expected(seen):
     return kept
 
 
-def test_every_cell_gives_the_track_that_most_views_see():
+def test_every_cell_gives_the_track_that_most_views_see(any_number):
     seen = views()
     kept = expected(seen)
     few = lasting(seen, SIDE)
@@ -53,10 +61,18 @@ def test_views_without_tracks_stay():
     assert lasting([], SIDE) == []
 
 
-def test_one_track_of_a_cell_is_enough():
+def test_one_track_of_a_cell_is_enough(any_number):
     points = np.array([[3.0, 3.0], [5.0, 4.0], [3.0 + CELL, 3.0]])
     seen = [
         Seen(points=points, tracks=np.array([0, 1, 2])),
         Seen(points=points[1:], tracks=np.array([1, 2])),
     ]
     assert [one.tracks.tolist() for one in lasting(seen, SIDE)] == [[1, 2], [1, 2]]
+
+
+def test_a_part_of_the_frames_gives_enough_tracks():
+    points = np.stack(np.meshgrid(np.arange(5, SIDE, 10.0), np.arange(5, 100, 10.0)), -1)
+    tracks = np.arange(points.size // 2)
+    seen = [Seen(points=points.reshape(-1, 2), tracks=tracks)] * 3
+    few = lasting(seen, SIDE)
+    assert ENOUGH <= len(few[0].tracks) < len(tracks)

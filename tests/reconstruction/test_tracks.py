@@ -2,10 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 
 from tests.reconstruction.walks import CAMERA
 from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.tracks import Tracker, seeds, spread
+from tisfm.reconstruction.tracks import Tracker, seeds, share_of, smaller, spread
 
 
 def picture(shift):
@@ -40,3 +41,9 @@ def test_no_point_is_begun_on_ignored_pixels():
     begun = seeds(picture((0, 0)), np.empty((0, 2)), ignored)
     assert len(begun) > 100
     assert (begun[:, 0] >= 160).all()
+
+
+@pytest.mark.parametrize("width", [1241, 1240])
+def test_odd_sides_are_filled_up_before_they_are_halved(width):
+    grey = np.zeros((376, width), np.uint8)
+    assert share_of(smaller(grey), grey) == 0.5

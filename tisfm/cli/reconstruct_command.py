@@ -94,7 +94,7 @@ def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
         told = True
         signal.signal(signal.SIGINT, before)
 
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(signal.SIGINT) or signal.default_int_handler
     if watched:
         signal.signal(signal.SIGINT, note)
     try:

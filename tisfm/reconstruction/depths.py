@@ -86,7 +86,8 @@ class PieceDepths:
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
         self._previous, self._after = None if before is None else before[0], after
-        # Of the keyframes in use: as their windows have it, and as it is written.
+        # Of the keyframes in use: as their windows have it (that of `before` apart), and as it is
+        # written.
         self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
         self.settled = dict(self._known)
         self.keyframes = chosen_keyframes(piece, seen, max(frames.shape), self._previous)

@@ -74,6 +74,9 @@ def grown_from(database: Any, known: Mapping[int, np.ndarray]) -> Any:
     options.mapper.fix_existing_frames = True
     reconstruction = pycolmap().Reconstruction()
     reconstruction.load(cache)
+    known = {number: pose for number, pose in known.items() if number in cache.images}
+    if len(known) < 2:  # the others share nothing with any view
+        return reconstruction
     for number, pose in known.items():
         reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
         reconstruction.register_frame(number)

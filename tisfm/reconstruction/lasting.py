@@ -6,7 +6,9 @@ import numpy as np
 
 from tisfm.reconstruction.tracks import Seen
 
-CELLS = 10  # along the longer side: each of a view's cells gives the track that most views see
+# Along the longer side: each of a view's cells gives the track that most views see. The first
+# number that gives views so many, in the median, is taken: parts of frames may show nothing.
+CELLS, ENOUGH = (10, 16, 24), 60
 
 
 def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
@@ -24,9 +26,19 @@ def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
     """
     if not seen:
         return []
+    chosen: list[np.ndarray] = []
+    for cells in CELLS:
+        chosen = _chosen(seen, longer_side / cells)
+        if np.median([len(one) for one in chosen]) >= ENOUGH:
+            break
+    kept = np.unique(np.concatenate(chosen))
+    return [_of(one, np.isin(one.tracks, kept)) for one in seen]
+
+
+def _chosen(seen: Sequence[Seen], side: float) -> list[np.ndarray]:
+    """Return, for each view, the track of each cell of a side in px that most views see."""
     tracks, views = np.unique(np.concatenate([one.tracks for one in seen]), return_counts=True)
-    side = longer_side / CELLS
-    chosen = [np.empty(0, np.int64)]
+    chosen = []
     for one in seen:
         count = views[np.searchsorted(tracks, one.tracks)]
         column, row = (one.points // side).astype(np.int64).T
@@ -35,8 +47,7 @@ def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
         first = np.ones(len(order), bool)
         first[1:] = (np.diff(cell, axis=0) != 0).any(axis=1)
         chosen.append(one.tracks[order[first]])
-    kept = np.unique(np.concatenate(chosen))
-    return [_of(one, np.isin(one.tracks, kept)) for one in seen]
+    return chosen
 
 
 def _of(seen: Seen, kept: np.ndarray) -> Seen:

@@ -25,7 +25,7 @@ from tisfm.reconstruction.window_depth import WindowDepth
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
 
-AHEAD = 3  # one in so many frames of the delay is looked at before, but not yet given out
+AHEAD = 3  # a third of the delay is used for the path, but not given out yet
 
 
 class Stream:
@@ -67,6 +67,7 @@ class Stream:
                 try:
                     frame = next(incoming, None)
                 except Exception as error:
+                    self._warn_of_skipped()
                     fault = error
                     break
                 self._warn_of_skipped()
@@ -121,7 +122,7 @@ class Stream:
                 yield self._frame(frame, None, -1, stretch.lost[frame], None, False)
                 continue
             depth, key = depths[number].of(frame), depths[number].key
-            if key is not None:
+            if key is not None and key[0] <= frame:  # it may be that of a frame of the next lot
                 self._keys[number] = key
             status = Status("converged") if depth is not None else NO_PARALLAX
             if number not in self._begun and number > 0:

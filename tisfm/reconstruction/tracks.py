@@ -17,7 +17,8 @@ APART = 0.6  # of a cell: of tracks that have come into one square of this side,
 STRUCTURE = 5  # px: the window in which a point is to stand out
 STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
 BORDER = 4  # px that no point comes nearer to
-RETURN = 0.5 / 640  # of the longer side: the way there and back ends no further from its start
+# The way there and back ends no further from its start: px, and a share of the longer side.
+RETURN, RETURN_SHARE = 0.5, 0.5 / 640
 PATCH = 7  # px across, of what is compared along a track
 UNLIKE = 12.0  # grey levels, mean difference of patches of one track, but for brightness
 # Of the search for the place where a point looks as before: it begins where the flow leads.
@@ -94,7 +95,7 @@ class Tracker:
 
     def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
         """Return the image motion, (h, w, 2) float32, px of the small frames."""
-        scale = small0.shape[1] / self._grey.shape[1] if self._grey is not None else 1.0
+        scale = share_of(small0, self._grey) if self._grey is not None else 1.0
         camera = Camera(focal=self._camera.focal * scale)
         pyramid = ImagePyramid(
             small0,
@@ -137,13 +138,13 @@ def carried(
     height, width = grey0.shape
     if len(points) == 0:
         return points, np.zeros(0, bool)
-    motion = _flow_at(flow, points, width)
+    motion = _flow_at(flow, points, grey0)
     led = points + motion
     near, seen = _sought(grey0, grey1, points, led)
     taken = seen & (np.hypot(*(near - led).T) < FURTHEST)
     moved = np.where(taken[:, None], near, led)
     returned, found = _sought(grey1, grey0, moved, moved - motion)
-    found &= np.hypot(*(returned - points).T) < RETURN * max(height, width)
+    found &= np.hypot(*(returned - points).T) < max(RETURN, RETURN_SHARE * max(height, width))
     low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
     found &= ((moved >= low) & (moved <= high)).all(axis=1)
     difference = _patches(grey0, points) - _patches(grey1, moved)
@@ -229,9 +230,14 @@ def smaller(grey: np.ndarray) -> np.ndarray:
     return small
 
 
-def _flow_at(flow: np.ndarray, points: np.ndarray, width: int) -> np.ndarray:
+def share_of(small: np.ndarray, grey: np.ndarray) -> float:
+    """Return how many px of `smaller` a px of the frame is: odd sides are filled up first."""
+    return float(2.0 ** np.rint(np.log2(small.shape[1] / grey.shape[1])))
+
+
+def _flow_at(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return the flow at points of the frame, px of the frame."""
-    scale = 2.0 ** np.rint(np.log2(flow.shape[1] / width))
+    scale = share_of(flow, grey)
     return _sampled(flow, (points + 0.5) * scale - 0.5) / scale
 
 

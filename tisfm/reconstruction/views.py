@@ -7,7 +7,7 @@ from tisfm.camera import Camera
 from tisfm.motion.sparse_matches import Described, alike, described
 from tisfm.reconstruction.loops import Look, similar
 from tisfm.reconstruction.mapping import View
-from tisfm.reconstruction.tracks import Seen, smaller
+from tisfm.reconstruction.tracks import Seen, share_of, smaller
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
 # view, or fewer than this share of its tracks are still seen.
@@ -135,7 +135,7 @@ def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
     """Return points of a frame and what they look like, found on the level of the flow."""
     small = smaller(grey)
     found = described(small, per_cell=PER_CELL)
-    points = (found.points + 0.5) * (grey.shape[1] / small.shape[1]) - 0.5
+    points = (found.points + 0.5) / share_of(small, grey) - 0.5
     if ignored is None:
         return Described(points=points, roots=found.roots)
     column, row = np.rint(points).astype(np.intp).T
