@@ -93,10 +93,15 @@ def within_one(film, poses):
 
 def test_errors_of_poses_are_in_the_deviation(monkeypatch):
     film = walk()
-    random = np.random.default_rng(2)
-    twists = random.normal(0, 1, (len(film.poses), 6)) * np.repeat((0.02, 0.004), 3)
-    shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
-    share = within_one(film, shaken)
-    assert 0.6 < share < 0.85
-    monkeypatch.setattr(depths, "APART", 0.0)
-    assert within_one(film, shaken) < 0.8 * share
+    with_comparison, without = [], []
+    # Three keyframes agree or not by chance: of one draw alone the share is anything above a half.
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        twists = random.normal(0, 1, (len(film.poses), 6)) * np.repeat((0.02, 0.004), 3)
+        shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
+        with_comparison.append(within_one(film, shaken))
+        with monkeypatch.context() as patched:
+            patched.setattr(depths, "APART", 0.0)
+            without.append(within_one(film, shaken))
+    assert 0.6 < np.mean(with_comparison) < 0.85
+    assert np.mean(without) < 0.6 * np.mean(with_comparison)
