@@ -59,7 +59,17 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         ),
         (
             "reconstruct",
-            {"--output", "--preset", "--poses", "--mask", "--scale", "--ply", "--no-ply", "--arch"}
+            {
+                "--output",
+                "--preset",
+                "--poses",
+                "--mask",
+                "--depth-of",
+                "--scale",
+                "--ply",
+                "--no-ply",
+                "--arch",
+            }
             | {
                 "--mesh",
                 "--threads",

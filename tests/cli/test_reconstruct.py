@@ -49,6 +49,22 @@ def test_the_folder_holds_what_is_promised(tisfm_run, film, place):
     np.testing.assert_array_equal(tum.times, np.arange(COUNT))
 
 
+def test_depth_of_keyframes_or_none(tisfm_run, film, place):
+    assert tisfm_run("reconstruct", "film", *options(film, "--depth-of", "keyframes"))[0] == 0
+    keyframes = tisfm.Reconstruction.load("out").keyframes
+    depth = sorted(int(path.stem) for path in (place / "out" / "depth").iterdir())
+    assert keyframes and depth == list(keyframes)
+    assert tisfm_run("reconstruct", "film", *options(film, "--depth-of", "none"))[0] == 0
+    assert not list((place / "out" / "depth").iterdir())
+    assert np.isfinite(read_kitti("out/poses.txt").poses).all()
+
+
+def test_nothing_is_fused_without_depth(tisfm_run, film, place):
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--depth-of", "none", "--ply"))
+    assert_one_line(code, err, "nothing to fuse")
+    assert not (place / "out").exists()
+
+
 def test_a_mesh_is_written(tisfm_run, film, place):
     pytest.importorskip("skimage")
     assert tisfm_run("reconstruct", "film", *options(film, "--mesh", "glb"))[0] == 0

@@ -65,6 +65,26 @@ def test_frames_without_a_given_pose_have_no_depth(film):
     assert found.status[4] == "unrelated" and found.status[4].message
 
 
+def test_depth_of_keyframes_alone(film, found):
+    sparse = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="keyframes")
+    np.testing.assert_array_equal(sparse.poses, found.poses)
+    assert sparse.keyframes == found.keyframes and sparse.status == found.status
+    for frame in range(len(found)):
+        if frame in found.keyframes:
+            np.testing.assert_array_equal(sparse.depth(frame), found.depth(frame))
+        else:
+            assert np.isnan(sparse.depth(frame)).all()
+
+
+def test_the_path_alone(film, found):
+    path = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+    assert path.keyframes == () and np.isnan(path.depth(0)).all()
+    assert all(status == "converged" for status in path.status)
+    np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
+    moved, moved_before = (np.linalg.norm(one.poses[-1, :3, 3]) for one in (path, found))
+    assert moved == pytest.approx(moved_before, rel=0.5)  # units: of tracks, and of all pixels
+
+
 def test_it_is_the_same_every_time(film, found):
     again = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
     np.testing.assert_array_equal(again.poses, found.poses)
@@ -248,6 +268,8 @@ def test_a_camera_at_rest_is_told(film):
         ({"poses": np.zeros((9, 4, 4))}, ValueError, r"poses\[0\]"),
         ({"poses": along(3)}, ValueError, "poses are 3"),
         ({"poses": along(9), "bad_frames": "skip"}, ValueError, "skip"),
+        ({"depth_of": "some"}, ValueError, "'some': expected"),
+        ({"poses": along(9), "depth_of": "none"}, ValueError, "nothing to find"),
     ],
 )  # fmt: skip
 def test_wrong_arguments_are_refused(film, changes, error, text):

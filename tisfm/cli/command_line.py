@@ -15,6 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
+from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
 from tisfm.stated import is_stated
@@ -263,6 +264,8 @@ class Reconstruct:
     """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
     """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    depth_of: DepthOf = "all"
+    """The frames that depth is found of: all, keyframes alone, or none, for the path alone."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
     """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
     ply: bool = False
@@ -293,6 +296,7 @@ class Reconstruct:
             frames=self.frames,
             poses=self.poses,
             mask=self.mask,
+            depth_of=self.depth_of,
             scale=self.scale,
             ply=self.ply,
             mesh=self.mesh,

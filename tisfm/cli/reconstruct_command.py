@@ -15,7 +15,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
-from tisfm.reconstruction.progress import Enough, Stage
+from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
@@ -36,6 +36,7 @@ def reconstruct(
     frames: FrameOptions,
     poses: Path | None = None,
     mask: str | None = None,
+    depth_of: DepthOf = "all",
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
     mesh: str | None = None,
@@ -50,6 +51,8 @@ def reconstruct(
     given = None if poses is None else read_trajectory(poses).poses
     if poses is not None and output.resolve() in poses.resolve().parents:
         raise ValueError(f"{poses} lies in {output}, which is written to: give another folder")
+    if depth_of == "none" and (ply or mesh is not None):
+        raise ValueError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
     runtime.start(arch, threads=threads)
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
@@ -68,6 +71,7 @@ def reconstruct(
             settings=settings,
             poses=given,
             mask=mask,
+            depth_of=depth_of,
             folder=output,
             progress=tell_progress,
             **asdict(frames),

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.checks import refuse_masked
 from tisfm.reconstruction.folder import CACHE, begin
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
@@ -28,6 +29,7 @@ def reconstruct(
     settings: Settings | None = None,
     poses: npt.ArrayLike | None = None,
     mask: Mask | None = None,
+    depth_of: DepthOf = "all",
     step: int = 1,
     start: int = 0,
     stop: int | None = None,
@@ -57,6 +59,10 @@ def reconstruct(
         alone is found then, in their unit.
     mask : optional
         Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
+    depth_of : {"all", "keyframes", "none"}
+        The frames that depth is found of: every frame; keyframes alone, which takes less time and
+        room; or none, for the path alone, whose unit is then the median depth of tracks in the
+        first frame of a piece.
     step, start, stop, size, crop, bad_frames
         Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
     folder : path, optional
@@ -77,6 +83,10 @@ def reconstruct(
         settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
     """
     settings = checked_settings(settings)
+    if depth_of not in get_args(DepthOf):
+        raise ValueError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
+    if depth_of == "none" and poses is not None:
+        raise ValueError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else _checked_poses(poses)
     frames = FrameSource(
         source,
@@ -102,7 +112,7 @@ def reconstruct(
 
     path = begin(folder)
     try:
-        result = Run(frames, camera, settings, given, path, progress).result()
+        result = Run(frames, camera, settings, given, path, progress, depth_of).result()
     finally:
         shutil.rmtree(path / CACHE, ignore_errors=True)
     return result if temporary is None else replace(result, _temporary=temporary)

@@ -1,9 +1,11 @@
-"""How far a reconstruction is."""
+"""How far a reconstruction is, and is to go."""
 
 from collections.abc import Callable
 from typing import Literal
 
 Stage = Literal["reading", "path", "depth"]
+DepthOf = Literal["all", "keyframes", "none"]
+"""The frames that depth is found of."""
 Progress = Callable[[Stage, int, int | None], None]
 """Called with the stage, the frames that are done, and how many there are, None if not known."""
 

@@ -29,14 +29,16 @@ class Reconstruction:
         unless poses were given. NaN for a frame without one.
     piece : (N,) int32
         Which piece a frame belongs to; each has a scale of its own, in which the median depth of
-        its first keyframe is 1, unless poses were given. −1 for a frame without a pose.
+        its first keyframe is 1, or of tracks in its first frame, if it has no depth, unless poses
+        were given. −1 for a frame without a pose.
     unit : tuple of float
         For every piece, what its depth on disk is multiplied by; 1 unless it was rescaled.
     status : tuple of Status
-        For every frame, with a message: ``"converged"`` if it has a pose and depth.
+        For every frame, with a message: ``"converged"`` if it has a pose, and depth if that was
+        asked for.
     keyframes : tuple of int
-        Frames whose depth was found from several others; that of the rest is rendered from theirs
-        and refined.
+        Frames whose depth was found from several others; that of the rest is as they
+        show it, and filled along the edges of the frame.
     camera : Camera
         The pinhole of the frames, without distortion.
     settings : Settings

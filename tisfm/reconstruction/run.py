@@ -13,9 +13,9 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
-from tisfm.reconstruction.progress import Enough, Progress
+from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
@@ -49,6 +49,8 @@ class Run:
         Ready to be written to.
     progress : callable or None
         As for `tisfm.reconstruct`.
+    depth_of : {"all", "keyframes", "none"}
+        The frames that depth is found of.
     """
 
     def __init__(
@@ -59,9 +61,11 @@ class Run:
         poses: np.ndarray | None,
         folder: Path,
         progress: Progress | None,
+        depth_of: DepthOf = "all",
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._given, self._folder = poses, folder
+        self._depth_of = depth_of
         self._progress: Progress = progress or (lambda stage, done, total: None)
         self._frames: PreparedFrames
 
@@ -79,13 +83,14 @@ class Run:
         for number, part in enumerate(path.pieces):
             part = self._adjusted(part, path.seen)
             found, unit = self._depths(part, path.seen, done)
+            unseen = self._depth_of == "keyframes" and not found
             done += len(part.poses)
             keyframes += [frame for frame, kind in found.items() if kind == "keyframe"]
             world = np.eye(4) if self._given is not None else part.poses[min(part.poses)]
             for frame, pose in part.poses.items():
                 poses[frame], piece[frame] = np.linalg.solve(world, pose), number
                 poses[frame, :3, 3] /= unit
-                if frame not in found:
+                if frame not in found and (self._depth_of == "all" or unseen):
                     status[frame] = NO_PARALLAX
             if number > 0:
                 first = min(part.poses)
@@ -181,10 +186,17 @@ class Run:
         self, piece: Piece, seen: tuple[Seen, ...], done: int
     ) -> tuple[dict[int, str], float]:
         """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
+        if self._depth_of == "none":
+            return {}, unit_of_points(piece, seen)
         from tisfm.reconstruction.depths import PieceDepths, effort_of, unit_of
 
         depths = PieceDepths(
-            self._frames, piece, seen, self._settings, effort=effort_of(self._settings)
+            self._frames,
+            piece,
+            seen,
+            self._settings,
+            effort=effort_of(self._settings),
+            after=max(piece.poses) if self._depth_of == "keyframes" else -1,
         )
         found: dict[int, str] = {}
         unit = 1.0
@@ -197,6 +209,15 @@ class Run:
             found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
             self._progress("depth", done + len(found), len(seen))
         return found, unit
+
+
+def unit_of_points(piece: Piece, seen: tuple[Seen, ...]) -> float:
+    """Return the median depth of tracks in the first frame of a piece that shows any; 1 if none."""
+    for frame, pose in piece.poses.items():
+        _, depths = depths_of(seen[frame], piece.points, pose)
+        if len(depths):
+            return float(np.median(depths))
+    return 1.0
 
 
 def begins_piece(status: Status) -> Status:
