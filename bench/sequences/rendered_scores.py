@@ -48,7 +48,10 @@ def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> floa
 
 
 def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
-    """Return the spread of the scale of depth of frames, over that of pairs by themselves."""
+    """Return the spread of the scale of depth of frames, over that of pairs by themselves.
+
+    A pair without any depth is left out.
+    """
     numbers = range(0, len(film.frames) - 1, 3)
     spread = np.std([_log_scale(film.depth[k], result.depth(k)) for k in numbers])
     pairs = [
@@ -56,15 +59,15 @@ def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) 
         for k in numbers
     ]
     alone = [_log_scale(film.depth[k], pair.depth) for k, pair in zip(numbers, pairs, strict=True)]
-    return float(spread / np.std(alone))
+    return float(spread / np.nanstd(alone))
 
 
 def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
-    """Return the share of the vertices of a mesh of all frames near the true surface, %.
+    """Return the share of the vertices of a mesh of the keyframes near the true surface, %.
 
     The mesh is brought to the truth by the path's similarity alone.
     """
-    vertices = result.mesh(range(len(film.frames))).vertices
+    vertices = result.mesh().vertices
     if not len(vertices):
         return 0.0
     moved = align(centres(result.poses), centres(film.poses)).apply(vertices)
@@ -92,7 +95,8 @@ def _from_first(poses: Poses) -> np.ndarray:
 
 
 def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
-    return float(np.log(np.nanmedian(true / found)))
+    known = np.isfinite(found)
+    return float(np.log(np.median(true[known] / found[known]))) if known.any() else np.nan
 
 
 def _distance(points: np.ndarray, film: Film) -> np.ndarray:

@@ -24,7 +24,7 @@ def fused_mesh(
     views: Sequence[DepthView],
     *,
     agreeing: int = 3,
-    max_relative_std: float = 0.1,
+    max_relative_std: float = 0.05,
     max_depth: float | None = 5.0,
     voxel: float | None = None,
     truncation: float | None = None,
@@ -41,7 +41,7 @@ def fused_mesh(
         Anything with a length and items. Views are read one by one, four times each.
     agreeing : int, default 3
         How many views must show the surface at a place; all where there are fewer views.
-    max_relative_std : float, default 0.1
+    max_relative_std : float, default 0.05
         Depth of a larger deviation, relative to itself, is left out.
     max_depth : float, default 5
         Depth beyond so many median depths of its view is left out; None for no bound.

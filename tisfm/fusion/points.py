@@ -19,7 +19,7 @@ def fused_points(
     views: Sequence[DepthView],
     *,
     agreeing: int = 3,
-    max_relative_std: float = 0.1,
+    max_relative_std: float = 0.05,
     max_depth: float | None = FARTHEST_MEDIANS,
     voxel: float | None = None,
 ) -> PointCloud:
@@ -38,7 +38,7 @@ def fused_points(
         held at a time.
     agreeing : int, default 3
         How many views must show a point, its own among them; all where there are fewer views.
-    max_relative_std : float, default 0.1
+    max_relative_std : float, default 0.05
         Depth of a larger deviation, relative to itself, is left out.
     max_depth : float, default 10
         Depth beyond so many median depths of its view is left out; None for no bound.

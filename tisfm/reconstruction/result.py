@@ -115,7 +115,7 @@ class Reconstruction:
         frames: Iterable[int] | None = None,
         *,
         agreeing: int = 3,
-        max_relative_std: float = 0.1,
+        max_relative_std: float = 0.05,
         voxel: float | None = None,
     ) -> PointCloud:
         """Return coloured points that several frames agree on, in the axes of the world.
@@ -153,7 +153,7 @@ class Reconstruction:
         frames: Iterable[int] | None = None,
         *,
         agreeing: int = 3,
-        max_relative_std: float = 0.1,
+        max_relative_std: float = 0.05,
         voxel: float | None = None,
         truncation: float | None = None,
     ) -> "Mesh":
