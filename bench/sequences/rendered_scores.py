@@ -89,6 +89,14 @@ def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[f
     return float(error.mean()), 100 * float(np.mean(off <= found.deviation))
 
 
+def depth_of_pair(film: Film, settings: tisfm.Settings) -> float:
+    """Return the mean error of the first frame's depth from the first two, in its best scale."""
+    found = tisfm.interpret(*film.frames[:2], camera=film.camera, settings=settings).depth
+    true = film.depth[0]
+    scaled = found * np.nanmedian(true / found)
+    return float(np.nan_to_num(np.abs(scaled - true) / true, nan=1.0).mean())
+
+
 def _from_first(poses: Poses) -> np.ndarray:
     """Return the last place in the axes of the first camera, (3,)."""
     return np.asarray(poses[0, :3, :3].T @ (poses[-1, :3, 3] - poses[0, :3, 3]))
