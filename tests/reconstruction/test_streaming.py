@@ -138,6 +138,18 @@ def test_it_is_the_same_every_time(streamed):
     again.close()
 
 
+def test_what_becomes_of_a_frame_changes_no_later_one(streamed):
+    found, _ = streamed
+    film = swing()
+    again = tisfm.reconstruct_stream(film.frames, camera=film.camera, settings=FAST, delay=DELAY)
+    for _, one, other in zip(range(16), found, again, strict=False):
+        np.testing.assert_array_equal(one.inverse_depth, other.inverse_depth)
+        np.testing.assert_array_equal(one.inverse_depth_std, other.inverse_depth_std)
+        for values in (other.pose, other.inverse_depth, other.inverse_depth_std, other.picture):
+            values[...] = 0
+    again.close()
+
+
 def test_known_poses_stay_as_they_are(monkeypatch):
     film = swing()
     path = SlidingPath(film.camera)
@@ -211,6 +223,27 @@ def test_what_was_read_before_an_error_is_given_out(disk):
             found.append(frame)
     assert [frame.index for frame in found] == list(range(20))
     assert path_error(poses_of(found), film.poses[:20]) < 0.02
+    assert list(disk.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "told"),
+    [
+        (lambda image: image * np.float32(np.nan), ValueError, "frame_000008 is NaN"),
+        (lambda image: image.astype(np.int64), TypeError, "frame_000008 is of type int64"),
+        (lambda image: np.ma.masked_array(image, mask=True), ValueError, "frame_000008 has .* masked"),
+        (lambda image: image[:90], ValueError, "frame_000008: .* same size"),
+    ],
+)
+def test_frames_before_one_that_is_none_are_given_out(disk, wrong, error, told):
+    film, found = swing(), []
+    images = [*film.frames[:8], wrong(film.frames[8]), *film.frames[9:12]]
+    with pytest.raises(error, match=told):
+        for frame in tisfm.reconstruct_stream(
+            images, camera=film.camera, settings=FAST, delay=DELAY
+        ):
+            found.append(frame)
+    assert [frame.index for frame in found] == list(range(8))
     assert list(disk.iterdir()) == []
 
 
