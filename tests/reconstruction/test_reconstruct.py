@@ -1,5 +1,7 @@
 """`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -135,6 +137,40 @@ def test_folders_that_are_not_complete_are_refused(found, tmp_path):
     found.save(tmp_path)
     (tmp_path / "reconstruction.json").unlink()
     with pytest.raises(FileNotFoundError, match="not complete"):
+        Reconstruction.load(tmp_path)
+
+
+def test_the_working_folder_may_change(found, film, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    made = tisfm.reconstruct(
+        film.frames[:2], camera=film.camera, settings=FAST, poses=film.poses[:2], folder="made"
+    )
+    found.save("kept")
+    loaded = Reconstruction.load("kept")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    np.testing.assert_array_equal(loaded.depth(0), found.depth(0))
+    assert made.picture(0).shape == made.shape
+
+
+def test_what_was_deleted_is_told(found, tmp_path):
+    """Depth that is nowhere is not taken for depth that no frame shows."""
+    found.save(tmp_path)
+    loaded = Reconstruction.load(tmp_path)
+    (tmp_path / "frames" / "000000.jpg").write_bytes(b"")
+    with pytest.raises(tisfm.formats.FormatError, match=r"000000\.jpg is damaged"):
+        loaded.picture(0)
+    (tmp_path / "depth").rename(tmp_path / "other")
+    with pytest.raises(FileNotFoundError, match="not complete"):
+        loaded.depth(0)
+
+
+@pytest.mark.parametrize("part", [{"keyframes": [0, 99]}, {"status": []}])
+def test_records_that_do_not_fit_are_refused(found, tmp_path, part):
+    found.save(tmp_path)
+    record = tmp_path / "reconstruction.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | part))
+    with pytest.raises(tisfm.formats.FormatError, match=r"reconstruction\.json is damaged"):
         Reconstruction.load(tmp_path)
 
 

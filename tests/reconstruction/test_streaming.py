@@ -231,7 +231,11 @@ def test_what_was_read_before_an_error_is_given_out(disk):
     [
         (lambda image: image * np.float32(np.nan), ValueError, "frame_000008 is NaN"),
         (lambda image: image.astype(np.int64), TypeError, "frame_000008 is of type int64"),
-        (lambda image: np.ma.masked_array(image, mask=True), ValueError, "frame_000008 has .* masked"),
+        (
+            lambda image: np.ma.masked_array(image, mask=True),
+            ValueError,
+            "frame_000008 has .* masked",
+        ),
         (lambda image: image[:90], ValueError, "frame_000008: .* same size"),
     ],
 )

@@ -110,7 +110,7 @@ def reconstruct(
         folder = temporary.name
     from tisfm.reconstruction.run import Run
 
-    path = begin(folder)
+    path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
         result = Run(frames, camera, settings, given, path, progress, depth_of).result()
     finally:

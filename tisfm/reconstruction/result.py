@@ -259,7 +259,7 @@ class Reconstruction:
         """
         from tisfm.reconstruction.folder import read_record
 
-        return cls(**read_record(folder), folder=Path(folder))
+        return cls(**read_record(folder), folder=Path(folder).absolute())
 
     def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         from tisfm.reconstruction.folder import read_depth
