@@ -9,6 +9,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along, depth_error, path_error, walk
 from tisfm import Camera, Reconstruction, Settings
+from tisfm.reconstruction.depths import PieceDepths
 
 FAST = Settings.preset("fast", motion="camera")
 
@@ -85,6 +86,14 @@ def test_the_path_alone(film, found):
     np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
     moved, moved_before = (np.linalg.norm(one.poses[-1, :3, 3]) for one in (path, found))
     assert moved == pytest.approx(moved_before, rel=0.5)  # units: of tracks, and of all pixels
+
+
+def test_a_path_whose_depth_is_nowhere_to_be_seen_has_the_unit_of_its_tracks(film, monkeypatch):
+    path = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+    monkeypatch.setattr(PieceDepths, "__iter__", lambda self: iter(()))
+    blind = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
+    assert {str(status) for status in blind.status} == {"little_parallax"}
+    np.testing.assert_array_equal(blind.poses, path.poses)
 
 
 def test_it_is_the_same_every_time(film, found):

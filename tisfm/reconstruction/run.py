@@ -208,6 +208,8 @@ class Run:
             )
             found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
             self._progress("depth", done + len(found), len(seen))
+        if not found and self._given is None:
+            unit = unit_of_points(piece, seen)
         return found, unit
 
 
