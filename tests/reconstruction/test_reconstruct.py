@@ -1,6 +1,7 @@
 """`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
 
 import json
+import tempfile
 
 import cv2
 import numpy as np
@@ -66,6 +67,32 @@ def test_frames_without_a_given_pose_have_no_depth(film):
     assert found.piece[4] == -1 and np.isnan(found.poses[4]).all()
     assert np.isnan(found.depth(4)).all() and np.isinf(found.inverse_depth_std(4)).all()
     assert found.status[4] == "unrelated" and found.status[4].message
+
+
+def test_as_many_poses_as_frames_are_needed(film, found, tmp_path):
+    """What was in the folder is still there, where that is known before frames are read."""
+    found.save(tmp_path)
+    options = {"camera": film.camera, "settings": FAST, "poses": film.poses[:4]}
+    with pytest.raises(ValueError, match="poses are 4, but there are 9 frames"):
+        tisfm.reconstruct(film.frames, **options, folder=tmp_path)
+    assert len(Reconstruction.load(tmp_path)) == 9
+    with pytest.raises(ValueError, match="poses are 4, but there are 3 frames"):
+        tisfm.reconstruct(iter(film.frames[:3]), **options)
+
+
+def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    there = []
+
+    def broken():
+        yield from film.frames[:2]
+        there.extend(tmp_path.iterdir())
+        raise OSError("the plug was pulled")
+
+    with pytest.raises(OSError, match="plug") as held:
+        tisfm.reconstruct(broken(), camera=film.camera, settings=FAST)
+    assert len(there) == 1 and list(tmp_path.iterdir()) == []
+    assert held.value.__traceback__ is not None  # it holds all that was at work
 
 
 def test_depth_of_keyframes_alone(film, found):

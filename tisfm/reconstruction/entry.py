@@ -63,8 +63,11 @@ def reconstruct(
         The frames that depth is found of: every frame; keyframes alone, which takes less time and
         room; or none, for the path alone, whose unit is then the median depth of tracks in the
         first frame of a piece.
-    step, start, stop, size, crop, bad_frames
+    step, start, stop, size, crop
         Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
+    bad_frames : {"raise", "skip"}
+        What becomes of frames that are damaged: an error, or they are left out, and
+        `Reconstruction.skipped` says which.
     folder : path, optional
         Where the result is to lie; by default in a temporary folder, which is deleted with the
         result: `Reconstruction.save` keeps it.
@@ -100,6 +103,8 @@ def reconstruct(
     )
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
+    if given is not None and frames.count is not None:
+        check_count(len(given), len(frames) + 1)
     camera = None if camera is None else check_camera(camera)
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
@@ -113,6 +118,10 @@ def reconstruct(
     path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
         result = Run(frames, camera, settings, given, path, progress, depth_of).result()
+    except BaseException:
+        if temporary is not None:
+            temporary.cleanup()  # what was raised may be kept for long, and this with it
+        raise
     finally:
         shutil.rmtree(path / CACHE, ignore_errors=True)
     return result if temporary is None else replace(result, _temporary=temporary)
@@ -124,6 +133,12 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
     for file in files:
         if place in file.resolve().parents:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
+
+
+def check_count(poses: int, frames: int) -> None:
+    """Raise ValueError unless there are as many poses as frames."""
+    if poses != frames:
+        raise ValueError(f"poses are {poses}, but there are {frames} frames: expected one for each")
 
 
 def checked_settings(settings: Settings | None) -> Settings:

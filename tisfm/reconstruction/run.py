@@ -10,6 +10,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.focal_guess import guess_camera
 from tisfm.outcome import Status
+from tisfm.reconstruction.entry import check_count
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
@@ -155,10 +156,7 @@ class Run:
         return _Read(names=_distinct(names), times=tuple(times)), path
 
     def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
-        if len(poses) != len(seen):
-            raise ValueError(
-                f"poses are {len(poses)}, but there are {len(seen)} frames: expected one for each"
-            )
+        check_count(len(poses), len(seen))
         known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
         points = triangulated(seen, known, self._frames.camera, self._frames.shape)
         lost = {
