@@ -283,6 +283,19 @@ def test_masked_pixels_are_left_out(film):
     np.testing.assert_array_equal(other.depth(4), found.depth(4))
 
 
+def test_what_covers_the_scene_is_in_no_cloud(film):
+    seen = np.ones(film.frames[0].shape, bool)
+    seen[:, 100:140] = False
+    frames = np.where(seen[..., None], film.frames[..., None], np.uint8([255, 0, 0]))
+    found = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, mask=seen)
+    for frame in range(len(found)):
+        assert np.isfinite(found.depth(frame)).all()
+        np.testing.assert_array_equal(np.isinf(found.inverse_depth_std(frame)), ~seen)
+    colors = found.points(range(len(found)), agreeing=1).colors.astype(int)
+    covering = colors[:, 0] > colors[:, 1] + 128
+    assert len(colors) > 1000 and covering.mean() < 0.005  # JPEG lets some of it into neighbours
+
+
 def test_distortion_is_removed(film):
     camera = Camera(focal=film.camera.focal, distortion=(-0.05, 0.01, 0.0, 0.0))
     found = tisfm.reconstruct(film.frames, camera=camera, settings=FAST)
