@@ -293,7 +293,10 @@ def unit_of(inverse_depth: np.ndarray) -> float:
 
 
 def effort_of(settings: Settings) -> Effort:
-    """Return how densely planes are sought: as much as the preset that does as many warps."""
+    """Return how densely planes are sought: as much as the preset that does as much for a pair."""
     if settings.finest_level > 0:
         return "fast"
-    return "balanced" if settings.warps <= Settings.preset("balanced").warps else "accurate"
+    balanced = Settings.preset("balanced")
+    if settings.warps == balanced.warps:
+        return "accurate" if settings.tolerance < balanced.tolerance else "balanced"
+    return "accurate" if settings.warps > balanced.warps else "balanced"

@@ -47,7 +47,7 @@ def reconstruct(
     ----------
     source : path, sequence of paths, or iterable of arrays
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
-        (H, W) or (H, W, 3) frames.
+        (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera, optional
         Of the frames as they come; distortion is removed. By default the focal length is guessed
         from the first image file or the size of the frames, with a `GuessedFocalWarning`.
