@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
-from tisfm.checks import refuse_masked
+from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.folder import CACHE, begin
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
@@ -133,12 +133,6 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
     for file in files:
         if place in file.resolve().parents:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
-
-
-def check_count(poses: int, frames: int) -> None:
-    """Raise ValueError unless there are as many poses as frames."""
-    if poses != frames:
-        raise ValueError(f"poses are {poses}, but there are {frames} frames: expected one for each")
 
 
 def checked_settings(settings: Settings | None) -> Settings:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.checks import check_count
 from tisfm.focal_guess import guess_camera
 from tisfm.outcome import Status
-from tisfm.reconstruction.entry import check_count
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
