@@ -31,6 +31,12 @@ def whole(least: int, **values: object) -> None:
             raise ValueError(f"{name} is {value!r}: expected a {kind} whole number")
 
 
+def check_count(poses: int, frames: int) -> None:
+    """Raise ValueError unless there are as many poses as frames."""
+    if poses != frames:
+        raise ValueError(f"poses are {poses}, but there are {frames} frames: expected one for each")
+
+
 def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
     """Raise ValueError if an array has masked values: NumPy's functions would drop the mask.
 

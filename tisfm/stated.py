@@ -20,7 +20,7 @@ def is_stated(error: BaseException) -> bool:
     """
     if isinstance(error, (OSError, MemoryError)):
         return True
-    if not isinstance(error, (TypeError, ValueError, RuntimeError)):
+    if not isinstance(error, (TypeError, ValueError, IndexError, RuntimeError, ImportError)):
         return False
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

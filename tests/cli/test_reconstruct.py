@@ -2,6 +2,7 @@
 
 import re
 import signal
+import sys
 
 import cv2
 import numpy as np
@@ -130,6 +131,25 @@ def test_the_unit_is_chosen(tisfm_run, film):
     assert code == 0
     moved = np.linalg.norm(result.poses[8, :3, 3] - result.poses[0, :3, 3])
     assert moved == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("scale", [("0", "0", "1"), ("-1", "3", "1"), ("0", "8", "0")])
+def test_a_scale_that_says_nothing_is_refused_at_once(tisfm_run, film, place, scale):
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", *scale))
+    assert_one_line(code, err, "--scale is")
+    assert not (place / "out").exists()
+
+
+def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film):
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
+    assert_one_line(code, err, "frame is 9: expected 0 to 8")
+
+
+def test_a_mesh_that_cannot_be_made_is_refused_at_once(tisfm_run, film, place, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage", None)
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--mesh", "ply"))
+    assert_one_line(code, err, "scikit-image")
+    assert not (place / "out").exists()
 
 
 def test_a_mask_leaves_pixels_out(tisfm_run, film, place):

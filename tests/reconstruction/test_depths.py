@@ -1,5 +1,7 @@
 """Depth of the frames of a piece: how sure keyframes are that others contradict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from tests.reconstruction.films import walk
 from tisfm import Settings
 from tisfm.reconstruction import depths
 from tisfm.reconstruction.compared_depth import GUESSED, MOST_APART, apart_from, filled
+from tisfm.reconstruction.depths import effort_of
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")
@@ -105,3 +108,15 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch):
             without.append(within_one(film, shaken))
     assert 0.6 < np.mean(with_comparison) < 0.85
     assert np.mean(without) < 0.6 * np.mean(with_comparison)
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_presets_make_the_effort_of_their_name(preset):
+    assert effort_of(Settings.preset(preset, motion="camera")) == preset
+
+
+def test_effort_follows_what_a_pair_takes():
+    balanced = Settings.preset("balanced", motion="camera")
+    assert effort_of(replace(balanced, warps=3)) == "accurate"
+    assert effort_of(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
+    assert effort_of(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"

@@ -72,6 +72,15 @@ def test_a_camera_at_rest_has_no_path():
     assert set(path.lost.values()) == {"no_motion"}
 
 
+def test_two_frames_that_differ_are_told_to_be_too_few():
+    first, second = frames([WALK[0], WALK[12]])
+    for images in ([first, second], [first, first, second]):
+        path = path_of(images)
+        assert path.pieces == ()
+        assert set(path.lost.values()) == {"little_parallax"}
+        assert {status.message[:22] for status in path.lost.values()} == {"only 2 frames differ, "}
+
+
 def test_black_frames_have_no_path():
     path = path_of([np.zeros((120, 160), np.uint8)] * 3)
     assert path.pieces == ()

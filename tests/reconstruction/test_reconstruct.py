@@ -1,5 +1,8 @@
 """`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
 
+import json
+import tempfile
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along, depth_error, path_error, walk
 from tisfm import Camera, Reconstruction, Settings
+from tisfm.reconstruction.depths import PieceDepths
 
 FAST = Settings.preset("fast", motion="camera")
 
@@ -65,6 +69,32 @@ def test_frames_without_a_given_pose_have_no_depth(film):
     assert found.status[4] == "unrelated" and found.status[4].message
 
 
+def test_as_many_poses_as_frames_are_needed(film, found, tmp_path):
+    """What was in the folder is still there, where that is known before frames are read."""
+    found.save(tmp_path)
+    options = {"camera": film.camera, "settings": FAST, "poses": film.poses[:4]}
+    with pytest.raises(ValueError, match="poses are 4, but there are 9 frames"):
+        tisfm.reconstruct(film.frames, **options, folder=tmp_path)
+    assert len(Reconstruction.load(tmp_path)) == 9
+    with pytest.raises(ValueError, match="poses are 4, but there are 3 frames"):
+        tisfm.reconstruct(iter(film.frames[:3]), **options)
+
+
+def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    there = []
+
+    def broken():
+        yield from film.frames[:2]
+        there.extend(tmp_path.iterdir())
+        raise OSError("the plug was pulled")
+
+    with pytest.raises(OSError, match="plug") as held:
+        tisfm.reconstruct(broken(), camera=film.camera, settings=FAST)
+    assert len(there) == 1 and list(tmp_path.iterdir()) == []
+    assert held.value.__traceback__ is not None  # it holds all that was at work
+
+
 def test_depth_of_keyframes_alone(film, found):
     sparse = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="keyframes")
     np.testing.assert_array_equal(sparse.poses, found.poses)
@@ -83,6 +113,14 @@ def test_the_path_alone(film, found):
     np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
     moved, moved_before = (np.linalg.norm(one.poses[-1, :3, 3]) for one in (path, found))
     assert moved == pytest.approx(moved_before, rel=0.5)  # units: of tracks, and of all pixels
+
+
+def test_a_path_whose_depth_is_nowhere_to_be_seen_has_the_unit_of_its_tracks(film, monkeypatch):
+    path = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+    monkeypatch.setattr(PieceDepths, "__iter__", lambda self: iter(()))
+    blind = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
+    assert {str(status) for status in blind.status} == {"little_parallax"}
+    np.testing.assert_array_equal(blind.poses, path.poses)
 
 
 def test_it_is_the_same_every_time(film, found):
@@ -135,6 +173,40 @@ def test_folders_that_are_not_complete_are_refused(found, tmp_path):
     found.save(tmp_path)
     (tmp_path / "reconstruction.json").unlink()
     with pytest.raises(FileNotFoundError, match="not complete"):
+        Reconstruction.load(tmp_path)
+
+
+def test_the_working_folder_may_change(found, film, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    made = tisfm.reconstruct(
+        film.frames[:2], camera=film.camera, settings=FAST, poses=film.poses[:2], folder="made"
+    )
+    found.save("kept")
+    loaded = Reconstruction.load("kept")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    np.testing.assert_array_equal(loaded.depth(0), found.depth(0))
+    assert made.picture(0).shape == made.shape
+
+
+def test_what_was_deleted_is_told(found, tmp_path):
+    """Depth that is nowhere is not taken for depth that no frame shows."""
+    found.save(tmp_path)
+    loaded = Reconstruction.load(tmp_path)
+    (tmp_path / "frames" / "000000.jpg").write_bytes(b"")
+    with pytest.raises(tisfm.formats.FormatError, match=r"000000\.jpg is damaged"):
+        loaded.picture(0)
+    (tmp_path / "depth").rename(tmp_path / "other")
+    with pytest.raises(FileNotFoundError, match="not complete"):
+        loaded.depth(0)
+
+
+@pytest.mark.parametrize("part", [{"keyframes": [0, 99]}, {"status": []}])
+def test_records_that_do_not_fit_are_refused(found, tmp_path, part):
+    found.save(tmp_path)
+    record = tmp_path / "reconstruction.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | part))
+    with pytest.raises(tisfm.formats.FormatError, match=r"reconstruction\.json is damaged"):
         Reconstruction.load(tmp_path)
 
 
@@ -209,6 +281,19 @@ def test_masked_pixels_are_left_out(film):
     other = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, mask=mask)
     np.testing.assert_array_equal(other.poses, found.poses)
     np.testing.assert_array_equal(other.depth(4), found.depth(4))
+
+
+def test_what_covers_the_scene_is_in_no_cloud(film):
+    seen = np.ones(film.frames[0].shape, bool)
+    seen[:, 100:140] = False
+    frames = np.where(seen[..., None], film.frames[..., None], np.uint8([255, 0, 0]))
+    found = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, mask=seen)
+    for frame in range(len(found)):
+        assert np.isfinite(found.depth(frame)).all()
+        np.testing.assert_array_equal(np.isinf(found.inverse_depth_std(frame)), ~seen)
+    colors = found.points(range(len(found)), agreeing=1).colors.astype(int)
+    covering = colors[:, 0] > colors[:, 1] + 128
+    assert len(colors) > 1000 and covering.mean() < 0.005  # JPEG lets some of it into neighbours
 
 
 def test_distortion_is_removed(film):

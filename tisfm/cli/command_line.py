@@ -395,7 +395,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.code != cv2.Error.StsNoMem:
             raise
         return _fail("not enough memory: give smaller frames")
-    except (OSError, TypeError, ValueError, RuntimeError) as error:
+    except (OSError, TypeError, ValueError, IndexError, RuntimeError, ImportError) as error:
         if not is_stated(error):
             raise
         return _fail(str(error))

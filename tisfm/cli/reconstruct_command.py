@@ -15,6 +15,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
@@ -53,6 +54,11 @@ def reconstruct(
         raise ValueError(f"{poses} lies in {output}, which is written to: give another folder")
     if depth_of == "none" and (ply or mesh is not None):
         raise ValueError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
+    # What comes at the end may be refused now: the rest takes long.
+    if scale is not None:
+        _check_scale(*scale)
+    if mesh is not None:
+        check_library()
     runtime.start(arch, threads=threads)
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
@@ -86,6 +92,14 @@ def reconstruct(
         result.mesh().save(output / f"mesh.{mesh}")
     _tell(result, output)
     return 0
+
+
+def _check_scale(frame0: int, frame1: int, distance: float) -> None:
+    if min(frame0, frame1) < 0 or frame0 == frame1 or not 0 < distance < np.inf:
+        raise ValueError(
+            f"--scale is {frame0} {frame1} {distance:g}: expected the numbers of two frames, from "
+            "0, and a positive distance"
+        )
 
 
 @contextmanager

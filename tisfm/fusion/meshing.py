@@ -76,7 +76,7 @@ def fused_mesh(
     for name, value in (("voxel", voxel), ("truncation", truncation)):
         if value is not None:
             check_positive(value, name)
-    _check_library()
+    check_library()
     read = Views(views, max_relative_std=max_relative_std, max_depth=max_depth)
     if not len(read):
         empty = np.empty((0, 3))
@@ -146,7 +146,8 @@ def _colors(views: Views, vertices: NDArray[np.float64], near: float) -> NDArray
     return np.rint(mean).astype(np.uint8)
 
 
-def _check_library() -> None:
+def check_library() -> None:
+    """Raise ModuleNotFoundError, which says what to install, if there is no scikit-image."""
     try:
         import skimage.measure  # noqa: F401
     except ModuleNotFoundError as error:

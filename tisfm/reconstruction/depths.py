@@ -39,7 +39,8 @@ class FrameDepth:
     ----------
     frame : int
     inverse_depth, deviation : (H, W) float32
-        NaN and infinity where there is none.
+        NaN and infinity where there is none. The deviation is infinite as well where the frame
+        does not count.
     """
 
     frame: int
@@ -115,7 +116,7 @@ class PieceDepths:
             return
         after = max(self.settled, default=min(self._piece.poses) - 1)
         found = self.settled[key] = self._compared(key)
-        yield FrameDepth(frame=key, inverse_depth=found.inverse_depth, deviation=found.deviation)
+        yield self._given_out(key, found.inverse_depth, found.deviation)
         yield from self._between(after, key)
         self.settled = {key: found}
 
@@ -155,7 +156,16 @@ class PieceDepths:
             if max(after, self._after) < frame < before:
                 inverse_depth, deviation = self._rendered(frame)
                 if np.isfinite(inverse_depth).any():
-                    yield FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
+                    yield self._given_out(frame, inverse_depth, deviation)
+
+    def _given_out(
+        self, frame: int, inverse_depth: np.ndarray, deviation: np.ndarray
+    ) -> FrameDepth:
+        """Return depth as it is written: where the frame does not count, it shows other things."""
+        counted = self._frames.counted(frame)
+        if counted is not None:
+            deviation = np.where(counted, deviation, np.float32(np.inf))
+        return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
         """Return the depth of a keyframe from the frames around it, None if they show none.
@@ -283,7 +293,10 @@ def unit_of(inverse_depth: np.ndarray) -> float:
 
 
 def effort_of(settings: Settings) -> Effort:
-    """Return how densely planes are sought: as much as the preset that does as many warps."""
+    """Return how densely planes are sought: as much as the preset that does as much for a pair."""
     if settings.finest_level > 0:
         return "fast"
-    return "balanced" if settings.warps <= Settings.preset("balanced").warps else "accurate"
+    balanced = Settings.preset("balanced")
+    if settings.warps == balanced.warps:
+        return "accurate" if settings.tolerance < balanced.tolerance else "balanced"
+    return "accurate" if settings.warps > balanced.warps else "balanced"

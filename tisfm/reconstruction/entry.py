@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
-from tisfm.checks import refuse_masked
+from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.folder import CACHE, begin
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
@@ -47,7 +47,7 @@ def reconstruct(
     ----------
     source : path, sequence of paths, or iterable of arrays
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
-        (H, W) or (H, W, 3) frames.
+        (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera, optional
         Of the frames as they come; distortion is removed. By default the focal length is guessed
         from the first image file or the size of the frames, with a `GuessedFocalWarning`.
@@ -63,8 +63,11 @@ def reconstruct(
         The frames that depth is found of: every frame; keyframes alone, which takes less time and
         room; or none, for the path alone, whose unit is then the median depth of tracks in the
         first frame of a piece.
-    step, start, stop, size, crop, bad_frames
+    step, start, stop, size, crop
         Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
+    bad_frames : {"raise", "skip"}
+        What becomes of frames that are damaged: an error, or they are left out, and
+        `Reconstruction.skipped` says which.
     folder : path, optional
         Where the result is to lie; by default in a temporary folder, which is deleted with the
         result: `Reconstruction.save` keeps it.
@@ -100,6 +103,8 @@ def reconstruct(
     )
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
+    if given is not None and frames.count is not None:
+        check_count(len(given), len(frames) + 1)
     camera = None if camera is None else check_camera(camera)
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
@@ -110,9 +115,13 @@ def reconstruct(
         folder = temporary.name
     from tisfm.reconstruction.run import Run
 
-    path = begin(folder)
+    path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
         result = Run(frames, camera, settings, given, path, progress, depth_of).result()
+    except BaseException:
+        if temporary is not None:
+            temporary.cleanup()  # what was raised may be kept for long, and this with it
+        raise
     finally:
         shutil.rmtree(path / CACHE, ignore_errors=True)
     return result if temporary is None else replace(result, _temporary=temporary)

@@ -57,9 +57,19 @@ def largest_of(values: np.ndarray) -> float:
 
 
 def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none."""
+    """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no folder of depth: it was moved or deleted.
+    tisfm.formats.FormatError
+        If the file is damaged.
+    """
     path = depth_path(folder, number)
     if not path.exists():
+        if not path.parent.is_dir():
+            raise FileNotFoundError(f"there is no {path.parent}: the folder is not complete")
         return np.full(shape, np.nan, np.float32), np.full(shape, np.inf, np.float32)
     with NpzFile(path) as file:
         scale = np.float32(file.read("scale"))
@@ -82,7 +92,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
     if not path.exists():
         raise FileNotFoundError(f"there is no {path}: the folder is not complete")
     data = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if picture is None:
         raise FormatError(f"{path} is damaged: it is no picture")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -173,6 +183,10 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             raise ValueError(f"{PATH} does not have {count} frames")
         if unit.shape != (int(piece.max(initial=-1)) + 1,):
             raise ValueError(f"{PATH} does not have a unit for every piece")
+        if len(about["status"]) != count:
+            raise ValueError(f"it has {len(about['status'])} statuses of {count} frames")
+        if not set(about["keyframes"]) <= set(range(count)):
+            raise ValueError(f"a keyframe is none of its {count} frames")
         camera = about["camera"]
         settings = {**about["settings"], "stiffness": tuple(about["settings"]["stiffness"])}
         return dict(

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import atomic_write
-from tisfm.frames import eight_bit, grey_pair
+from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
@@ -53,10 +53,16 @@ class PreparedFrames:
         -------
         grey : (H, W) uint8
         ignored : (H, W) bool, or None
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no frame, as `tisfm.frames.check_frame` says.
         """
         number = self.count
-        grey, _ = grey_pair(frame.image, frame.image, stretch=frame.stretch)
-        picture = eight_bit(frame.image, frame.image, stretch=frame.stretch)
+        image = check_frame(frame.image, frame.name)
+        grey, _ = grey_pair(image, image, stretch=frame.stretch)
+        picture = eight_bit(image, image, stretch=frame.stretch)
         ignored = frame.ignored
         if ignored is not None and ignored.any():
             grey = filled(grey, ignored)

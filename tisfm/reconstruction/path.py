@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
-from tisfm.reconstruction.growing import FEWEST
+from tisfm.reconstruction.growing import FEWEST, SMALLEST
 from tisfm.reconstruction.mapping import models_of, pose_from_points
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
@@ -90,6 +90,7 @@ class PathFinder:
         if self._last is None:
             return CameraPath(pieces=(), lost={}, seen=())
         last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
+        different = len(views.chosen)
         if not views.chosen or views.chosen[-1].frame != last:
             views.add(last, grey, self._seen[last], ignored)
         self._shape = grey.shape
@@ -106,7 +107,7 @@ class PathFinder:
             self._camera,
             self._shape,
         )
-        lost = {frame: why_lost(self._seen[frame], pieces, len(views.chosen)) for frame in unplaced}
+        lost = {frame: why_lost(self._seen[frame], pieces, different) for frame in unplaced}
         ordered = sorted(pieces, key=lambda piece: min(piece.poses))
         return CameraPath(pieces=tuple(ordered), lost=lost, seen=tuple(self._seen))
 
@@ -145,16 +146,22 @@ def with_others(
     ], unplaced
 
 
-def why_lost(seen: Seen, pieces: Sequence[Piece], views: int) -> Status:
-    """Return the status of a frame without a pose, where there are so many views."""
+def why_lost(seen: Seen, pieces: Sequence[Piece], different: int) -> Status:
+    """Return the status of a frame without a pose, where so many frames differ from one another."""
     count = len(seen.tracks)
     if count < FEWEST:
         return Status(
             "no_texture",
             f"it shows {count} points that could be followed: it is dark, bare or blurred",
         )
-    if not pieces and views <= 2:
+    if not pieces and different < 2:
         return Status("no_motion", "frames hardly differ: the camera has to change its place")
+    if not pieces and different < SMALLEST:
+        return Status(
+            "little_parallax",
+            f"only {different} frames differ, but a path needs {SMALLEST}: take more frames, or "
+            "give the pair to tisfm.interpret",
+        )
     if not pieces:
         return Status(
             "little_parallax",

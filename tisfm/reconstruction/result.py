@@ -94,7 +94,10 @@ class Reconstruction:
         return self._depth_of(frame)[0]
 
     def inverse_depth_std(self, frame: int) -> np.ndarray:
-        """Return its standard deviation, (H, W) float32; infinite where there is no depth."""
+        """Return its standard deviation, (H, W) float32.
+
+        Infinite where there is no depth, or pixels are masked: depth there is carried from around.
+        """
         return self._depth_of(frame)[1]
 
     def depth(self, frame: int) -> np.ndarray:
@@ -259,7 +262,7 @@ class Reconstruction:
         """
         from tisfm.reconstruction.folder import read_record
 
-        return cls(**read_record(folder), folder=Path(folder))
+        return cls(**read_record(folder), folder=Path(folder).absolute())
 
     def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         from tisfm.reconstruction.folder import read_depth

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.checks import check_count
 from tisfm.focal_guess import guess_camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
@@ -155,10 +156,7 @@ class Run:
         return _Read(names=_distinct(names), times=tuple(times)), path
 
     def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
-        if len(poses) != len(seen):
-            raise ValueError(
-                f"poses are {len(poses)}, but there are {len(seen)} frames: expected one for each"
-            )
+        check_count(len(poses), len(seen))
         known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
         points = triangulated(seen, known, self._frames.camera, self._frames.shape)
         lost = {
@@ -208,6 +206,8 @@ class Run:
             )
             found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
             self._progress("depth", done + len(found), len(seen))
+        if not found and self._given is None:
+            unit = unit_of_points(piece, seen)
         return found, unit
 
 

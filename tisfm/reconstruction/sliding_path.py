@@ -107,7 +107,7 @@ class SlidingPath:
         """Return the path of the frames that are remembered; at the end, no more will come."""
         views, (grey, ignored) = self._views, self._last
         self._shape = grey.shape
-        last = len(self.seen) - 1
+        last, different = len(self.seen) - 1, len(views.chosen)
         if at_end and (not views.chosen or views.chosen[-1].frame != last):
             views.add(last, grey, self.seen[last], ignored)
         views.close_loops(self._shape)
@@ -127,9 +127,7 @@ class SlidingPath:
             pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
         later = {f: self.seen[f] for f in self.seen.frames() if f > self.settled}
         complete, unplaced = with_others(list(pieces.values()), later, self._camera, self._shape)
-        lost = {
-            frame: why_lost(self.seen[frame], complete, len(views.chosen)) for frame in unplaced
-        }
+        lost = {frame: why_lost(self.seen[frame], complete, different) for frame in unplaced}
         return Stretch(
             pieces=dict(zip(pieces, complete, strict=True)),
             held={frame: pose for poses in self._held.values() for frame, pose in poses.items()},

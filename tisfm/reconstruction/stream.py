@@ -66,14 +66,14 @@ class Stream:
             while fault is None:
                 try:
                     frame = next(incoming, None)
+                    if frame is None:
+                        break
+                    self._add(frame, count)
                 except Exception as error:
-                    self._warn_of_skipped()
                     fault = error
                     break
-                self._warn_of_skipped()
-                if frame is None:
-                    break
-                self._add(frame, count)
+                finally:
+                    self._warn_of_skipped()
                 del frame  # or it would be held while others are worked on
                 count += 1
                 if len(self._about) > self._delay:
@@ -202,12 +202,13 @@ class Stream:
             piece=piece,
             status=status,
             keyframe=keyframe,
+            # Copies: a keyframe's depth is needed for later frames.
             inverse_depth=np.full(shape, np.nan, np.float32)
             if depth is None
-            else depth.inverse_depth,
+            else depth.inverse_depth.copy(),
             inverse_depth_std=np.full(shape, np.inf, np.float32)
             if depth is None
-            else depth.deviation,
+            else depth.deviation.copy(),
             picture=read_picture(self._folder, frame),
             camera=self._frames.camera,
         )

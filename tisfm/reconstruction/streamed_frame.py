@@ -30,7 +30,8 @@ class StreamedFrame:
     keyframe : bool
         Whether its depth was found from several others, rather than rendered from keyframes.
     inverse_depth, inverse_depth_std : (H, W) float32
-        1/unit of the poses, and its standard deviation; NaN and infinity where there is none.
+        1/unit of the poses, and its standard deviation; NaN and infinity where there is none. The
+        deviation is infinite as well where pixels are masked: depth there is carried from around.
     picture : (H, W) or (H, W, 3) uint8
         The frame without distortion, RGB.
     camera : Camera
