@@ -74,13 +74,6 @@ def round_trip(count: int) -> np.ndarray:
     return _looking(places, 0.35 * np.sin(at))
 
 
-def whole_turn(count: int) -> np.ndarray:
-    """Return the poses of a camera that goes round in the room, and looks ahead of it."""
-    at = np.linspace(0, 2 * np.pi, count)
-    places = np.stack([0.5 * (1 - np.cos(at)), 0 * at, 0.5 * np.sin(at)], axis=1)
-    return _looking(places, at)
-
-
 def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
     """Return the poses of a camera that goes, turns where it is, and goes on; step in rad."""
     going = np.array([0.035, 0, 0.02])

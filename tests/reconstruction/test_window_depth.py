@@ -96,26 +96,6 @@ def test_what_masks_hide_does_not_count():
     assert found.believed[:, :100].mean() > 0.3
 
 
-def test_a_prior_fills_what_images_do_not_show():
-    scene = views("room")
-    truth = (1 / scene.depth).astype(np.float32)
-    before = truth.copy()
-    before[::7, ::5] = np.nan
-    deviation = 0.01 * before
-    arguments = scene.first(1)
-    alone, helped = found_in(arguments), found_in(arguments, prior=(before, deviation))
-    assert scene.errors(helped).mean() < 0.6 * scene.errors(alone).mean()
-    unsure = found_in(arguments, prior=(before, 100 * deviation))
-    assert scene.errors(unsure).mean() > scene.errors(helped).mean()
-
-
-def test_a_prior_that_images_contradict_is_dropped():
-    scene = views("sideways")
-    wrong = (2 / scene.depth).astype(np.float32)
-    found = found_in(scene.first(4), prior=(wrong, 0.02 * wrong))
-    assert scene.errors(found).mean() < 0.03
-
-
 def test_bare_frames_say_nothing():
     key, _, motions, camera = views("sideways").first(2)
     bare = np.full_like(key, 100)
@@ -158,7 +138,6 @@ def test_arguments_are_checked(change, message):
     [
         ({"masks": [None]}, "masks has 1 for 2 frames"),
         ({"key_mask": np.ones((3, 4), bool)}, r"key_mask is \(3, 4\)"),
-        ({"prior": (np.ones((3, 4)), np.ones((3, 4)))}, r"prior is \(3, 4\)"),
         ({"effort": "slow"}, "effort is 'slow': expected one of 'fast', 'balanced', 'accurate'"),
     ],
 )

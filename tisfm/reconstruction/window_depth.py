@@ -47,8 +47,6 @@ TEXTURE = 1000.0  # times the variance of the noise: of a window whose constrain
 WARPS, ITERATIONS = 3, 1
 FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
 FURTHEST_SHARE = 0.01  # of the matched cells: those that are further are not counted
-MATCHING = 0.1  # cells: standard deviation of D of a match, as against a prior's
-DOUBTED = 3.0  # standard deviations: a prior that is further from a match is dropped
 # Of the standard deviation of D, cells: the least; a share of what constraints nearby are off by,
 # and of the most that counts of it; and what is added for every cell that D is carried.
 SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.08, 2.5, 0.08
@@ -90,7 +88,6 @@ def window_depth(
     effort: Effort = "balanced",
     key_mask: np.ndarray | None = None,
     masks: Sequence[np.ndarray | None] | None = None,
-    prior: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> WindowDepth | None:
     """Estimate the inverse depth of every pixel of a keyframe.
 
@@ -112,9 +109,6 @@ def window_depth(
         Where the keyframe counts; elsewhere depth is carried.
     masks : sequence of (H, W) bool or None, optional
         The same of every other frame.
-    prior : ((H, W) float32, (H, W) float32), optional
-        Inverse depth that is known beforehand, from other images than these, and its standard
-        deviation, 1/unit of the poses; NaN where none is.
 
     Returns
     -------
@@ -130,13 +124,13 @@ def window_depth(
     others = list(others)
     if effort not in CELLS:
         raise ValueError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
-    motions = _checked(key, others, motions, key_mask, masks, prior)
+    motions = _checked(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
         key, others, motions, camera, cells=CELLS[effort], key_mask=key_mask, masks=masks
     )
-    planes = window_planes(window, None if prior is None else prior[0])
-    anchors = _anchors(planes, None if prior is None else _prior_of_cells(window, prior))
+    planes = window_planes(window)
+    anchors = _anchors(planes)
     if (anchors[0] > 0).sum() < max(1, FEWEST * window.counted.sum()):
         return None
     state = _Data(window, settings, anchors)
@@ -246,38 +240,10 @@ class _Data:
         return sums[0], np.maximum((sums[0] * depth + 2 * sums[1]) * depth + sums[2], 0)
 
 
-def _prior_of_cells(window: Window, prior: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return D⁻ and its standard deviation, (2, h, w) float32, cells; NaN where unknown."""
-    side = 2**window.level
-    height, width = window.shape
-    scale = np.float32(window.unit * window.camera_of(window.level).focal)
-    sampled = [scale * values[side // 2 :: side, side // 2 :: side] for values in prior]
-    below, right = (max(0, a - b) for a, b in zip(window.shape, sampled[0].shape, strict=True))
-    padded = [
-        cv2.copyMakeBorder(values, 0, below, 0, right, cv2.BORDER_REPLICATE) for values in sampled
-    ]
-    return np.stack(padded)[:, :height, :width]
-
-
-def _anchors(planes: WindowPlanes, prior: np.ndarray | None) -> np.ndarray:
-    """Return weight and D* of every cell, (2, h, w) float32, from matches and the prior."""
-    weight = planes.believed.astype(np.float32)
-    target = np.where(planes.believed, planes.inverse_depth, 0).astype(np.float32)
-    if prior is None:
-        return np.stack([weight, target])
-    before, deviation = prior
-    known = (before > 0) & (deviation > 0)
-    apart = np.abs(before - target)
-    known &= ~(planes.believed & (apart > DOUBTED * np.hypot(deviation, MATCHING)))
-    share = np.where(known, (MATCHING / np.maximum(deviation, MATCHING)) ** 2, 0)
-    both = weight + share
-    target = np.divide(
-        weight * target + share * np.where(known, before, 0),
-        both,
-        out=np.zeros_like(target),
-        where=both > 0,
-    )
-    return np.stack([both, target]).astype(np.float32)
+def _anchors(planes: WindowPlanes) -> np.ndarray:
+    """Return weight and D* of every cell, (2, h, w) float32."""
+    target = np.where(planes.believed, planes.inverse_depth, 0)
+    return np.stack([planes.believed, target]).astype(np.float32)
 
 
 def _deviation(
@@ -303,7 +269,6 @@ def _checked(
     motions: np.ndarray,
     key_mask: np.ndarray | None,
     masks: Sequence[np.ndarray | None] | None,
-    prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> np.ndarray:
     """Return the motions, (M, 3, 4) float64, of arguments that fit together."""
     if not others:
@@ -320,7 +285,6 @@ def _checked(
     arrays = [(f"others[{k}]", frame) for k, frame in enumerate(others)]
     arrays += [("key_mask", key_mask)] if key_mask is not None else []
     arrays += [(f"masks[{k}]", mask) for k, mask in enumerate(masks or []) if mask is not None]
-    arrays += [("prior", values) for values in prior or ()]
     for name, array in arrays:
         if np.shape(array) != key.shape:
             raise ValueError(f"{name} is {np.shape(array)} but key is {key.shape}")

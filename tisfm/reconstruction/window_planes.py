@@ -227,18 +227,11 @@ def _where_axes_meet(motion: np.ndarray) -> float:
     return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
 
 
-def window_planes(window: Window, prior: np.ndarray | None = None) -> WindowPlanes:
-    """Match planes of a keyframe in several frames at once, from coarse cells to fine ones.
-
-    Parameters
-    ----------
-    window : Window
-    prior : (H, W) float32, optional
-        Inverse depth to begin with, 1/unit of the poses; NaN where none is known.
-    """
+def window_planes(window: Window) -> WindowPlanes:
+    """Match planes of a keyframe in several frames at once, from coarse cells to fine ones."""
     searches = window.searches()
     level, search, _ = searches[0]
-    planes = _drawn(window, search, level, prior)
+    planes = _drawn(window, search, level)
     side = 0
     for turn, (finer, search, stride) in enumerate(searches):
         if turn:
@@ -288,22 +281,12 @@ def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> n
     return out
 
 
-def _drawn(window: Window, search: ViewSearch, level: int, prior: np.ndarray | None) -> np.ndarray:
-    """Return planes (h, w, 4) float32 drawn at random, or those of a prior."""
+def _drawn(window: Window, search: ViewSearch, level: int) -> np.ndarray:
+    """Return planes (h, w, 4) float32 drawn at random."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
     random[..., 0] *= 0.5**level * window.largest
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
-    if prior is not None:
-        side = 2**level
-        height, width = search.shape
-        known = prior[side // 2 :: side, side // 2 :: side][:height, :width]
-        known = cv2.copyMakeBorder(
-            known, 0, height - known.shape[0], 0, width - known.shape[1], cv2.BORDER_REPLICATE
-        )
-        there = known > 0
-        random[there, 0] = known[there] * np.float32(window.unit * focal)
-        random[there, 1:3] = 0
     return random
 
 
