@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 _SUBMODULES = (
+    "camera_file",
     "datasets",
     "egomotion",
     "evaluation",

@@ -15,6 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
@@ -28,6 +29,8 @@ INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal,
 class CameraOptions:
     """The camera that took the frames."""
 
+    file: Annotated[Path | None, arg(name="camera", metavar="FILE")] = None
+    """The camera.json that tisfm reconstruct wrote of the same lens, or its folder."""
     focal: float | Literal["guess"] | None = None
     """Focal length, px. 'guess' takes the first image's EXIF data, or else its size. By default
     the paper's 600 where motion is 'field', else the guess."""
@@ -41,10 +44,20 @@ class CameraOptions:
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""
+        if self.file is not None:
+            return False
         return self.focal == "guess" or (self.focal is None and motion != "field")
 
-    def camera(self) -> Camera:
-        """Return the camera, with a focal length of 600 px if it is not given."""
+    def camera(self) -> Camera | Path:
+        """Return the camera, with a focal length of 600 px if it is not given, or its file."""
+        stated = (self.focal, self.center, self.distortion)
+        if self.file is not None:
+            if stated != (None, None, None) or self.aspect != 1:
+                raise ValueError(
+                    f"{self.file} states the camera: give neither --focal nor --center, "
+                    "--distortion or --aspect"
+                )
+            return self.file
         focal = self.focal if isinstance(self.focal, float) else 600.0
         distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
         return Camera(focal=focal, center=self.center, distortion=distortion, aspect=self.aspect)
@@ -260,6 +273,9 @@ class Reconstruct:
     """Folder for the results, new or empty, or of an earlier reconstruction, which is replaced."""
     preset: Preset = "balanced"
     """How much effort: fast, balanced or accurate."""
+    calibrate: Calibrate | None = None
+    """Find the focal length from the frames, or nothing. By default it is found unless --focal or
+    --camera states it; with --calibrate focal, --focal is a first guess."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
@@ -291,7 +307,8 @@ class Reconstruct:
         return reconstruct(
             self.source[0] if len(self.source) == 1 else self.source,
             self.output,
-            camera=None if self.camera.guess("camera") else self.camera.camera(),
+            camera=self._camera(),
+            calibrate="nothing" if self.camera.focal == "guess" else self.calibrate,
             settings=Settings.preset(self.preset, motion="camera"),
             frames=self.frames,
             poses=self.poses,
@@ -303,6 +320,20 @@ class Reconstruct:
             arch=self.arch,
             threads=self.threads,
         )
+
+    def _camera(self) -> Camera | Path | None:
+        """Return the camera, its file, or None if its focal length is to be found or guessed."""
+        options = self.camera
+        if not options.guess("camera"):
+            return options.camera()
+        if (options.center, options.distortion, options.aspect) != (None, None, 1.0):
+            raise ValueError(
+                "--center, --distortion and --aspect are of a camera whose focal length is known: "
+                "give --focal as well; with --calibrate focal, a guess will do"
+            )
+        if options.focal == "guess" and self.calibrate == "focal":
+            raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")
+        return None
 
 
 @dataclass(kw_only=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
 from tisfm.cli.background import Background
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
@@ -44,7 +45,7 @@ def run(
     source: Source,
     output: Path,
     *,
-    camera: Camera,
+    camera: Camera | Path,
     guess: bool = False,
     settings: Settings,
     frames: FrameOptions,
@@ -58,10 +59,12 @@ def run(
 ) -> int:
     """Interpret every pair of a source and write the results; return the exit code.
 
-    With `guess` the first frame decides on the focal length, whatever that of the camera. `poses`
-    is a file of a pose for every frame, those that are not taken included. `mask` is a picture,
-    or a folder or pattern of one for every frame.
+    With `guess` the first frame decides on the focal length, whatever that of the camera. `camera`
+    may be a file of one. `poses` is a file of a pose for every frame, those that are not taken
+    included. `mask` is a picture, or a folder or pattern of one for every frame.
     """
+    if isinstance(camera, Path):
+        read_camera(camera)  # it is refused before anything else is done
     pairs = frames.open(source, mask=mask)
     _refuse_mixing(source, pairs.frame_files, output)
     if mask is not None:
@@ -74,7 +77,9 @@ def run(
     following = chain([first], posed)
     del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
-    if guess:
+    if isinstance(camera, Path):
+        camera = read_camera(camera, full or shape[:2])
+    elif guess:
         camera = _guessed(camera, pairs.first_file or full or shape)
     camera = pairs.camera_after(camera, full)
     writer = PairWriter(
@@ -194,7 +199,7 @@ def figures(
     frames: Sequence[str],
     output: Path,
     *,
-    camera: Camera,
+    camera: Camera | Path,
     guess: bool = False,
     threads: int | None,
 ) -> int:
@@ -202,9 +207,11 @@ def figures(
     pairs = FrameSource(tuple(frames))
     inputs = InputFiles(pairs.files)
     runtime.start(threads=threads)
-    if guess:
-        camera = _guessed(camera, pairs.files[0])
     for pair in pairs:
+        if isinstance(camera, Path):
+            camera = read_camera(camera, pair.frame0.shape[:2])
+        elif guess:
+            camera = _guessed(camera, pairs.files[0])
         written = write_paper_figures(
             output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
         )

@@ -3,7 +3,7 @@
 import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
@@ -13,9 +13,11 @@ import numpy as np
 import tisfm
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.fusion.meshing import check_library
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
@@ -32,7 +34,8 @@ def reconstruct(
     source: Source,
     output: Path,
     *,
-    camera: Camera | None,
+    camera: Camera | Path | None,
+    calibrate: Calibrate | None = None,
     settings: Settings,
     frames: FrameOptions,
     poses: Path | None = None,
@@ -46,8 +49,8 @@ def reconstruct(
 ) -> int:
     """Reconstruct a sequence, write its folder, and return the exit code.
 
-    `poses` is a trajectory of the frames that are taken; `scale` are two frames and the distance
-    of the camera's places; `mesh` is "ply" or "glb".
+    `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
+    two frames and the distance of the camera's places; `mesh` is "ply" or "glb".
     """
     given = None if poses is None else read_trajectory(poses).poses
     if poses is not None and output.resolve() in poses.resolve().parents:
@@ -59,6 +62,8 @@ def reconstruct(
         _check_scale(*scale)
     if mesh is not None:
         check_library()
+    if isinstance(camera, Path):
+        camera = _camera_in(camera, source, frames)
     runtime.start(arch, threads=threads)
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
@@ -74,6 +79,7 @@ def reconstruct(
         result = tisfm.reconstruct(
             source,
             camera=camera,
+            calibrate=calibrate,
             settings=settings,
             poses=given,
             mask=mask,
@@ -92,6 +98,16 @@ def reconstruct(
         result.mesh().save(output / f"mesh.{mesh}")
     _tell(result, output)
     return 0
+
+
+def _camera_in(file: Path, source: Source, frames: FrameOptions) -> Camera:
+    """Return the camera in a file, of the size of a source's frames."""
+    read_camera(file)  # what is no camera is refused before the source is looked at
+    if isinstance(source, str) and webcam_number(source) is not None:
+        return read_camera(file)
+    with closing(frames.open(source).frames()) as found:
+        first = next(found, None)
+    return read_camera(file, None if first is None else first.full or first.image.shape[:2])
 
 
 def _check_scale(frame0: int, frame1: int, distance: float) -> None:
@@ -145,6 +161,8 @@ def _tell(result: Reconstruction, output: Path) -> None:
         f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
         f"Results in {output}."
     )
+    if result.calibration.origin == "estimated":
+        tell(f"focal length: {result.calibration.message}")
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():
         message = next(status.message for status in result.status if status == code)

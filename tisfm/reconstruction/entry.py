@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.checks import check_count, refuse_masked
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.folder import CACHE, begin
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
@@ -26,6 +27,7 @@ def reconstruct(
     source: Source,
     *,
     camera: Camera | None = None,
+    calibrate: Calibrate | None = None,
     settings: Settings | None = None,
     poses: npt.ArrayLike | None = None,
     mask: Mask | None = None,
@@ -49,8 +51,13 @@ def reconstruct(
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
         (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera, optional
-        Of the frames as they come; distortion is removed. By default the focal length is guessed
-        from the first image file or the size of the frames, with a `GuessedFocalWarning`.
+        Of the frames as they come; distortion is removed.
+    calibrate : {"nothing", "focal"}, optional
+        What of the camera is found from the frames: nothing, if a camera is given; or else the
+        focal length, with the principal point in the centre. With a camera and ``"focal"``, its
+        focal length is a guess. `Reconstruction.calibration` says how far to trust what is found,
+        with a `GuessedFocalWarning` if the motion hardly shows it. Where poses are given, and no
+        camera, the focal length is guessed from the first image file or the size of the frames.
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
         sequences.
@@ -86,6 +93,9 @@ def reconstruct(
         settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
     """
     settings = checked_settings(settings)
+    if calibrate == "focal" and poses is not None:
+        raise ValueError('poses are given and calibrate="focal": it is found with the path alone')
+    calibrate = checked_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise ValueError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
     if depth_of == "none" and poses is not None:
@@ -117,7 +127,7 @@ def reconstruct(
 
     path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
-        result = Run(frames, camera, settings, given, path, progress, depth_of).result()
+        result = Run(frames, camera, calibrate, settings, given, path, progress, depth_of).result()
     except BaseException:
         if temporary is not None:
             temporary.cleanup()  # what was raised may be kept for long, and this with it
@@ -133,6 +143,15 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
     for file in files:
         if place in file.resolve().parents:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
+
+
+def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:
+    """Return what is found from the frames: by default the focal length, unless it is known."""
+    if calibrate is None:
+        return "nothing" if is_known else "focal"
+    if calibrate not in get_args(Calibrate):
+        raise ValueError(f'calibrate is {calibrate!r}: expected "nothing" or "focal"')
+    return calibrate
 
 
 def checked_settings(settings: Settings | None) -> Settings:

@@ -5,6 +5,7 @@ file says whose folder it is. ``docs/formats.md`` describes the files.
 """
 
 import json
+import math
 import os
 import shutil
 from dataclasses import asdict
@@ -15,17 +16,19 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
+from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
 from tisfm.settings import Settings
 
 FORMAT = 1
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
-_PARTS = (RECORD, PATH, DEPTH, PICTURES)
+_PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA)
 _OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
@@ -142,6 +145,7 @@ def write_record(folder: Path, result: Any) -> None:
         "format": FORMAT,
         "version": result.version,
         "camera": asdict(result.camera),
+        "calibration": as_json(result.calibration),
         "settings": asdict(result.settings),
         "shape": list(result.shape),
         "names": list(result.names),
@@ -205,12 +209,21 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 distortion=camera["distortion"],
                 aspect=camera["aspect"],
             ),
+            calibration=_read_calibration(about.get("calibration")),
             settings=Settings(**settings),
             version=str(about["version"]),
         )
     except (ValueError, KeyError, TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
+
+
+def _read_calibration(about: dict[str, Any] | None) -> Calibration:
+    """Return what `as_json` made; records of before have none."""
+    if about is None:
+        return GIVEN
+    deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
+    return Calibration(**{**about, "focal_std": deviation})
 
 
 def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
@@ -224,4 +237,6 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
     for name in (DEPTH, PICTURES):
         for file in sorted((source / name).iterdir()):
             shutil.copyfile(file, path / name / file.name)
+    if (source / CAMERA).exists():  # earlier versions wrote none
+        shutil.copyfile(source / CAMERA, path / CAMERA)
     write_record(path, result)

@@ -30,7 +30,7 @@ NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
+def grown(database: Any, pairs: Pairs, count: int, *, refine_focal: bool = False) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first.
 
     Parameters
@@ -41,10 +41,12 @@ def grown(database: Any, pairs: Pairs, count: int) -> list[Any]:
         points.
     count : int
         Of views.
+    refine_focal : bool
+        Whether the focal length is adjusted with the rest, from that of the camera on.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
-    options = _options()
+    options = _options(refine_focal)
     left = set(range(1, count + 1)) & set(cache.images)
     promising = _promising(pairs)
     found = []
@@ -226,9 +228,9 @@ def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return np.asarray(left)
 
 
-def _options() -> Any:
+def _options(refine_focal: bool = False) -> Any:
     options = pycolmap().IncrementalPipelineOptions()
-    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    options.ba_refine_focal_length, options.ba_refine_extra_params = refine_focal, False
     options.ba_local_function_tolerance = 1e-5
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
@@ -246,7 +248,11 @@ def _options() -> Any:
 
 def _adjustment(options: Any, steps: int, tolerance: float) -> Any:
     """Return what all views and points are adjusted by, robustly."""
-    adjustment = options.get_global_bundle_adjustment()
+    return robust(options.get_global_bundle_adjustment(), steps, tolerance)
+
+
+def robust(adjustment: Any, steps: int, tolerance: float) -> Any:
+    """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
     adjustment.ceres.loss_function_scale = OUTLYING

@@ -58,6 +58,75 @@ class Model:
     points: dict[int, np.ndarray]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """What views have in common, as models are grown from it.
+
+    Attributes
+    ----------
+    views : list of View
+        With those of their tracks that last.
+    pairs : dict of (int, int) to (N, 2) int32
+        For pairs of indices of views, indices of points that are the same.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+
+    views: list[View]
+    pairs: dict[tuple[int, int], np.ndarray]
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[View],
+        matches: Mapping[tuple[int, int], np.ndarray],
+        shape: tuple[int, int],
+    ) -> "Shared":
+        """Return what views have in common; arguments are those of `models_of`."""
+        kept = lasting([view.seen for view in views], max(shape))
+        few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
+        return cls(views=few, pairs=_pairs(few, matches), shape=shape)
+
+    def part(self, first: int, last: int) -> "Shared":
+        """Return what the views from one up to another, that one left out, have in common."""
+        inside = range(first, last)
+        pairs = {
+            (one - first, other - first): both
+            for (one, other), both in self.pairs.items()
+            if one in inside and other in inside
+        }
+        return replace(self, views=self.views[first:last], pairs=pairs)
+
+    def grown(self, camera: Camera, *, refine_focal: bool = False) -> list[Any]:
+        """Return pycolmap's reconstructions, the largest first.
+
+        Each has the focal length of the camera, or with `refine_focal` one of its own.
+        """
+        known = _camera(camera, self.shape, "SIMPLE_PINHOLE" if refine_focal else "PINHOLE")
+        directions = _Directions(self.views, self.pairs, camera, self.shape)
+        with self.database(known) as database:
+            return grown(database, directions, len(self.views), refine_focal=refine_focal)
+
+    def models(
+        self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
+    ) -> list[Model]:
+        """Return models of pycolmap's reconstructions, with the points of all tracks of views."""
+        models = [_model(one, self.views) for one in reconstructions]
+        return [_with_others(model, views, camera, self.shape) for model in models]
+
+    @contextmanager
+    def database(self, camera: Any) -> Iterator[Any]:
+        """Give pycolmap's database of it."""
+        database = pycolmap().Database.open(":memory:")
+        try:
+            _write_views(database, self.views, camera)
+            _write_pairs(database, self.pairs)
+            yield database
+        finally:
+            database.close()
+
+
 def models_of(
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
@@ -88,12 +157,8 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
-    few = _lasting(views, shape)
-    pairs = _pairs(few, matches)
-    with _database(few, pairs, camera, shape) as database:
-        reconstructions = grown(database, _Directions(few, pairs, camera, shape), len(few))
-    models = [_model(reconstruction, few) for reconstruction in reconstructions]
-    return [_with_others(model, views, camera, shape) for model in models]
+    shared = Shared.of(views, matches, shape)
+    return shared.models(shared.grown(camera), views, camera)
 
 
 def continued(
@@ -122,33 +187,11 @@ def continued(
         for number, view in enumerate(views, start=1)
         if view.frame in known
     }
-    few = _lasting(views, shape)
-    with _database(few, _pairs(few, matches), camera, shape) as database:
-        model = _model(grown_from(database, matrices), few)
+    shared = Shared.of(views, matches, shape)
+    with shared.database(_camera(camera, shape)) as database:
+        model = _model(grown_from(database, matrices), shared.views)
     poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
     return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
-
-
-def _lasting(views: Sequence[View], shape: tuple[int, int]) -> list[View]:
-    """Return the views with those of their tracks that last."""
-    kept = lasting([view.seen for view in views], max(shape))
-    return [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
-
-
-@contextmanager
-def _database(
-    views: Sequence[View],
-    pairs: Mapping[tuple[int, int], np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
-) -> Iterator[Any]:
-    database = pycolmap().Database.open(":memory:")
-    try:
-        _write_views(database, views, _camera(camera, shape))
-        _write_pairs(database, pairs)
-        yield database
-    finally:
-        database.close()
 
 
 def pose_from_points(
@@ -176,17 +219,18 @@ def pose_from_points(
     return _matrix(found["cam_from_world"])
 
 
-def _camera(camera: Camera, shape: tuple[int, int]) -> Any:
+def _camera(camera: Camera, shape: tuple[int, int], model: str = "PINHOLE") -> Any:
     height, width = shape
     cx, cy = camera.center_for(height, width)
+    focal = [camera.focal] if model == "SIMPLE_PINHOLE" else [camera.focal, camera.focal]
     known = pycolmap().Camera(
-        model="PINHOLE",
+        model=model,
         width=width,
         height=height,
-        params=[camera.focal, camera.focal, cx + CENTRE, cy + CENTRE],
+        params=[*focal, cx + CENTRE, cy + CENTRE],
         camera_id=1,
     )
-    known.has_prior_focal_length = True  # or the focal length would be refined
+    known.has_prior_focal_length = True  # or pairs to begin with are looked for without it
     return known
 
 

@@ -9,6 +9,7 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
 from tisfm.reconstruction.mapping import models_of, pose_from_points
+from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
 from tisfm.settings import Settings
@@ -47,11 +48,17 @@ class CameraPath:
         Frames in none of them.
     seen : tuple of Seen
         Tracks in every frame.
+    camera : Camera
+        A pinhole, with the focal length that poses are found with.
+    focal : FocalEstimate or None
+        If it was to be found: None as well if no path was.
     """
 
     pieces: tuple[Piece, ...]
     lost: dict[int, Status]
     seen: tuple[Seen, ...]
+    camera: Camera
+    focal: FocalEstimate | None = None
 
 
 class PathFinder:
@@ -61,13 +68,15 @@ class PathFinder:
     ----------
     camera : Camera
         A pinhole, of the frames.
+    focal_known : bool
+        Or its focal length is a guess, and is found from the frames.
     """
 
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
+    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
+        self._camera, self._focal_known = camera, focal_known
         self._tracker = Tracker(camera, TRACKING)
         self._seen: list[Seen] = []
-        self._views = Views(camera)
+        self._views = Views(camera, focal_known=focal_known)
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -88,7 +97,7 @@ class PathFinder:
             If frames are out of order.
         """
         if self._last is None:
-            return CameraPath(pieces=(), lost={}, seen=())
+            return CameraPath(pieces=(), lost={}, seen=(), camera=self._camera)
         last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
         different = len(views.chosen)
         if not views.chosen or views.chosen[-1].frame != last:
@@ -100,16 +109,23 @@ class PathFinder:
                 "frames are not in the order in which they were taken: most show nothing of the "
                 "frame before, but what others show; sort them, or give a video"
             )
-        models = models_of(views.chosen, views.matches, self._camera, grey.shape)
+        camera, focal = self._camera, None
+        if self._focal_known:
+            models = models_of(views.chosen, views.matches, camera, grey.shape)
+        else:
+            models, focal = models_and_focal(views.chosen, views.matches, camera, grey.shape)
+            camera = camera if focal is None else focal.taken(camera)
         pieces, unplaced = with_others(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
             dict(enumerate(self._seen)),
-            self._camera,
+            camera,
             self._shape,
         )
         lost = {frame: why_lost(self._seen[frame], pieces, different) for frame in unplaced}
         ordered = sorted(pieces, key=lambda piece: min(piece.poses))
-        return CameraPath(pieces=tuple(ordered), lost=lost, seen=tuple(self._seen))
+        return CameraPath(
+            pieces=tuple(ordered), lost=lost, seen=tuple(self._seen), camera=camera, focal=focal
+        )
 
 
 def with_others(

@@ -12,6 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
+from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ class Reconstruction:
         show it, and filled along the edges of the frame.
     camera : Camera
         The pinhole of the frames, without distortion.
+    calibration : Calibration
+        Where its focal length is from, and how far to trust it: ``origin`` (given, estimated or
+        guessed), ``focal_std`` (px), ``seen`` and ``message``.
     settings : Settings
     names : tuple of str
         Of the frames.
@@ -62,6 +66,7 @@ class Reconstruction:
     status: tuple[Status, ...] = field(repr=False)
     keyframes: tuple[int, ...]
     camera: Camera
+    calibration: Calibration = field(repr=False, default=GIVEN)
     settings: Settings = field(repr=False)
     names: tuple[str, ...] = field(repr=False)
     times: tuple[float | None, ...] = field(repr=False)

@@ -1,5 +1,6 @@
 """One reconstruction, from the source to the folder: reading, the path, depth."""
 
+import warnings
 from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -8,14 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import write_camera
 from tisfm.checks import check_count
-from tisfm.focal_guess import guess_camera
+from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
+from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.self_calibration import calibration_of
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
@@ -43,6 +48,8 @@ class Run:
     source : FrameSource
     camera : Camera or None
         Of the frames as they come; None for a guess.
+    calibrate : {"nothing", "focal"}
+        What of it is found from the frames.
     settings : Settings
     poses : (N, 4, 4) array or None
         Those that are given.
@@ -58,6 +65,7 @@ class Run:
         self,
         source: FrameSource,
         camera: Camera | None,
+        calibrate: Calibrate,
         settings: Settings,
         poses: np.ndarray | None,
         folder: Path,
@@ -66,8 +74,10 @@ class Run:
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._given, self._folder = poses, folder
-        self._depth_of = depth_of
+        self._calibrate, self._depth_of = calibrate, depth_of
         self._progress: Progress = progress or (lambda stage, done, total: None)
+        self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
+        self._guess: FocalGuess | None = None
         self._frames: PreparedFrames
 
     def result(self) -> Reconstruction:
@@ -96,6 +106,8 @@ class Run:
             if number > 0:
                 first = min(part.poses)
                 status[first] = begins_piece(status[first])
+        calibration = self._calibration(path)
+        write_camera(self._folder / CAMERA, *self._taken, about=as_json(calibration))
         result = Reconstruction(
             poses=poses,
             piece=piece,
@@ -103,6 +115,7 @@ class Run:
             status=tuple(status),
             keyframes=tuple(sorted(keyframes)),
             camera=self._frames.camera,
+            calibration=calibration,
             settings=self._settings,
             names=read.names,
             times=read.times,
@@ -125,14 +138,18 @@ class Run:
         with closing(self._source.frames()) as frames:
             for frame in frames:
                 if not names:
-                    camera = self._camera or guess_camera(
+                    camera = self._camera or self._guessed(
                         self._source.first_file or frame.full or frame.image.shape
                     )
+                    height, width = frame.full or frame.image.shape[:2]
+                    self._taken = camera, (height, width)
                     camera = self._source.camera_after(camera, frame.full)
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    finder = PathFinder(self._frames.camera)
+                    finder = PathFinder(
+                        self._frames.camera, focal_known=self._calibrate == "nothing"
+                    )
                     tracker = Tracker(self._frames.camera, TRACKING)
                 grey, ignored = self._frames.add(frame)
                 if self._given is None and finder is not None:
@@ -152,6 +169,9 @@ class Run:
             )
         self._progress("path", 0, len(names))
         path = finder.finish() if self._given is None else self._given_path(seen, self._given)
+        ratio, self._frames.camera = path.camera.focal / self._frames.camera.focal, path.camera
+        taken, shape = self._taken
+        self._taken = replace(taken, focal=taken.focal * ratio), shape
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
@@ -165,7 +185,26 @@ class Run:
             if k not in known
         }
         piece = Piece(poses=known, views=tuple(known), points=points)
-        return CameraPath(pieces=(piece,) if known else (), lost=lost, seen=tuple(seen))
+        return CameraPath(
+            pieces=(piece,) if known else (),
+            lost=lost,
+            seen=tuple(seen),
+            camera=self._frames.camera,
+        )
+
+    def _guessed(self, first: Path | tuple[int, ...]) -> Camera:
+        """Return a camera with a focal length guessed by the first frame, or its shape."""
+        self._guess = guess_focal(first)
+        return Camera(focal=self._guess.focal)
+
+    def _calibration(self, path: CameraPath) -> Calibration:
+        """Return where the focal length is from; warn if it is not to be relied on."""
+        found = calibration_of(
+            path.focal, self._guess, self._frames.camera, sought=self._calibrate != "nothing"
+        )
+        if not found.seen:
+            warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
+        return found
 
     def _adjusted(self, piece: Piece, seen: tuple[Seen, ...]) -> Piece:
         """Return the piece with poses adjusted to the images, if there are any to adjust."""

@@ -9,6 +9,7 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.mapping import View, continued, models_of
 from tisfm.reconstruction.path import TRACKING, Piece, why_lost, with_others
+from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
 
@@ -75,21 +76,28 @@ class SlidingPath:
     ----------
     camera : Camera
         A pinhole, of the frames.
+    focal_known : bool
+        Or its focal length is a guess: it is found with the first path, and stays.
 
     Attributes
     ----------
+    camera : Camera
+    focal : FocalEstimate or None
+        If it was to be found, and was.
     seen : Remembered
         Tracks in every frame.
     settled : int
         Frames up to this one have their final poses, or none for ever; −1 before there are any.
     """
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
+        self.camera = camera
+        self.focal: FocalEstimate | None = None
+        self._focal_known = focal_known
         self.seen = Remembered()
         self.settled = -1
-        self._camera = camera
         self._tracker = Tracker(camera, TRACKING)
-        self._views = Views(camera)
+        self._views = Views(camera, focal_known=focal_known)
         self._last: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
         self._held: dict[int, dict[int, np.ndarray]] = {}  # poses that stay, by piece and frame
@@ -117,16 +125,23 @@ class SlidingPath:
         for number in sorted(self._held, key=lambda one: -max(self._held[one])):
             held = self._held[number]
             known = [k for k, view in enumerate(views.chosen) if view.frame in held]
-            model = continued(*self._among(sorted(known + left)), self._camera, self._shape, held)
+            model = continued(*self._among(sorted(known + left)), self.camera, self._shape, held)
             poses = dict(sorted({**model.poses, **held}.items()))
             pieces[number] = Piece(poses=poses, views=tuple(model.poses), points=model.points)
             left = [k for k in left if views.chosen[k].frame not in model.poses]
-        models = models_of(*self._among(left), self._camera, self._shape)
+        among = self._among(left)
+        if self._focal_known:
+            models = models_of(*among, self.camera, self._shape)
+        else:
+            models, self.focal = models_and_focal(*among, self.camera, self._shape)
+            if self.focal is not None:  # from now on it is known
+                self.camera, self._focal_known = self.focal.taken(self.camera), True
+                views.use(self.camera)
         for model in sorted(models, key=lambda one: min(one.poses)):
             number = max([*pieces, self._pieces - 1]) + 1
             pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
         later = {f: self.seen[f] for f in self.seen.frames() if f > self.settled}
-        complete, unplaced = with_others(list(pieces.values()), later, self._camera, self._shape)
+        complete, unplaced = with_others(list(pieces.values()), later, self.camera, self._shape)
         lost = {frame: why_lost(self.seen[frame], complete, different) for frame in unplaced}
         return Stretch(
             pieces=dict(zip(pieces, complete, strict=True)),

@@ -10,14 +10,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.focal_guess import guess_camera
+from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.adjustment import adjusted
+from tisfm.reconstruction.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.depths import REACH, FrameDepth, PieceDepths, effort_of, unit_of
 from tisfm.reconstruction.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.run import NO_PARALLAX, begins_piece
+from tisfm.reconstruction.self_calibration import calibration_of
 from tisfm.reconstruction.sliding_path import SlidingPath, Stretch
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.streamed_frame import StreamedFrame
@@ -36,15 +38,24 @@ class Stream:
     source : FrameSource
     camera : Camera or None
         Of the frames as they come; None for a guess.
+    calibrate : {"nothing", "focal"}
+        What of it is found from the frames, with the first path.
     settings : Settings
     delay : int
         Frames that are read, at most, before the one before them is given out.
     """
 
     def __init__(
-        self, source: FrameSource, camera: Camera | None, settings: Settings, delay: int
+        self,
+        source: FrameSource,
+        camera: Camera | None,
+        calibrate: Calibrate,
+        settings: Settings,
+        delay: int,
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
+        self._calibrate, self._calibration = calibrate, GIVEN
+        self._guess: FocalGuess | None = None
         self._delay, self._effort = delay, effort_of(settings)
         self._folder = Path()
         self._frames: PreparedFrames
@@ -90,14 +101,17 @@ class Stream:
 
     def _add(self, frame: SourceFrame, number: int) -> None:
         if number == 0:
-            camera = self._camera or guess_camera(
-                self._source.first_file or frame.full or frame.image.shape
-            )
+            camera = self._camera
+            if camera is None:
+                self._guess = guess_focal(
+                    self._source.first_file or frame.full or frame.image.shape
+                )
+                camera = Camera(focal=self._guess.focal)
             camera = self._source.camera_after(camera, frame.full)
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
             self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
-            self._path = SlidingPath(self._frames.camera)
+            self._path = SlidingPath(self._frames.camera, focal_known=self._calibrate == "nothing")
         self._path.add(*self._frames.add(frame))
         self._about[number] = frame.index, frame.name, frame.time
 
@@ -105,6 +119,7 @@ class Stream:
         """Yield the frames up to one, and forget what later ones do not need."""
         path, first = self._path, self._path.settled + 1
         stretch = path.found(at_end=at_end)
+        self._take_camera()
         pieces = {
             number: self._final(number, piece, stretch, first)
             for number, piece in stretch.pieces.items()
@@ -131,6 +146,19 @@ class Stream:
             keyframe = key is not None and key[0] == frame
             yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
         self._forget()
+
+    def _take_camera(self) -> None:
+        """Take the camera of the path, and warn once if it is not to be relied on."""
+        self._frames.camera = self._path.camera
+        found = calibration_of(
+            self._path.focal,
+            self._guess,
+            self._path.camera,
+            sought=self._calibrate != "nothing",
+        )
+        if not found.seen and found != self._calibration:
+            warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
+        self._calibration = found
 
     def _final(self, number: int, piece: Piece, stretch: Stretch, first: int) -> Piece:
         """Return a piece with its final poses, in its own axes and unit."""
@@ -211,6 +239,7 @@ class Stream:
             else depth.deviation.copy(),
             picture=read_picture(self._folder, frame),
             camera=self._frames.camera,
+            calibration=self._calibration,
         )
 
     def _forget(self) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
+from tisfm.reconstruction.calibration import GIVEN, Calibration
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +37,8 @@ class StreamedFrame:
         The frame without distortion, RGB.
     camera : Camera
         Its pinhole.
+    calibration : Calibration
+        Where its focal length is from, as for `Reconstruction`.
     """
 
     index: int
@@ -49,6 +52,7 @@ class StreamedFrame:
     inverse_depth_std: np.ndarray = field(repr=False)
     picture: np.ndarray = field(repr=False)
     camera: Camera = field(repr=False)
+    calibration: Calibration = field(repr=False, default=GIVEN)
 
     @property
     def depth(self) -> np.ndarray:

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 from tisfm.camera import Camera, check_camera
-from tisfm.reconstruction.entry import checked_settings
+from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.entry import checked_calibrate, checked_settings
 from tisfm.reconstruction.streamed_frame import StreamedFrame
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
@@ -18,6 +19,7 @@ def reconstruct_stream(
     source: Source,
     *,
     camera: Camera | None = None,
+    calibrate: Calibrate | None = None,
     settings: Settings | None = None,
     mask: Mask | None = None,
     delay: int = DELAY,
@@ -37,9 +39,10 @@ def reconstruct_stream(
 
     Parameters
     ----------
-    source, camera, settings, mask, step, start, stop, size, crop
+    source, camera, calibrate, settings, mask, step, start, stop, size, crop
         As for `tisfm.reconstruct`; or ``"webcam"``, ``"webcam:1"``, … for a camera, whose frames
-        are dropped while others are worked on.
+        are dropped while others are worked on. A focal length that is found is found with the first
+        path, and stays.
     delay : int
         A frame is given out before more than so many later frames are read, 6 at least. The more,
         the better: a path needs views from places that are apart.
@@ -65,6 +68,7 @@ def reconstruct_stream(
         cannot be read: after the frames before it.
     """
     settings = checked_settings(settings)
+    calibrate = checked_calibrate(calibrate, is_known=camera is not None)
     camera = None if camera is None else check_camera(camera)
     if not is_whole(delay):
         raise TypeError(f"delay is {delay!r}: expected a whole number of frames")
@@ -80,14 +84,18 @@ def reconstruct_stream(
         mask=mask,
         bad_frames=bad_frames,
     )
-    return _streamed(frames, camera, settings, int(delay))
+    return _streamed(frames, camera, calibrate, settings, int(delay))
 
 
 def _streamed(
-    frames: FrameSource, camera: Camera | None, settings: Settings, delay: int
+    frames: FrameSource,
+    camera: Camera | None,
+    calibrate: Calibrate,
+    settings: Settings,
+    delay: int,
 ) -> Iterator[StreamedFrame]:
     from tisfm import runtime
     from tisfm.reconstruction.stream import Stream
 
     runtime.start()
-    yield from Stream(frames, camera, settings, delay).frames()
+    yield from Stream(frames, camera, calibrate, settings, delay).frames()

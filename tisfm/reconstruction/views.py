@@ -31,6 +31,8 @@ class Views:
     ----------
     camera : Camera
         A pinhole, of the frames.
+    focal_known : bool
+        Whether matches have to fit its focal length, or any.
 
     Attributes
     ----------
@@ -40,12 +42,16 @@ class Views:
         For pairs of indices of views: indices of their detected points that are the same.
     """
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
         self.chosen: list[View] = []
         self.matches: dict[tuple[int, int], np.ndarray] = {}
-        self._camera = camera
+        self._camera, self._focal_known = camera, focal_known
         self._looks: list[Look] = []
         self._compared: set[tuple[int, int]] = set()
+
+    def use(self, camera: Camera) -> None:
+        """Let matches from now on fit a camera whose focal length is known."""
+        self._camera, self._focal_known = camera, True
 
     def needs(self, seen: Seen, longer_side: int) -> bool:
         """Return whether a frame shows enough that is new to become a view."""
@@ -109,26 +115,39 @@ class Views:
         both = np.stack(alike(first, second), axis=1)
         if len(both) < fewest:
             return
-        height, width = shape
-        cx, cy = self._camera.center_for(height, width)
-        focal = self._camera.focal
-        try:
-            _, inlier = cv2.findEssentialMat(
-                first.points[both[:, 0]],
-                second.points[both[:, 1]],
-                np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
-                method=cv2.USAC_MAGSAC,
-                prob=0.999,
-                threshold=INLIER * max(height, width) / 640,
-                maxIters=TRIALS,
-            )
-        except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
-            return
+        inlier = self._fitting(first.points[both[:, 0]], second.points[both[:, 1]], shape)
         if inlier is None:
             return
         agreed = both[inlier[:, 0] > 0]
         if len(agreed) >= max(fewest, share * len(both)):
             self.matches[earlier, later] = agreed
+
+    def _fitting(
+        self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]
+    ) -> np.ndarray | None:
+        """Return which points one motion explains, (N, 1), None if there is no motion."""
+        height, width = shape
+        threshold = INLIER * max(height, width) / 640
+        try:
+            if not self._focal_known:
+                _, inlier = cv2.findFundamentalMat(
+                    before, after, cv2.USAC_MAGSAC, threshold, 0.999, TRIALS
+                )
+                return np.asarray(inlier) if inlier is not None else None
+            cx, cy = self._camera.center_for(height, width)
+            focal = self._camera.focal
+            _, inlier = cv2.findEssentialMat(
+                before,
+                after,
+                np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
+                method=cv2.USAC_MAGSAC,
+                prob=0.999,
+                threshold=threshold,
+                maxIters=TRIALS,
+            )
+        except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
+            return None
+        return np.asarray(inlier) if inlier is not None else None
 
 
 def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:

@@ -1,0 +1,186 @@
+"""The focal length of sequences whose camera is not known, and how far it is trusted."""
+
+import json
+import math
+import re
+import warnings
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import along, path_error
+from tisfm import Camera, Reconstruction, Settings
+from tisfm.camera_file import read_camera
+from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
+from tisfm.reconstruction.calibration import GIVEN, Calibration
+from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room_film
+
+FAST = Settings.preset("fast", motion="camera")
+SIZE = 180, 240
+
+
+@cache
+def arc(count=16):
+    """Return a film of a camera that goes round what it looks at, and tilts and rolls."""
+    poses = []
+    for at in np.linspace(-1, 1, count):
+        waving = np.sin(3 * at)
+        twist = 0.8 * at, 0.15 * waving, 0.3 * at**2, 0.1 * waving, -0.35 * at, 0.3 * at
+        poses.append(pose_matrix(twist))
+    return room_film(np.array(poses), *SIZE, samples=2)
+
+
+@cache
+def straight():
+    """Return a film of a camera that goes sideways, and does not turn."""
+    return room_film(along(10, (0.12, 0, 0, 0, 0, 0)), *SIZE, samples=2)
+
+
+def path_of(film, **options):
+    return tisfm.reconstruct(film.frames, settings=FAST, depth_of="none", **options)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # it is seen: there is nothing to warn of
+        return path_of(arc(), folder=tmp_path_factory.mktemp("found"))
+
+
+def test_the_focal_length_is_found(found):
+    true = arc().camera.focal
+    assert abs(found.camera.focal - true) < 0.03 * true
+    assert found.calibration.origin == "estimated" and found.calibration.seen
+    assert 0 < found.calibration.focal_std < 0.05 * true
+    assert abs(found.camera.focal - true) < 3 * found.calibration.focal_std
+    assert "found from the sequence" in found.calibration.message
+
+
+def test_the_path_is_as_good_as_with_it_given(found):
+    film = arc()
+    given = path_of(film, camera=film.camera)
+    assert given.calibration == GIVEN
+    assert (found.piece == 0).all()
+    error = path_error(found.poses, film.poses)
+    assert error < 1.5 * path_error(given.poses, film.poses) + 0.001
+
+
+def test_it_is_kept_and_written(found, tmp_path):
+    found.save(tmp_path)
+    again = Reconstruction.load(tmp_path)
+    assert again.calibration == found.calibration and again.camera == found.camera
+    for folder in (found.folder, tmp_path):
+        assert read_camera(folder).focal == pytest.approx(found.camera.focal, rel=1e-12)
+    about = json.loads((tmp_path / "camera.json").read_text())
+    assert (about["height"], about["width"]) == SIZE
+    assert about["focal_std"] == found.calibration.focal_std and about["origin"] == "estimated"
+
+
+def test_records_without_a_calibration_are_read(found, tmp_path):
+    found.save(tmp_path)
+    record = json.loads((tmp_path / "reconstruction.json").read_text())
+    del record["calibration"]
+    (tmp_path / "reconstruction.json").write_text(json.dumps(record))
+    assert Reconstruction.load(tmp_path).calibration == GIVEN
+
+
+def test_it_is_the_same_every_time(found):
+    again = path_of(arc())
+    np.testing.assert_array_equal(again.poses, found.poses)
+    assert again.calibration == found.calibration
+
+
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_a_given_focal_length_may_be_a_guess(times):
+    film = arc()
+    guess = Camera(focal=times * film.camera.focal, center=film.camera.center)
+    result = path_of(film, camera=guess, calibrate="focal")
+    assert result.camera.focal == pytest.approx(film.camera.focal, rel=0.03)
+
+
+def test_the_file_is_of_the_frames_of_the_source(tmp_path):
+    film = arc()
+    result = path_of(film, size=192, folder=tmp_path)
+    assert result.camera.focal == pytest.approx(0.8 * film.camera.focal, rel=0.04)
+    written = read_camera(tmp_path, SIZE)
+    assert written.focal == pytest.approx(result.camera.focal / 0.8, rel=1e-9)
+
+
+def test_a_motion_that_does_not_show_it_is_told():
+    with pytest.warns(GuessedFocalWarning, match="motion") as caught:
+        result = path_of(straight())
+    assert not result.calibration.seen and len(caught) == 1
+    assert result.calibration.focal_std > 0.05 * result.camera.focal
+    assert np.isfinite(result.poses).all()
+
+
+def test_no_path_leaves_the_guess():
+    still = np.stack([arc().frames[0]] * 4)
+    with pytest.warns(GuessedFocalWarning, match="no path was found"):
+        result = tisfm.reconstruct(still, settings=FAST)
+    assert result.camera.focal == 1.2 * SIZE[1]
+    assert result.calibration.origin == "guessed"
+    assert json.loads((result.folder / "camera.json").read_text())["focal_std"] is None
+
+
+def test_poses_that_are_given_leave_the_guess():
+    film = arc()
+    with pytest.warns(GuessedFocalWarning, match="guess"):
+        result = tisfm.reconstruct(
+            film.frames[:4], settings=FAST, poses=film.poses[:4], depth_of="keyframes"
+        )
+    assert result.calibration.origin == "guessed"
+
+
+def test_streams_find_it_once():
+    frames = list(tisfm.reconstruct_stream(arc().frames, settings=FAST, delay=12))
+    focals = {frame.camera.focal for frame in frames}
+    assert len(frames) == len(arc().frames) and len(focals) == 1
+    assert focals.pop() == pytest.approx(arc().camera.focal, rel=0.05)
+    assert all(frame.calibration.origin == "estimated" for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"calibrate": "lens"}, "calibrate is 'lens'"),
+        ({"calibrate": "focal", "poses": along(16)}, "poses are given"),
+    ],
+)
+def test_wrong_arguments_are_refused(options, text):
+    with pytest.raises(ValueError, match=text):
+        tisfm.reconstruct(arc().frames, settings=FAST, **options)
+
+
+CAMERA = Camera(focal=100.0)
+GUESS = FocalGuess(focal=100.0, origin="size", reason="by its size")
+
+
+@pytest.mark.parametrize(
+    ("deviation", "origin", "seen", "text"),
+    [
+        (2.0, "estimated", True, r"^50 ± 2 px, found"),
+        (3.0, "estimated", False, "hardly shows it"),
+        (11.0, "guessed", False, "100 px, by its size: the motion does not show"),
+    ],
+)
+def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
+    estimate = FocalEstimate(focal=50.0, deviation=deviation)
+    camera = estimate.taken(CAMERA)
+    assert camera.focal == (100 if origin == "guessed" else 50)
+    told = calibration_of(estimate, GUESS, camera, sought=True)
+    assert (told.origin, told.seen) == (origin, seen)
+    assert told.focal_std == (math.inf if origin == "guessed" else deviation)
+    assert re.search(text, told.message)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"origin": "known"}, {"focal_std": -1.0}, {"focal_std": math.inf}]
+)
+def test_impossible_calibrations_are_refused(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        Calibration(**{"origin": "estimated", **changes})

@@ -1,0 +1,106 @@
+"""Cameras as files: what one command found, for others to take."""
+
+import json
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from tisfm.camera import Camera, check_camera
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.reading import read_bytes
+
+__all__ = ["read_camera", "write_camera"]
+
+FORMAT = 1
+NAME = "camera.json"  # in a folder
+SAME_SHAPE = 0.01  # sizes of which one is the other, shrunk, have ratios that differ by less
+
+
+def write_camera(
+    path: str | os.PathLike[str],
+    camera: Camera,
+    shape: tuple[int, int],
+    about: dict[str, Any] | None = None,
+) -> None:
+    """Write a camera as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    camera : Camera
+    shape : (int, int)
+        Height and width of its frames, px.
+    about : dict, optional
+        What else is to be said of it; readers pass over it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    TypeError, ValueError
+        If it is no camera, or the shape is none.
+    """
+    camera = check_camera(camera)
+    height, width = (int(side) for side in shape)
+    if height < 1 or width < 1:
+        raise ValueError(f"shape is {shape}: expected (height, width)")
+    record = {"format": FORMAT, "width": width, "height": height, **asdict(camera), **(about or {})}
+    with atomic_write(path) as file:
+        file.write((json.dumps(record, indent=1) + "\n").encode())
+
+
+def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = None) -> Camera:
+    """Read a camera that `write_camera` or ``tisfm reconstruct`` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file, or the folder of a reconstruction.
+    shape : (int, int), optional
+        Height and width of the frames that it is wanted for, px. If they are those of the file,
+        enlarged or shrunk, so is the camera.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    FileNotFoundError, OSError
+        If there is no such file, or it cannot be read.
+    tisfm.formats.FormatError
+        A ValueError: if it is not a camera.
+    ValueError
+        If it is of frames of another shape.
+    """
+    file = Path(path) / NAME if Path(path).is_dir() else Path(path)
+    try:
+        record = json.loads(read_bytes(file))
+        if record["format"] != FORMAT:
+            raise ValueError(f"it is of format {record['format']}, this version reads {FORMAT}")
+        height, width = record["height"], record["width"]
+        if not (isinstance(height, int) and isinstance(width, int) and min(height, width) > 0):
+            raise ValueError(f"its frames are {width}×{height}")
+        center = record["center"]
+        camera = check_camera(
+            Camera(
+                focal=record["focal"],
+                center=None if center is None else tuple(center),
+                distortion=record["distortion"],
+                aspect=record["aspect"],
+            )
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{file} is not a camera that can be read: {reason}") from error
+    if shape is None or tuple(shape) == (height, width):
+        return camera
+    ratios = shape[0] / height, shape[1] / width
+    if abs(ratios[0] / ratios[1] - 1) > SAME_SHAPE:
+        raise ValueError(
+            f"{file} is the camera of frames of {width}×{height} px, not of {shape[1]}×{shape[0]}: "
+            "give one of frames of that shape"
+        )
+    scaled = camera.scaled(ratios[1], height, width)
+    return scaled if camera.center is not None else replace(scaled, center=None)
