@@ -55,32 +55,15 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         ("demo", {"--output", "--height", "--width", "--seed", "--threads", "--help"}),
         (
             "figures",
-            {"--output", "--threads", "--focal", "--center", "--distortion", "--aspect", "--help"},
+            {"--output", "--threads", "--camera", "--focal", "--center", "--distortion"}
+            | {"--aspect", "--help"},
         ),
         (
             "reconstruct",
-            {
-                "--output",
-                "--preset",
-                "--poses",
-                "--mask",
-                "--depth-of",
-                "--scale",
-                "--ply",
-                "--no-ply",
-                "--arch",
-            }
-            | {
-                "--mesh",
-                "--threads",
-                "--step",
-                "--start",
-                "--stop",
-                "--size",
-                "--crop",
-                "--bad-frames",
-            }
-            | {"--focal", "--center", "--distortion", "--aspect", "--help"},
+            {"--output", "--preset", "--poses", "--mask", "--calibrate", "--depth-of", "--scale"}
+            | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
+            | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}
+            | {"--distortion", "--aspect", "--help"},
         ),
         (
             "eval",

@@ -11,6 +11,8 @@ import pytest
 import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
+from tisfm.camera_file import read_camera, write_camera
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.trajectory import read_kitti, read_tum, write_kitti
 
 COUNT = 9
@@ -64,6 +66,52 @@ def test_nothing_is_fused_without_depth(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--depth-of", "none", "--ply"))
     assert_one_line(code, err, "nothing to fuse")
     assert not (place / "out").exists()
+
+
+def test_the_focal_length_is_found_and_handed_on(tisfm_run, film, place):
+    with pytest.warns(GuessedFocalWarning):  # nine frames hardly show it
+        code, _, err = tisfm_run("reconstruct", "film", "-o", "out", "--preset", "fast")
+    result = tisfm.Reconstruction.load("out")
+    assert code == 0 and result.calibration.origin in ("estimated", "guessed")
+    assert ("focal length: " in err) == (result.calibration.origin == "estimated")
+    focal = read_camera("out").focal
+    assert focal == result.camera.focal
+    pair = [f"film/f{k}.png" for k in (0, 1)]
+    options = ("--camera", "out", "--preset", "fast", "--motion", "camera", "--no-figures")
+    assert tisfm_run("run", *pair, "-o", "pair", *options)[0] == 0
+    assert tisfm.Interpretation.load("pair/f0.npz").camera.focal == pytest.approx(focal)
+    code, _, err = tisfm_run(
+        "reconstruct", "film", "-o", "two", "--camera", "out/camera.json", "--depth-of", "none"
+    )
+    assert code == 0 and "focal length" not in err
+    assert tisfm.Reconstruction.load("two").camera.focal == focal
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--camera", "lens.json", "--focal", "100"), "lens.json states the camera"),
+        (("--camera", "lens.json", "--aspect", "1.1"), "lens.json states the camera"),
+        (("--camera", "none.json"), "none.json"),
+        (("--camera", "f0.png"), "is not a camera"),
+        (("--camera", "lens.json"), "of frames of 10×10 px, not of 240×180"),
+        (("--center", "100", "80"), "give --focal as well"),
+        (("--focal", "guess", "--calibrate", "focal"), "--focal guess"),
+    ],
+)
+def test_cameras_that_do_not_fit_are_refused(tisfm_run, film, place, options, text):
+    write_camera("lens.json", tisfm.Camera(focal=10.0), (10, 10))
+    (place / "f0.png").write_bytes((place / "film" / "f0.png").read_bytes())
+    code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *options)
+    assert_one_line(code, err, text)
+    assert not (place / "out").exists()
+
+
+def test_a_guess_is_taken_where_it_is_asked_for(tisfm_run, film, place):
+    with pytest.warns(GuessedFocalWarning):
+        options = ("--focal", "guess", "--depth-of", "none")
+        assert tisfm_run("reconstruct", "film", "-o", "out", *options)[0] == 0
+    assert read_camera("out").focal == 1.2 * 240
 
 
 def test_a_mesh_is_written(tisfm_run, film, place):
