@@ -42,6 +42,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--methods", nargs="+", metavar="WORD", help="those with a WORD in the name")
     add("--preset", nargs="+", choices=presets(), default=["fast", "balanced"], metavar="PRESET")
     add("--poses-given", action="store_true", help="also tisfm with the true poses")
+    add("--camera-unknown", action="store_true", help="also tisfm without a camera")
     add("--threads", type=int, default=2, metavar="N")
     add("--rounds", type=int, default=1, metavar="N", help="runs of each, all timed")
     add("--peer-python", type=Path, metavar="PATH", help="of another pycolmap")
@@ -77,6 +78,11 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
             Own(preset=preset, method="reconstruct", threads=options.threads, poses_given=given)
             for preset in options.preset
         ]
+    if options.camera_unknown:
+        methods += [
+            Own(preset=preset, method="reconstruct", threads=options.threads, camera_given=False)
+            for preset in options.preset
+        ]
     methods += [
         Own(preset=preset, method="chain", threads=options.threads) for preset in options.preset
     ]
@@ -110,6 +116,7 @@ def command(options: argparse.Namespace) -> str:
     if options.folder:
         words += ["--folder DIR", "--step", *map(str, options.step)]
     words += ["--poses-given"] if options.poses_given else []
+    words += ["--camera-unknown"] if options.camera_unknown else []
     words += ["--peer-python PATH"] if options.peer_python else []
     return f"`{' '.join(words)}`"
 

@@ -32,11 +32,16 @@ TIMEOUT = 3600.0  # s
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One run of a method: names of its results → NAME of `Stored`, s, and bytes at the peak."""
+    """One run of a method: names of its results → NAME of `Stored`, s, and bytes at the peak.
+
+    `focal` is what was found of a focal length that was not given, px: itself, its deviation, and
+    whether it is to be relied on.
+    """
 
     results: dict[str, str]
     seconds: float
     peak: int
+    focal: tuple[float, float, bool] | None = None
 
 
 class Method(Protocol):
@@ -54,25 +59,29 @@ class Method(Protocol):
 class Own:
     """`tisfm.reconstruct`, or chained pairs, in a process of its own.
 
-    `poses_given` tells it the true poses.
+    `poses_given` tells it the true poses; without `camera_given` it knows nothing of the camera.
     """
 
     preset: Preset
     method: str  # "reconstruct" or "chain"
     threads: int
     poses_given: bool = False
+    camera_given: bool = True
 
     @property
     def name(self) -> str:
         """The preset and the method."""
         if self.method == "chain":
             return f"chained pairs, {self.preset}"
-        return f"tisfm {self.preset}{', poses given' if self.poses_given else ''}"
+        changes = ", poses given" * self.poses_given + ", camera unknown" * (not self.camera_given)
+        return f"tisfm {self.preset}{changes}"
 
     def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
         """Start the process, and wait for it."""
         if self.poses_given and not loaded.posed.all():
             raise MethodFailure("not all poses are known")
+        if not (self.camera_given or camera.is_pinhole):
+            raise MethodFailure("its lens has distortion, which is not sought")
         answer = _asked(
             [sys.executable, "-m", "bench.sequences.worker"],
             {
@@ -81,6 +90,7 @@ class Own:
                 "threads": self.threads,
                 "frames": list(map(str, loaded.frames)),
                 "camera": asdict(camera),
+                "camera_given": self.camera_given,
                 "poses": loaded.poses.tolist() if self.poses_given else None,
                 "output": str(output),
             },
@@ -90,7 +100,8 @@ class Own:
             self.name if not name else f"{name}, {self.preset}": file
             for name, file in answer["results"].items()
         }
-        return Outcome(results=results, seconds=answer["seconds"], peak=answer["peak"])
+        focal = None if self.camera_given else answer["focal"]
+        return Outcome(results=results, seconds=answer["seconds"], peak=answer["peak"], focal=focal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +154,9 @@ class Score:
         Of every round, for the whole sequence.
     peak : int or None
         Most resident memory of its process, bytes.
+    focal : (float, float, bool) or None
+        Where it was not given: by how much what was found is off, and its deviation, both as
+        shares of the true one; and whether it is to be relied on.
     failure : str
     """
 
@@ -151,6 +165,7 @@ class Score:
     evaluation: SequenceEvaluation | None = None
     seconds: tuple[float, ...] = ()
     peak: int | None = None
+    focal: tuple[float, float, bool] | None = None
     failure: str = ""
 
     @property
@@ -173,6 +188,7 @@ class Score:
             "seconds": self.seconds,
             "per_frame": self.per_frame,
             "peak": self.peak,
+            "focal": self.focal,
             "failure": self.failure,
         }
 
@@ -284,6 +300,7 @@ def _scores(
                     evaluation=evaluation,
                     seconds=(outcome.seconds,),
                     peak=outcome.peak,
+                    focal=_off(outcome.focal, camera.focal),
                 )
             )
         return found
@@ -299,7 +316,15 @@ def _together(before: Score | None, after: Score) -> Score:
         evaluation=before.evaluation,
         seconds=before.seconds + after.seconds,
         peak=max(before.peak or 0, after.peak or 0),
+        focal=before.focal,
     )
+
+
+def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, float, bool] | None:
+    if focal is None:
+        return None
+    found, deviation, seen = focal
+    return found / true - 1, deviation / true, seen
 
 
 def _asked(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:

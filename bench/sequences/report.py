@@ -24,6 +24,8 @@ NOTES = (
     "Chained pairs: pairs of consecutive frames, each scaled by the depth that those before carry "
     "to it; pairs: the same without a scale in common. pycolmap: SIFT, sequential matching, "
     "incremental mapping, intrinsics given.",
+    "Camera unknown: centre of the image, no distortion, and a focal length that is found; off "
+    "from the one that the sequence states, and its own deviation; doubted where the result is.",
     "Seconds per frame: from files to path and depth, outputs apart; a median over the rounds. "
     "Memory: most resident memory of the process, libraries included.",
 )
@@ -74,6 +76,13 @@ def _memory(score: Score) -> str:
     return NOTHING if score.peak is None else f"{score.peak / 1e6:.0f}"
 
 
+def _focal(score: Score) -> str:
+    if score.focal is None:
+        return NOTHING
+    off, deviation, seen = score.focal
+    return f"{100 * off:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
+
+
 COLUMNS: tuple[Column, ...] = (
     ("ATE, %", _ate),
     ("m", _metres),
@@ -85,10 +94,11 @@ COLUMNS: tuple[Column, ...] = (
     ("pixels, %", _depth("share", ".1f", 100)),
     ("spread", _depth("scale_spread", ".3f")),
     ("flicker", _depth("flicker", ".4f")),
+    ("focal length, % off", _focal),
     ("s per frame", _seconds),
     ("memory, MB", _memory),
 )
-SUMMARY = ("ATE, %", "depth error", "flicker")
+SUMMARY = ("ATE, %", "depth error", "flicker", "focal length, % off")
 
 
 def summary(contest: SequenceContest, heading: str) -> Cells:

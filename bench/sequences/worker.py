@@ -8,6 +8,7 @@ import gc
 import json
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from bench.pairs.memory import peak, restart
 from bench.sequences.chained import chain
 from bench.sequences.stored import store, store_map
 from tisfm import runtime
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_image
 from tisfm.lens import undistort
 
@@ -46,7 +48,10 @@ def _reconstructed(
     folder = Path(request["output"])
     poses = np.array(request["poses"]) if request["poses"] is not None else None
     started = time.perf_counter()
-    result = tisfm.reconstruct(frames, camera=camera, settings=settings, poses=poses)
+    known = camera if request["camera_given"] else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessedFocalWarning)
+        result = tisfm.reconstruct(frames, camera=known, settings=settings, poses=poses)
     for index in range(len(frames)):  # which some may be made at this moment only
         result.inverse_depth(index)
     seconds = time.perf_counter() - started
@@ -61,7 +66,10 @@ def _reconstructed(
         piece=[int(piece) for piece in result.piece],
         status=[str(status) for status in result.status],
     )
-    return {"results": {"": "result"}, "seconds": seconds}
+    found = result.calibration
+    deviation = found.focal_std if found.origin == "estimated" else result.camera.focal
+    focal = result.camera.focal, deviation, found.seen
+    return {"results": {"": "result"}, "seconds": seconds, "focal": focal}
 
 
 def _chained(

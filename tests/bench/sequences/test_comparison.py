@@ -11,7 +11,7 @@ import pytest
 from bench.sequences.__main__ import main
 from bench.sequences.contest import COLMAP_WORKER, Colmap, Outcome, Own, Score, hold
 from bench.sequences.entries import SELECTED, Entry, data_entries, folder_entries
-from bench.sequences.report import details, summary, write
+from bench.sequences.report import COLUMNS, details, summary, write
 from bench.sequences.stored import Stored, store, store_map
 from bench.shared.contest import MethodFailure
 from tests.evaluation.reconstructed import PATH, N, Result, make_sequence
@@ -142,6 +142,29 @@ def test_a_process_that_fails_is_a_failure_of_the_method(entries, tmp_path):
     given = Own(preset="fast", method="reconstruct", threads=1, poses_given=True)
     with pytest.raises(MethodFailure, match="not all poses are known"):
         given.run(replace(loaded, poses=poses), loaded.camera, here)
+
+
+def test_an_unknown_camera_is_told(entries, tmp_path):
+    loaded = entries[0].load()
+    unknown = Own(preset="fast", method="reconstruct", threads=1, camera_given=False)
+    assert unknown.name == "tisfm fast, camera unknown"
+    lens = replace(loaded.camera, distortion=(-0.3, 0, 0, 0))
+    with pytest.raises(MethodFailure, match="distortion"):
+        unknown.run(loaded, lens, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("focal", "text"),
+    [
+        (None, "–"),
+        ((0.0146, 0.007, True), "+1.5 ± 0.7"),
+        ((-0.1, 0.06, False), "-10.0 ± 6.0, doubted"),
+    ],
+)
+def test_the_focal_length_has_a_column(focal, text):
+    score = Score(method="tisfm fast", sequence="wall", focal=focal)
+    assert dict(COLUMNS)["focal length, % off"](score) == text
+    assert score.as_json()["focal"] == focal
 
 
 def test_the_worker_says_whether_it_can_run():
