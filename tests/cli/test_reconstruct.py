@@ -188,9 +188,12 @@ def test_a_scale_that_says_nothing_is_refused_at_once(tisfm_run, film, place, sc
     assert not (place / "out").exists()
 
 
-def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film):
+def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
-    assert_one_line(code, err, "frame is 9: expected 0 to 8")
+    told, last = err.splitlines()
+    assert "9 of 9 frames have a pose" in told
+    assert_one_line(code, last + "\n", "frame is 9: expected 0 to 8")
+    assert np.isfinite(read_kitti("out/poses.txt").poses).all()  # nothing is lost
 
 
 def test_a_mesh_that_cannot_be_made_is_refused_at_once(tisfm_run, film, place, monkeypatch):

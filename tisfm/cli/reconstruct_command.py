@@ -88,15 +88,17 @@ def reconstruct(
             progress=tell_progress,
             **asdict(frames),
         )
+    # What was found is written and told before anything that may not be possible with it.
+    write_trajectories(result, output)
+    _tell(result, output)
     if scale is not None:
         result = result.rescaled(*scale)
         result.save(output)
-    write_trajectories(result, output)
+        write_trajectories(result, output)
     if ply:
         result.points().save(output / POINTS)
     if mesh is not None:
         result.mesh().save(output / f"mesh.{mesh}")
-    _tell(result, output)
     return 0
 
 
