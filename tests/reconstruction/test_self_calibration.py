@@ -6,6 +6,7 @@ import re
 import warnings
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -24,20 +25,40 @@ SIZE = 180, 240
 
 
 @cache
-def arc(count=16):
+def arc(count=16, size=SIZE, focal=None):
     """Return a film of a camera that goes round what it looks at, and tilts and rolls."""
     poses = []
     for at in np.linspace(-1, 1, count):
         waving = np.sin(3 * at)
         twist = 0.8 * at, 0.15 * waving, 0.3 * at**2, 0.1 * waving, -0.35 * at, 0.3 * at
         poses.append(pose_matrix(twist))
-    return room_film(np.array(poses), *SIZE, samples=2)
+    return room_film(np.array(poses), *size, samples=2, focal=focal)
 
 
 @cache
 def straight():
     """Return a film of a camera that goes sideways, and does not turn."""
     return room_film(along(10, (0.12, 0, 0, 0, 0, 0)), *SIZE, samples=2)
+
+
+@cache
+def through_a_lens(radial):
+    """Return frames of the same through a lens that distorts by one coefficient, and what is seen.
+
+    They are taken out of larger ones: barrel distortion shows more than a pinhole does.
+    """
+    wide = arc(size=(240, 320), focal=144.0)
+    height, width = SIZE
+    x, y = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
+    places = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
+    matrix = np.diag([144.0, 144.0, 1.0])
+    straight = cv2.undistortPoints(places, matrix, np.array([radial, 0, 0, 0]), P=matrix)
+    u, v = (straight[:, 0].T + np.array([[159.5], [119.5]])).reshape(2, height, width)
+    frames = [
+        cv2.remap(frame, u.astype(np.float32), v.astype(np.float32), cv2.INTER_CUBIC)
+        for frame in wide.frames
+    ]
+    return np.stack(frames), wide
 
 
 def path_of(film, **options):
@@ -136,6 +157,47 @@ def test_poses_that_are_given_leave_the_guess():
     assert result.calibration.origin == "guessed"
 
 
+@pytest.mark.parametrize("radial", [-0.2, 0.1])
+def test_a_radial_coefficient_is_found_and_removed(radial, tmp_path):
+    frames, wide = through_a_lens(radial)
+    result = tisfm.reconstruct(
+        frames, settings=FAST, calibrate="radial", depth_of="keyframes", folder=tmp_path
+    )
+    assert (result.piece == 0).all()
+    assert result.camera.focal == pytest.approx(144, rel=0.06) and result.camera.is_pinhole
+    assert result.calibration.radial == pytest.approx(radial, abs=0.04)
+    assert 0 < result.calibration.radial_std < 0.1
+    assert f"k1 = {result.calibration.radial:.3f}" in result.calibration.message
+    assert read_camera(tmp_path).distortion == (result.calibration.radial, 0, 0, 0)
+    assert path_error(result.poses, wide.poses) < 0.01
+    # The pictures are those of a pinhole: the middle of the larger film.
+    picture = result.picture(3).astype(float)
+    off = np.abs(picture - wide.frames[3, 30:-30, 40:-40])[5:-5, 5:-5]
+    distorted = np.abs(frames[3].astype(float) - wide.frames[3, 30:-30, 40:-40])[5:-5, 5:-5]
+    assert np.median(off) < 0.6 * np.median(distorted)
+    assert np.isfinite(result.depth(result.keyframes[0])).all()
+
+
+@pytest.mark.parametrize("radial", [-0.2, 0.2])
+def test_a_lens_that_distorts_is_suspected(radial):
+    frames, _ = through_a_lens(radial)
+    with pytest.warns(GuessedFocalWarning, match="lens seems to distort"):
+        result = tisfm.reconstruct(frames, settings=FAST, depth_of="none")
+    assert not result.calibration.seen
+    assert abs(result.camera.focal - 144) < 3 * result.calibration.focal_std
+
+
+def test_a_lens_without_distortion_has_none():
+    result = path_of(arc(), calibrate="radial")
+    assert abs(result.calibration.radial) < 3 * result.calibration.radial_std + 0.01
+    assert result.camera.focal == pytest.approx(arc().camera.focal, rel=0.05)
+
+
+def test_streams_find_no_distortion():
+    with pytest.raises(ValueError, match="whole sequence"):
+        tisfm.reconstruct_stream(arc().frames, settings=FAST, calibrate="radial")
+
+
 def test_streams_find_it_once():
     frames = list(tisfm.reconstruct_stream(arc().frames, settings=FAST, delay=12))
     focals = {frame.camera.focal for frame in frames}
@@ -149,6 +211,8 @@ def test_streams_find_it_once():
     [
         ({"calibrate": "lens"}, "calibrate is 'lens'"),
         ({"calibrate": "focal", "poses": along(16)}, "poses are given"),
+        ({"calibrate": "radial", "poses": along(16)}, "poses are given"),
+        ({"calibrate": "radial", "camera": Camera(distortion=(0.1, 0, 0, 0))}, "has distortion"),
     ],
 )
 def test_wrong_arguments_are_refused(options, text):

@@ -274,8 +274,9 @@ class Reconstruct:
     preset: Preset = "balanced"
     """How much effort: fast, balanced or accurate."""
     calibrate: Calibrate | None = None
-    """Find the focal length from the frames, or nothing. By default it is found unless --focal or
-    --camera states it; with --calibrate focal, --focal is a first guess."""
+    """Find the focal length from the frames; or with 'radial' a coefficient of the lens as well,
+    whose distortion is removed. By default the focal length is found unless --focal or --camera
+    states it; with --calibrate focal, --focal is a first guess."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
@@ -331,7 +332,7 @@ class Reconstruct:
                 "--center, --distortion and --aspect are of a camera whose focal length is known: "
                 "give --focal as well; with --calibrate focal, a guess will do"
             )
-        if options.focal == "guess" and self.calibrate == "focal":
+        if options.focal == "guess" and self.calibrate not in (None, "nothing"):
             raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")
         return None
 

@@ -4,8 +4,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-Calibrate = Literal["nothing", "focal"]
-"""What of the camera is found from the sequence."""
+Calibrate = Literal["nothing", "focal", "radial"]
+"""What of the camera is found: nothing, the focal length, or it and one radial coefficient."""
 Origin = Literal["given", "estimated", "guessed"]
 
 
@@ -23,12 +23,19 @@ class Calibration:
         Whether it can be relied on: False where it was guessed, or the motion hardly shows it.
     message : str
         That in words; empty where it was given.
+    radial : float
+        The coefficient k1 of the lens that was found with it, whose distortion was removed; 0 if
+        none was sought.
+    radial_std : float
+        Its standard deviation.
     """
 
     origin: Origin
     focal_std: float = 0.0
     seen: bool = True
     message: str = ""
+    radial: float = 0.0
+    radial_std: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""

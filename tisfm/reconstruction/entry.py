@@ -52,12 +52,14 @@ def reconstruct(
         (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera, optional
         Of the frames as they come; distortion is removed.
-    calibrate : {"nothing", "focal"}, optional
-        What of the camera is found from the frames: nothing, if a camera is given; or else the
-        focal length, with the principal point in the centre. With a camera and ``"focal"``, its
-        focal length is a guess. `Reconstruction.calibration` says how far to trust what is found,
-        with a `GuessedFocalWarning` if the motion hardly shows it. Where poses are given, and no
-        camera, the focal length is guessed from the first image file or the size of the frames.
+    calibrate : {"nothing", "focal", "radial"}, optional
+        What of the camera is found from the frames: by default nothing, if a camera is given; or
+        else the focal length, with the principal point in the centre. ``"radial"`` finds one
+        coefficient of the lens as well, k1, and removes its distortion. With a camera and
+        ``"focal"`` or ``"radial"``, its focal length is a guess. `Reconstruction.calibration` says
+        how far to trust what is found, with a `GuessedFocalWarning` if the motion hardly shows it.
+        Where poses are given, and no camera, the focal length is guessed from the first image file
+        or the size of the frames.
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
         sequences.
@@ -93,8 +95,10 @@ def reconstruct(
         settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
     """
     settings = checked_settings(settings)
-    if calibrate == "focal" and poses is not None:
-        raise ValueError('poses are given and calibrate="focal": it is found with the path alone')
+    if calibrate in ("focal", "radial") and poses is not None:
+        raise ValueError(
+            f'poses are given and calibrate="{calibrate}": that is found with the path alone'
+        )
     calibrate = checked_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise ValueError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
@@ -116,6 +120,8 @@ def reconstruct(
     if given is not None and frames.count is not None:
         check_count(len(given), len(frames) + 1)
     camera = None if camera is None else check_camera(camera)
+    if calibrate == "radial" and camera is not None and camera.distortion is not None:
+        raise ValueError('the camera has distortion, which calibrate="radial" is to find: drop it')
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
     runtime.start()
@@ -150,7 +156,7 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
     if calibrate is None:
         return "nothing" if is_known else "focal"
     if calibrate not in get_args(Calibrate):
-        raise ValueError(f'calibrate is {calibrate!r}: expected "nothing" or "focal"')
+        raise ValueError(f'calibrate is {calibrate!r}: expected "nothing", "focal" or "radial"')
     return calibrate
 
 

@@ -84,6 +84,24 @@ class PreparedFrames:
         self.count += 1
         return whole, ignored
 
+    def take(self, camera: Camera) -> None:
+        """Take a camera that was found later; if it distorts, all frames are made anew."""
+        self.camera = camera.pinhole()
+        if camera.is_pinhole or not self.count:
+            return
+        lens = Undistortion(camera, *self.shape)
+        self._held.clear()
+        for number in range(self.count):
+            ignored = ~lens.valid
+            if number in self._masked:
+                ignored |= lens.nearest(np.load(self._mask_path(number)).astype(np.float32)) > 0
+            np.save(self._grey_path(number), lens.apply(self.grey(number)))
+            self._held.clear()
+            if ignored.any():
+                np.save(self._mask_path(number), ignored)
+                self._masked.add(number)
+            write_picture(self._picture_path(number), lens.apply(self._picture(number)))
+
     def forget(self, number: int) -> None:
         """Delete a frame; numbers of the others stay."""
         self._held.pop(number, None)
@@ -107,6 +125,12 @@ class PreparedFrames:
             return None
         counted: np.ndarray = ~np.load(self._mask_path(number))
         return counted
+
+    def _picture(self, number: int) -> np.ndarray:
+        picture = cv2.imread(str(self._picture_path(number)), cv2.IMREAD_UNCHANGED)
+        if picture is None:
+            raise OSError(f"{self._picture_path(number)} cannot be read")
+        return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
     def _grey_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}.npy"

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.places import OnePlace
 
@@ -30,7 +31,7 @@ NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def grown(database: Any, pairs: Pairs, count: int, *, refine_focal: bool = False) -> list[Any]:
+def grown(database: Any, pairs: Pairs, count: int, calibrate: Calibrate = "nothing") -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first.
 
     Parameters
@@ -41,12 +42,12 @@ def grown(database: Any, pairs: Pairs, count: int, *, refine_focal: bool = False
         points.
     count : int
         Of views.
-    refine_focal : bool
-        Whether the focal length is adjusted with the rest, from that of the camera on.
+    calibrate : {"nothing", "focal", "radial"}
+        What of the camera is adjusted with the rest, from what it is on.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
-    options = _options(refine_focal)
+    options = _options(calibrate)
     left = set(range(1, count + 1)) & set(cache.images)
     promising = _promising(pairs)
     found = []
@@ -228,9 +229,10 @@ def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return np.asarray(left)
 
 
-def _options(refine_focal: bool = False) -> Any:
+def _options(calibrate: Calibrate = "nothing") -> Any:
     options = pycolmap().IncrementalPipelineOptions()
-    options.ba_refine_focal_length, options.ba_refine_extra_params = refine_focal, False
+    options.ba_refine_focal_length = calibrate != "nothing"
+    options.ba_refine_extra_params = calibrate == "radial"
     options.ba_local_function_tolerance = 1e-5
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
@@ -98,15 +99,16 @@ class Shared:
         }
         return replace(self, views=self.views[first:last], pairs=pairs)
 
-    def grown(self, camera: Camera, *, refine_focal: bool = False) -> list[Any]:
+    def grown(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
         """Return pycolmap's reconstructions, the largest first.
 
-        Each has the focal length of the camera, or with `refine_focal` one of its own.
+        Each has the focal length of the camera, or one of its own if that is to be found, and maybe
+        a radial coefficient.
         """
-        known = _camera(camera, self.shape, "SIMPLE_PINHOLE" if refine_focal else "PINHOLE")
+        known = _camera(camera, self.shape, calibrate)
         directions = _Directions(self.views, self.pairs, camera, self.shape)
         with self.database(known) as database:
-            return grown(database, directions, len(self.views), refine_focal=refine_focal)
+            return grown(database, directions, len(self.views), calibrate)
 
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
@@ -219,17 +221,16 @@ def pose_from_points(
     return _matrix(found["cam_from_world"])
 
 
-def _camera(camera: Camera, shape: tuple[int, int], model: str = "PINHOLE") -> Any:
+def _camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    focal = [camera.focal] if model == "SIMPLE_PINHOLE" else [camera.focal, camera.focal]
-    known = pycolmap().Camera(
-        model=model,
-        width=width,
-        height=height,
-        params=[*focal, cx + CENTRE, cy + CENTRE],
-        camera_id=1,
-    )
+    focal, center = camera.focal, (cx + CENTRE, cy + CENTRE)
+    model, params = {
+        "nothing": ("PINHOLE", [focal, focal, *center]),
+        "focal": ("SIMPLE_PINHOLE", [focal, *center]),
+        "radial": ("SIMPLE_RADIAL", [focal, *center, 0.0]),
+    }[calibrate]
+    known = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
     known.has_prior_focal_length = True  # or pairs to begin with are looked for without it
     return known
 

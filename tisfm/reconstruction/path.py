@@ -7,9 +7,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
 from tisfm.reconstruction.mapping import models_of, pose_from_points
-from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
+from tisfm.reconstruction.self_calibration import (
+    FocalEstimate,
+    models_and_focal,
+    without_distortion,
+)
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
 from tisfm.settings import Settings
@@ -49,7 +54,8 @@ class CameraPath:
     seen : tuple of Seen
         Tracks in every frame.
     camera : Camera
-        A pinhole, with the focal length that poses are found with.
+        With the focal length that poses are found with. Poses, points and tracks are those of its
+        pinhole; it has distortion where that was found with them.
     focal : FocalEstimate or None
         If it was to be found: None as well if no path was.
     """
@@ -68,15 +74,15 @@ class PathFinder:
     ----------
     camera : Camera
         A pinhole, of the frames.
-    focal_known : bool
-        Or its focal length is a guess, and is found from the frames.
+    calibrate : {"nothing", "focal", "radial"}
+        What of it is found from the frames: then its focal length is a guess.
     """
 
-    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
-        self._camera, self._focal_known = camera, focal_known
+    def __init__(self, camera: Camera, calibrate: Calibrate = "nothing") -> None:
+        self._camera, self._calibrate = camera, calibrate
         self._tracker = Tracker(camera, TRACKING)
         self._seen: list[Seen] = []
-        self._views = Views(camera, focal_known=focal_known)
+        self._views = Views(camera, focal_known=calibrate == "nothing")
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -110,21 +116,24 @@ class PathFinder:
                 "frame before, but what others show; sort them, or give a video"
             )
         camera, focal = self._camera, None
-        if self._focal_known:
+        if self._calibrate == "nothing":
             models = models_of(views.chosen, views.matches, camera, grey.shape)
         else:
-            models, focal = models_and_focal(views.chosen, views.matches, camera, grey.shape)
+            models, focal = models_and_focal(
+                views.chosen, views.matches, camera, grey.shape, self._calibrate
+            )
             camera = camera if focal is None else focal.taken(camera)
+        seen = [without_distortion(one, camera, grey.shape) for one in self._seen]
         pieces, unplaced = with_others(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
-            dict(enumerate(self._seen)),
-            camera,
+            dict(enumerate(seen)),
+            camera.pinhole(),
             self._shape,
         )
-        lost = {frame: why_lost(self._seen[frame], pieces, different) for frame in unplaced}
+        lost = {frame: why_lost(seen[frame], pieces, different) for frame in unplaced}
         ordered = sorted(pieces, key=lambda piece: min(piece.poses))
         return CameraPath(
-            pieces=tuple(ordered), lost=lost, seen=tuple(self._seen), camera=camera, focal=focal
+            pieces=tuple(ordered), lost=lost, seen=tuple(seen), camera=camera, focal=focal
         )
 
 

@@ -147,9 +147,7 @@ class Run:
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    finder = PathFinder(
-                        self._frames.camera, focal_known=self._calibrate == "nothing"
-                    )
+                    finder = PathFinder(self._frames.camera, self._calibrate)
                     tracker = Tracker(self._frames.camera, TRACKING)
                 grey, ignored = self._frames.add(frame)
                 if self._given is None and finder is not None:
@@ -169,9 +167,11 @@ class Run:
             )
         self._progress("path", 0, len(names))
         path = finder.finish() if self._given is None else self._given_path(seen, self._given)
-        ratio, self._frames.camera = path.camera.focal / self._frames.camera.focal, path.camera
+        ratio = path.camera.focal / self._frames.camera.focal
         taken, shape = self._taken
-        self._taken = replace(taken, focal=taken.focal * ratio), shape
+        lens = path.camera.distortion or taken.distortion
+        self._taken = replace(taken, focal=taken.focal * ratio, distortion=lens), shape
+        self._frames.take(path.camera)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 

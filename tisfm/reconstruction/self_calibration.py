@@ -11,14 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.focal_guess import FocalGuess
-from tisfm.reconstruction.calibration import GIVEN, Calibration
+from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.growing import robust
 from tisfm.reconstruction.mapping import Model, Shared, View, models_of
+from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
 WINDOW = (
@@ -29,19 +31,21 @@ STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
 AWAY = 1.2  # times: the focal length that a part begins with, or as much less
 # Of the logarithm: what parts are off by, as a share of it the deviation of the whole.
 OF_PARTS = 0.7
+BENT = 0.03  # of the focal length, and more than parts are off by: then it seems to distort
 UNSEEN = 0.05  # of the focal length: with a larger deviation, the motion does not show it
-WORTHLESS = 0.2  # with a larger one, a guess is as good
+WORTHLESS = 0.3  # with a larger one, a guess is as good: lenses of 0.6 to 2 longer sides are common
 UNSEEN_SAID = (
     "the motion does not show the focal length, as where the camera goes straight on without "
     "turning or all lies in one plane"
 )
+BENT_SAID = "the lens seems to distort, which calibrate radial finds as well"
 HARDLY_SAID = "the motion hardly shows it"
 ADVICE = "give it if you know it, for instance from a calibration"
 
 
 @dataclass(frozen=True, kw_only=True)
 class FocalEstimate:
-    """A focal length that was found from a sequence.
+    """A focal length that was found from a sequence, and maybe a radial coefficient.
 
     Attributes
     ----------
@@ -49,14 +53,24 @@ class FocalEstimate:
         px.
     deviation : float
         Standard deviation, px.
+    radial, radial_deviation : float
+        k1 of the lens; 0 if it was not sought.
+    bent : bool
+        Whether a lens that distorts, if there may be one, leads to another focal length.
     """
 
     focal: float
     deviation: float
+    radial: float = 0.0
+    radial_deviation: float = 0.0
+    bent: bool = False
 
     def taken(self, camera: Camera) -> Camera:
         """Return a camera with it, or as it is if a guess is as good."""
-        return replace(camera, focal=self.focal) if self.is_of_use else camera
+        if not self.is_of_use:
+            return camera
+        distortion = (self.radial, 0.0, 0.0, 0.0) if self.radial else None
+        return replace(camera, focal=self.focal, distortion=distortion)
 
     @property
     def is_of_use(self) -> bool:
@@ -92,9 +106,19 @@ def calibration_of(
         return Calibration(origin="guessed", focal_std=math.inf, seen=False, message=message)
     deviation = float(f"{found.deviation:.1g}")  # one digit of it says enough
     told = f"{found.focal:.4g} ± {deviation:g} px, found from the sequence"
+    if found.radial:
+        told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
     seen = found.deviation <= UNSEEN * found.focal
-    message = told if seen else f"the focal length is {told}: {HARDLY_SAID}; {ADVICE}"
-    return Calibration(origin="estimated", focal_std=found.deviation, seen=seen, message=message)
+    doubt = BENT_SAID if found.bent else HARDLY_SAID
+    message = told if seen else f"the focal length is {told}: {doubt}; {ADVICE}"
+    return Calibration(
+        origin="estimated",
+        focal_std=found.deviation,
+        seen=seen,
+        message=message,
+        radial=found.radial,
+        radial_std=found.radial_deviation,
+    )
 
 
 def models_and_focal(
@@ -102,6 +126,7 @@ def models_and_focal(
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
+    calibrate: Calibrate,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views and points of tracks, and the focal length with which they fit best.
 
@@ -111,6 +136,8 @@ def models_and_focal(
         As for `tisfm.reconstruction.mapping.models_of`.
     camera : Camera
         A pinhole, whose centre is known and whose focal length is a guess.
+    calibrate : {"focal", "radial"}
+        Whether a radial coefficient is sought as well.
 
     Returns
     -------
@@ -120,41 +147,77 @@ def models_and_focal(
         None if no path is found with any.
     """
     shared = Shared.of(views, matches, shape)
-    begun = _best_start(shared, camera)
-    found = [] if begun is None else shared.grown(replace(camera, focal=begun), refine_focal=True)
+    begun = _best_start(shared, camera, calibrate)
+    found = [] if begun is None else shared.grown(replace(camera, focal=begun), calibrate)
     if not found:
         return models_of(views, matches, camera, shape), None
-    _adjust(found[0])
-    estimate = _estimate(found[0], camera, shape)
+    _adjust(found[0], calibrate)
+    estimate = _estimate(found[0], camera, shape, calibrate)
     if not estimate.is_of_use:
         return models_of(views, matches, camera, shape), estimate
     for other in found[1:]:
-        _set_focal(other, estimate.focal)
-        _adjust(other, refine_focal=False)
-    return shared.models(found, views, estimate.taken(camera)), estimate
+        _set(other, estimate.focal, estimate.radial)
+        _adjust(other, "nothing")
+    lens = estimate.taken(camera)
+    straight = [replace(view, seen=without_distortion(view.seen, lens, shape)) for view in views]
+    return shared.models(found, straight, lens.pinhole()), estimate
 
 
-def _estimate(whole: Any, camera: Camera, shape: tuple[int, int]) -> FocalEstimate:
+def without_distortion(seen: Seen, lens: Camera, shape: tuple[int, int]) -> Seen:
+    """Return where a pinhole would see the tracks; those that it would not are left out."""
+    if lens.is_pinhole or not len(seen.points):
+        return seen
+    height, width = shape
+    cx, cy = lens.center_for(height, width)
+    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
+    points = cv2.undistortPoints(seen.points[:, None], matrix, np.array(lens.distortion), P=matrix)
+    points = points[:, 0]
+    inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
+    return Seen(points=points[inside], tracks=seen.tracks[inside])
+
+
+def _estimate(
+    whole: Any, camera: Camera, shape: tuple[int, int], calibrate: Calibrate
+) -> FocalEstimate:
     """Return the focal length of a reconstruction, and what its parts say of it."""
-    focal = _focal(whole)
-    off = [
-        math.log(_of_part(whole, part, focal * AWAY ** (1 if k % 2 else -1)) / focal)
+    focal, radial = _found(whole)
+    parts = [
+        _of_part(whole, part, focal * AWAY ** (1 if k % 2 else -1), calibrate)
         for k, part in enumerate(_parts(whole, camera, shape))
     ]
-    deviation = OF_PARTS * math.sqrt(np.mean(np.square(off)))
-    return FocalEstimate(focal=focal, deviation=focal * deviation)
+    off = np.array([(math.log(one / focal), other - radial) for one, other in parts])
+    deviation, radial_deviation = OF_PARTS * np.sqrt(np.mean(off**2, axis=0))
+    bend = 0.0 if calibrate == "radial" else math.log(_through_a_lens(whole) / focal)
+    return FocalEstimate(
+        focal=focal,
+        deviation=focal * math.hypot(deviation, bend),
+        radial=radial,
+        radial_deviation=float(radial_deviation),
+        bent=abs(bend) > max(BENT, deviation),
+    )
 
 
-def _best_start(shared: Shared, camera: Camera) -> float | None:
+def _through_a_lens(whole: Any) -> float:
+    """Return the focal length, px, if the lens may distort."""
+    bent = copy.deepcopy(whole)
+    camera = next(iter(bent.cameras.values()))
+    params = [*camera.params, 0.0]
+    camera.model = pycolmap().CameraModelId.SIMPLE_RADIAL
+    camera.params = params
+    _adjust(bent, "radial")
+    return _found(bent)[0]
+
+
+def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains most of what views in windows have in common."""
     best, most = None, 0
     for times in STARTS:
         explained, found = 0, []
         for window in _windows(shared):
-            grown = window.grown(replace(camera, focal=times * camera.focal), refine_focal=True)
+            grown = window.grown(replace(camera, focal=times * camera.focal), calibrate)
             if grown:
                 explained += grown[0].compute_num_observations()
-                found.append(_focal(grown[0]))
+                found.append(_found(grown[0])[0])
         if explained > most:
             best, most = float(np.exp(np.mean(np.log(found)))), explained
     return best
@@ -198,8 +261,10 @@ def _places(whole: Any, point: Any) -> np.ndarray:
     )
 
 
-def _of_part(whole: Any, part: tuple[set[int], set[int]], begun: float) -> float:
-    """Return the focal length, px, that some views and points lead to from another one."""
+def _of_part(
+    whole: Any, part: tuple[set[int], set[int]], begun: float, calibrate: Calibrate
+) -> tuple[float, float]:
+    """Return what some views and points lead to from another focal length, px, and k1."""
     views, points = part
     less = copy.deepcopy(whole)
     for number in sorted(set(less.reg_image_ids()) - views):
@@ -207,16 +272,17 @@ def _of_part(whole: Any, part: tuple[set[int], set[int]], begun: float) -> float
     few = [k for k, point in less.points3D.items() if k not in points or point.track.length() < 2]
     for number in few:
         less.delete_point3D(number)
-    _set_focal(less, begun)
-    _adjust(less)
-    return _focal(less)
+    _set(less, begun, _found(whole)[1])
+    _adjust(less, calibrate)
+    return _found(less)
 
 
-def _adjust(whole: Any, *, refine_focal: bool = True) -> None:
-    """Adjust poses and points, and the focal length with them, to the end."""
+def _adjust(whole: Any, calibrate: Calibrate) -> None:
+    """Adjust poses and points, and what is sought of the camera with them, to the end."""
     options = pycolmap().BundleAdjustmentOptions()
-    options.refine_focal_length = refine_focal
-    options.refine_extra_params = options.refine_principal_point = False
+    options.refine_focal_length = calibrate != "nothing"
+    options.refine_extra_params = calibrate == "radial"
+    options.refine_principal_point = False
     scene = pycolmap().BundleAdjustmentConfig()
     for number in sorted(whole.reg_image_ids()):
         scene.add_image(number)
@@ -225,10 +291,13 @@ def _adjust(whole: Any, *, refine_focal: bool = True) -> None:
     pycolmap().create_default_bundle_adjuster(options, scene, whole).solve()
 
 
-def _focal(whole: Any) -> float:
-    return float(next(iter(whole.cameras.values())).params[0])
+def _found(whole: Any) -> tuple[float, float]:
+    """Return the focal length, px, and k1, 0 where it is not sought."""
+    focal, _, _, *radial = next(iter(whole.cameras.values())).params
+    return float(focal), float(radial[0]) if radial else 0.0
 
 
-def _set_focal(whole: Any, focal: float) -> None:
+def _set(whole: Any, focal: float, radial: float) -> None:
     camera = next(iter(whole.cameras.values()))
-    camera.params = [focal, *camera.params[1:]]
+    _, cx, cy, *rest = camera.params
+    camera.params = [focal, cx, cy, *([radial] if rest else [])]

@@ -133,7 +133,7 @@ class SlidingPath:
         if self._focal_known:
             models = models_of(*among, self.camera, self._shape)
         else:
-            models, self.focal = models_and_focal(*among, self.camera, self._shape)
+            models, self.focal = models_and_focal(*among, self.camera, self._shape, "focal")
             if self.focal is not None:  # from now on it is known
                 self.camera, self._focal_known = self.focal.taken(self.camera), True
                 views.use(self.camera)

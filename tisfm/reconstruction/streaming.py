@@ -69,6 +69,10 @@ def reconstruct_stream(
     """
     settings = checked_settings(settings)
     calibrate = checked_calibrate(calibrate, is_known=camera is not None)
+    if calibrate == "radial":
+        raise ValueError(
+            'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
+        )
     camera = None if camera is None else check_camera(camera)
     if not is_whole(delay):
         raise TypeError(f"delay is {delay!r}: expected a whole number of frames")
