@@ -14,6 +14,7 @@ from tests.reconstruction.films import along, path_error
 from tisfm import Camera, Reconstruction, Settings
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
+from tisfm.reconstruction import self_calibration
 from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
 from tisfm.rigid import pose_matrix
@@ -116,6 +117,17 @@ def test_a_motion_that_does_not_show_it_is_told():
     assert not result.calibration.seen and len(caught) == 1
     assert result.calibration.focal_std > 0.05 * result.camera.focal
     assert np.isfinite(result.poses).all()
+
+
+@pytest.mark.parametrize(("name", "answer"), [("_best_start", None), ("_of_part", -100.0)])
+def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer):
+    monkeypatch.setattr(self_calibration, name, lambda *_: answer)
+    film = arc()
+    with pytest.warns(GuessedFocalWarning, match="motion does not show") as caught:
+        result = tisfm.reconstruct(film.frames[::2], settings=FAST, depth_of="none")
+    assert len(caught) == 1  # and no word of a path that was not found
+    assert result.camera.focal == 1.2 * SIZE[1]
+    assert (result.piece == 0).any()
 
 
 def test_no_path_leaves_the_guess():

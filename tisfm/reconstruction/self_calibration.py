@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tisfm.camera import Camera
+from tisfm.camera import LONGEST, SHORTEST, Camera
 from tisfm.focal_guess import FocalGuess
 from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.reconstruction.colmap import pycolmap
@@ -48,7 +48,7 @@ class FocalEstimate:
     focal : float
         px.
     deviation : float
-        Standard deviation, px.
+        Standard deviation, px; infinite where the sequence says nothing.
     """
 
     focal: float
@@ -123,7 +123,8 @@ def models_and_focal(
     begun = _best_start(shared, camera)
     found = [] if begun is None else shared.grown(replace(camera, focal=begun), refine_focal=True)
     if not found:
-        return models_of(views, matches, camera, shape), None
+        models = models_of(views, matches, camera, shape)
+        return models, _unknown(camera) if models else None
     _adjust(found[0])
     estimate = _estimate(found[0], camera, shape)
     if not estimate.is_of_use:
@@ -137,12 +138,26 @@ def models_and_focal(
 def _estimate(whole: Any, camera: Camera, shape: tuple[int, int]) -> FocalEstimate:
     """Return the focal length of a reconstruction, and what its parts say of it."""
     focal = _focal(whole)
-    off = [
-        math.log(_of_part(whole, part, focal * AWAY ** (1 if k % 2 else -1)) / focal)
+    if not _is_possible(focal):
+        return _unknown(camera)
+    parts = [
+        _of_part(whole, part, focal * AWAY ** (1 if k % 2 else -1))
         for k, part in enumerate(_parts(whole, camera, shape))
     ]
+    if not all(map(_is_possible, parts)):
+        return _unknown(camera)
+    off = np.log(np.divide(parts, focal))
     deviation = OF_PARTS * math.sqrt(np.mean(np.square(off)))
     return FocalEstimate(focal=focal, deviation=focal * deviation)
+
+
+def _unknown(guess: Camera) -> FocalEstimate:
+    return FocalEstimate(focal=guess.focal, deviation=math.inf)
+
+
+def _is_possible(focal: float) -> bool:
+    """Return whether a camera may have it: an adjustment is free to end anywhere."""
+    return SHORTEST <= focal <= LONGEST
 
 
 def _best_start(shared: Shared, camera: Camera) -> float | None:
@@ -152,7 +167,7 @@ def _best_start(shared: Shared, camera: Camera) -> float | None:
         explained, found = 0, []
         for window in _windows(shared):
             grown = window.grown(replace(camera, focal=times * camera.focal), refine_focal=True)
-            if grown:
+            if grown and _is_possible(_focal(grown[0])):
                 explained += grown[0].compute_num_observations()
                 found.append(_focal(grown[0]))
         if explained > most:
