@@ -14,6 +14,7 @@ from tests.reconstruction.films import along, path_error
 from tisfm import Camera, Reconstruction, Settings
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
+from tisfm.lens import undistort
 from tisfm.reconstruction import self_calibration
 from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
@@ -22,6 +23,7 @@ from tisfm.scenes import room_film
 
 FAST = Settings.preset("fast", motion="camera")
 SIZE = 180, 240
+TILTED = Camera(distortion=(0.0,) * 12 + (0.1, 0.0))
 
 
 @cache
@@ -111,6 +113,22 @@ def test_the_file_is_of_the_frames_of_the_source(tmp_path):
     assert written.focal == pytest.approx(result.camera.focal / 0.8, rel=1e-9)
 
 
+def test_the_file_of_a_lens_is_of_what_was_done_to_frames(tmp_path):
+    film = arc()
+    lens = (0.02, 0.0, 0.001, 0.0)
+    guess = Camera(focal=1.5 * film.camera.focal, distortion=lens)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessedFocalWarning)
+        result = path_of(film, camera=guess, calibrate="focal", folder=tmp_path)
+    assert result.calibration.origin == "estimated"
+    written = read_camera(tmp_path, SIZE)
+    assert written.focal == pytest.approx(result.camera.focal, rel=1e-12)
+    frame = film.frames[3]
+    before, after = (undistort(frame, camera).astype(float) for camera in (guess, written))
+    assert np.abs(before - after).max() <= 1  # rounded
+    assert written.distortion != lens
+
+
 def test_a_motion_that_does_not_show_it_is_told():
     with pytest.warns(GuessedFocalWarning, match="motion") as caught:
         result = path_of(straight())
@@ -128,6 +146,19 @@ def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer
     assert len(caught) == 1  # and no word of a path that was not found
     assert result.camera.focal == 1.2 * SIZE[1]
     assert (result.piece == 0).any()
+
+
+def test_a_guess_is_told_before_depth_is_found():
+    stages = []
+    with warnings.catch_warnings(), pytest.raises(GuessedFocalWarning):
+        warnings.simplefilter("error")
+        tisfm.reconstruct(
+            arc().frames[::2],
+            settings=FAST,
+            calibrate="nothing",
+            progress=lambda stage, done, total: stages.append(stage),
+        )
+    assert set(stages) == {"reading", "path"}
 
 
 def test_no_path_leaves_the_guess():
@@ -161,6 +192,7 @@ def test_streams_find_it_once():
     [
         ({"calibrate": "lens"}, "calibrate is 'lens'"),
         ({"calibrate": "focal", "poses": along(16)}, "poses are given"),
+        ({"calibrate": "focal", "camera": TILTED}, "tilted sensor"),
     ],
 )
 def test_wrong_arguments_are_refused(options, text):

@@ -55,9 +55,9 @@ def reconstruct(
     calibrate : {"nothing", "focal"}, optional
         What of the camera is found from the frames: nothing, if a camera is given; or else the
         focal length, with the principal point in the centre. With a camera and ``"focal"``, its
-        focal length is a guess. `Reconstruction.calibration` says how far to trust what is found,
-        with a `GuessedFocalWarning` if the motion hardly shows it. Where poses are given, and no
-        camera, the focal length is guessed from the first image file or the size of the frames.
+        focal length is a guess, and distortion moves pixels as it does with that guess.
+        `Reconstruction.calibration` says how far to trust what is found. Where poses are given, and
+        no camera, the focal length is guessed from the first image file or the size of the frames.
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
         sequences.
@@ -85,6 +85,11 @@ def reconstruct(
     Returns
     -------
     Reconstruction
+
+    Warns
+    -----
+    GuessedFocalWarning
+        If the focal length is a guess, or the motion hardly shows it.
 
     Raises
     ------
@@ -116,6 +121,11 @@ def reconstruct(
     if given is not None and frames.count is not None:
         check_count(len(given), len(frames) + 1)
     camera = None if camera is None else check_camera(camera)
+    if calibrate == "focal" and camera is not None and camera.is_tilted:
+        raise ValueError(
+            'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
+            "focal length; leave out the last two coefficients"
+        )
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
     runtime.start()

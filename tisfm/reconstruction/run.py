@@ -83,6 +83,7 @@ class Run:
     def result(self) -> Reconstruction:
         """Read, find the path, then depth; write everything."""
         read, path = self._read()
+        calibration = self._calibration(path)
         count = len(read.names)
         poses = np.full((count, 4, 4), np.nan)
         piece = np.full(count, -1, np.int32)
@@ -106,7 +107,6 @@ class Run:
             if number > 0:
                 first = min(part.poses)
                 status[first] = begins_piece(status[first])
-        calibration = self._calibration(path)
         write_camera(self._folder / CAMERA, *self._taken, about=as_json(calibration))
         result = Reconstruction(
             poses=poses,
@@ -170,8 +170,9 @@ class Run:
         self._progress("path", 0, len(names))
         path = finder.finish() if self._given is None else self._given_path(seen, self._given)
         ratio, self._frames.camera = path.camera.focal / self._frames.camera.focal, path.camera
-        taken, shape = self._taken
-        self._taken = replace(taken, focal=taken.focal * ratio), shape
+        if path.focal is not None:
+            taken, shape = self._taken
+            self._taken = taken.with_focal(taken.focal * ratio), shape
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
