@@ -21,9 +21,7 @@ from tisfm.reconstruction.growing import robust
 from tisfm.reconstruction.mapping import Model, Shared, View, models_of
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
-WINDOW = (
-    16  # views that beginnings are compared on, twice; and beyond so many there are two windows
-)
+WINDOW = 16  # views: of each of the two windows that beginnings are compared on
 ENOUGH = 6000  # observations that parts are made of
 STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
 AWAY = 1.2  # times: the focal length that a part begins with, or as much less
