@@ -217,6 +217,26 @@ def test_scaling_keeps_distortion_and_a_pinhole_has_none():
     assert Camera(100.0, (3, 4), BARREL).pinhole() == Camera(100.0, (3, 4))
 
 
+@pytest.mark.parametrize("number", [4, 5, 8, 12])
+def test_another_focal_length_leaves_the_lens_as_it_is(number):
+    lens = (-0.2, 0.05, 1e-2, -2e-2, 0.01, 0.1, 0.02, 0.01, 0.02, 0.01, -0.01, 0.02)[:number]
+    camera = Camera(focal=(50.0, 55.0), center=(33.0, 21.0), distortion=lens)
+    other = camera.with_focal(70.0)
+    assert other.focals == pytest.approx((70.0, 77.0)) and other.center == camera.center
+    frame = np.random.default_rng(0).uniform(0, 255, (48, 64)).astype(np.float32)
+    kept = undistort(frame, camera)
+    np.testing.assert_allclose(undistort(frame, other), kept, atol=0.02)
+    stale = dataclasses.replace(other, distortion=lens)
+    assert np.abs(undistort(frame, stale) - kept).max() > 1
+
+
+def test_the_lens_of_a_tilted_sensor_fits_no_other_focal_length():
+    tilted = Camera(distortion=(0.0,) * 12 + (0.1, 0.0))
+    with pytest.raises(ValueError, match="tilted"):
+        tilted.with_focal(500.0)
+    assert Camera(distortion=(0.1,) + (0.0,) * 13).with_focal(500.0).focal == 500
+
+
 def test_where_distortion_would_be_lost_it_is_refused(scene):
     camera = Camera(100.0, distortion=BARREL)
     with pytest.raises(ValueError, match=r"has distortion.*camera\.pinhole\(\)"):

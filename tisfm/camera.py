@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
+POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)  # of the radius that they multiply; a tilt has none
 SHORTEST, LONGEST = 1e-3, 1e6  # px: beyond, squares of x̂ and ŷ leave single precision
 
 
@@ -86,6 +87,11 @@ class Camera:
         """Whether its frames can be taken as they are: square pixels and no distortion."""
         return self.distortion is None and self.aspect == 1
 
+    @property
+    def is_tilted(self) -> bool:
+        """Whether the distortion is also that of a tilted sensor."""
+        return any((self.distortion or ())[len(POWERS) :])
+
     def center_for(self, height: int, width: int) -> tuple[float, float]:
         """Return the principal point (cx, cy), px, for an image of this size."""
         if self.center is not None:
@@ -95,6 +101,24 @@ class Camera:
     def pinhole(self) -> "Camera":
         """Return the camera without distortion, of square pixels: that of the resampled frames."""
         return replace(self, distortion=None, aspect=1.0)
+
+    def with_focal(self, focal: float) -> "Camera":
+        """Return the camera of another focal length, whose lens moves every pixel as this one does.
+
+        Coefficients of distortion belong to radii in focal lengths, and change with it.
+
+        Raises
+        ------
+        ValueError
+            If its sensor is tilted: no other tilt moves pixels in the same way.
+        """
+        lens = self.distortion
+        if lens is not None:
+            if self.is_tilted:
+                raise ValueError("the distortion of a tilted sensor fits no other focal length")
+            ratio = focal / self.focal
+            lens = tuple(k * ratio**power for k, power in zip(lens, (*POWERS, 0, 0), strict=False))
+        return replace(self, focal=focal, distortion=lens)
 
     def scaled(self, scale: float, height: int, width: int) -> "Camera":
         """Return the camera of the image resampled by `scale`; its distortion is the same.

@@ -74,7 +74,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     ValueError
         If it is of frames of another shape.
     """
-    file = Path(path) / NAME if Path(path).is_dir() else Path(path)
+    file = _file(path)
     try:
         record = json.loads(read_bytes(file))
         if record["format"] != FORMAT:
@@ -104,3 +104,13 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
         )
     scaled = camera.scaled(ratios[1], height, width)
     return scaled if camera.center is not None else replace(scaled, center=None)
+
+
+def doubt_of(path: str | os.PathLike[str]) -> str:
+    """Return what a file that `read_camera` reads says against its focal length, or nothing."""
+    record = json.loads(read_bytes(_file(path)))
+    return "" if record.get("seen", True) else str(record.get("message", ""))
+
+
+def _file(path: str | os.PathLike[str]) -> Path:
+    return Path(path) / NAME if Path(path).is_dir() else Path(path)

@@ -21,7 +21,7 @@ _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the units of resolutio
 
 
 class GuessedFocalWarning(UserWarning):
-    """The focal length was guessed. Results that depend on it are no better than the guess."""
+    """The focal length is a guess, or hardly shown by the motion; results are no better than it."""
 
 
 @dataclass(frozen=True, kw_only=True)

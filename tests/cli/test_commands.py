@@ -2,7 +2,10 @@
 
 import pytest
 
-from tests.cli.command_line import assert_one_line, files, load, promised, record
+import tisfm
+from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
+from tisfm.camera_file import write_camera
+from tisfm.cli import commands
 from tisfm.formats import read_image
 from tisfm.settings import Settings
 
@@ -53,6 +56,22 @@ def test_figures(tisfm_run, frames):
     assert set(written) == set(names) and len(set(written.values())) == 3
     for name in names:
         assert read_image(f"out/{name}").shape[1] > 300
+
+
+def test_figures_take_the_camera_of_a_file(tisfm_run, frames, monkeypatch):
+    seen = []
+
+    def draw(output, frame0, frame1, *, camera, inputs):
+        seen.append(camera)
+        return [output / "drawn.png"]
+
+    monkeypatch.setattr(commands, "write_paper_figures", draw)
+    doubt = {"seen": False, "message": "the focal length is a guess"}
+    write_camera("lens.json", tisfm.Camera(focal=100.0), (2 * H, 2 * W), doubt)
+    pair = frames / "f0.png", frames / "f1.png"
+    code, _, err = tisfm_run("figures", *pair, "-o", "out", "--camera", "lens.json")
+    assert code == 0 and err.startswith("lens.json: the focal length is a guess\n")
+    assert seen == [tisfm.Camera(focal=50.0)]
 
 
 def test_figures_of_a_missing_file(tisfm_run, frames, place):

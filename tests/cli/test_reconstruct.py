@@ -3,6 +3,7 @@
 import re
 import signal
 import sys
+import warnings
 
 import cv2
 import numpy as np
@@ -12,7 +13,6 @@ import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
 from tisfm.camera_file import read_camera, write_camera
-from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.trajectory import read_kitti, read_tum, write_kitti
 
 COUNT = 9
@@ -69,21 +69,26 @@ def test_nothing_is_fused_without_depth(tisfm_run, film, place):
 
 
 def test_the_focal_length_is_found_and_handed_on(tisfm_run, film, place):
-    with pytest.warns(GuessedFocalWarning):  # nine frames hardly show it
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # nine frames hardly show it: a line says so, once
         code, _, err = tisfm_run("reconstruct", "film", "-o", "out", "--preset", "fast")
     result = tisfm.Reconstruction.load("out")
     assert code == 0 and result.calibration.origin in ("estimated", "guessed")
-    assert ("focal length: " in err) == (result.calibration.origin == "estimated")
+    assert err.splitlines()[1] == result.calibration.message
+    assert err.count("the focal length is") == 1
     focal = read_camera("out").focal
     assert focal == result.camera.focal
     pair = [f"film/f{k}.png" for k in (0, 1)]
     options = ("--camera", "out", "--preset", "fast", "--motion", "camera", "--no-figures")
-    assert tisfm_run("run", *pair, "-o", "pair", *options)[0] == 0
+    code, _, err = tisfm_run("run", *pair, "-o", "pair", *options)
+    doubt = f"out: {result.calibration.message}\n"
+    assert code == 0 and err.startswith(doubt)
     assert tisfm.Interpretation.load("pair/f0.npz").camera.focal == pytest.approx(focal)
     code, _, err = tisfm_run(
         "reconstruct", "film", "-o", "two", "--camera", "out/camera.json", "--depth-of", "none"
     )
-    assert code == 0 and "focal length" not in err
+    assert code == 0 and err.startswith(doubt.replace("out:", "out/camera.json:"))
+    assert err.count("focal length is") == 1
     assert tisfm.Reconstruction.load("two").camera.focal == focal
 
 
@@ -108,9 +113,10 @@ def test_cameras_that_do_not_fit_are_refused(tisfm_run, film, place, options, te
 
 
 def test_a_guess_is_taken_where_it_is_asked_for(tisfm_run, film, place):
-    with pytest.warns(GuessedFocalWarning):
-        options = ("--focal", "guess", "--depth-of", "none")
-        assert tisfm_run("reconstruct", "film", "-o", "out", *options)[0] == 0
+    code, _, err = tisfm_run(
+        "reconstruct", "film", "-o", "out", "--focal", "guess", "--depth-of", "none"
+    )
+    assert code == 0 and "\nthe focal length is a guess, 288 px" in err
     assert read_camera("out").focal == 1.2 * 240
 
 
@@ -120,10 +126,11 @@ def test_a_mesh_is_written(tisfm_run, film, place):
     assert (place / "out" / "mesh.glb").read_bytes()[:4] == b"glTF"
 
 
-def test_a_camera_is_read_until_it_is_interrupted(tisfm_run, film, place, monkeypatch):
-    class Webcam:
-        """Plays the film, and presses Ctrl-C as it shows the eighth frame."""
+@pytest.fixture
+def webcam(film, monkeypatch):
+    """A webcam that plays the film, and presses Ctrl-C as it shows the eighth frame."""
 
+    class Webcam:
         def __init__(self, number):
             self.shown = 0
 
@@ -147,6 +154,9 @@ def test_a_camera_is_read_until_it_is_interrupted(tisfm_run, film, place, monkey
             pass
 
     monkeypatch.setattr(cv2, "VideoCapture", Webcam)
+
+
+def test_a_camera_is_read_until_it_is_interrupted(tisfm_run, film, webcam):
     before = signal.getsignal(signal.SIGINT)
     code, _, err = tisfm_run("reconstruct", "webcam:0", *options(film))
     assert code == 0 and "Ctrl-C" in err
@@ -154,6 +164,13 @@ def test_a_camera_is_read_until_it_is_interrupted(tisfm_run, film, place, monkey
     assert found.names == tuple(f"webcam_{k:06d}" for k in range(8))
     assert (found.piece == 0).all()
     assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_a_camera_file_is_scaled_to_a_webcam(tisfm_run, film, webcam):
+    write_camera("lens.json", tisfm.Camera(focal=2 * film.camera.focal), (360, 480))
+    options = ("--camera", "lens.json", "--depth-of", "none", "--stop", "3")
+    assert tisfm_run("reconstruct", "webcam", "-o", "out", *options)[0] == 0
+    assert tisfm.Reconstruction.load("out").camera.focal == film.camera.focal
 
 
 def test_an_earlier_reconstruction_is_replaced(tisfm_run, film, place):
@@ -259,6 +276,15 @@ def test_poses_in_the_folder_stay(tisfm_run, film, place):
     assert code == 1
     assert_one_line(code, err, "lies in out")
     assert len(read_kitti("out/poses.txt").poses) == COUNT
+
+
+@pytest.mark.parametrize("name", ["out", "out/camera.json"])
+def test_a_camera_in_the_folder_stays(tisfm_run, film, place, name):
+    (place / "out").mkdir()
+    write_camera("out/camera.json", film.camera, (180, 240))
+    code, _, err = tisfm_run("reconstruct", "film", "-o", "out", "--camera", name)
+    assert_one_line(code, err, "lies in out")
+    assert read_camera("out") == film.camera
 
 
 def test_without_a_source_it_says_what_to_give(tisfm_run):

@@ -9,12 +9,15 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 import tisfm
 from tests.reconstruction.films import along, path_error
 from tisfm import Camera, Reconstruction, Settings
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
+from tisfm.lens import undistort
+from tisfm.reconstruction import self_calibration
 from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
 from tisfm.rigid import pose_matrix
@@ -22,6 +25,7 @@ from tisfm.scenes import room_film
 
 FAST = Settings.preset("fast", motion="camera")
 SIZE = 180, 240
+TILTED = Camera(distortion=(0.0,) * 12 + (0.1, 0.0))
 
 
 @cache
@@ -101,9 +105,12 @@ def test_it_is_kept_and_written(found, tmp_path):
     assert about["focal_std"] == found.calibration.focal_std and about["origin"] == "estimated"
 
 
-def test_records_without_a_calibration_are_read(found, tmp_path):
+def test_records_of_other_versions_are_read(found, tmp_path):
     found.save(tmp_path)
     record = json.loads((tmp_path / "reconstruction.json").read_text())
+    record["calibration"]["later"] = "something"
+    (tmp_path / "reconstruction.json").write_text(json.dumps(record))
+    assert Reconstruction.load(tmp_path).calibration == found.calibration
     del record["calibration"]
     (tmp_path / "reconstruction.json").write_text(json.dumps(record))
     assert Reconstruction.load(tmp_path).calibration == GIVEN
@@ -131,12 +138,71 @@ def test_the_file_is_of_the_frames_of_the_source(tmp_path):
     assert written.focal == pytest.approx(result.camera.focal / 0.8, rel=1e-9)
 
 
+def test_the_file_of_a_lens_is_of_what_was_done_to_frames(tmp_path):
+    film = arc()
+    lens = (0.02, 0.0, 0.001, 0.0)
+    guess = Camera(focal=1.5 * film.camera.focal, distortion=lens)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessedFocalWarning)
+        result = path_of(film, camera=guess, calibrate="focal", folder=tmp_path)
+    assert result.calibration.origin == "estimated"
+    written = read_camera(tmp_path, SIZE)
+    assert written.focal == pytest.approx(result.camera.focal, rel=1e-12)
+    frame = film.frames[3]
+    before, after = (undistort(frame, camera).astype(float) for camera in (guess, written))
+    assert np.abs(before - after).max() <= 1  # rounded
+    assert written.distortion != lens
+
+
 def test_a_motion_that_does_not_show_it_is_told():
     with pytest.warns(GuessedFocalWarning, match="motion") as caught:
         result = path_of(straight())
     assert not result.calibration.seen and len(caught) == 1
     assert result.calibration.focal_std > 0.05 * result.camera.focal
     assert np.isfinite(result.poses).all()
+
+
+@pytest.mark.parametrize(("name", "answer"), [("_best_start", None), ("_of_part", (-100.0, 0.0))])
+def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer):
+    monkeypatch.setattr(self_calibration, name, lambda *_: answer)
+    film = arc()
+    with pytest.warns(GuessedFocalWarning, match="motion does not show") as caught:
+        result = tisfm.reconstruct(film.frames[::2], settings=FAST, depth_of="none")
+    assert len(caught) == 1  # and no word of a path that was not found
+    assert result.camera.focal == 1.2 * SIZE[1]
+    assert (result.piece == 0).any()
+
+
+def test_a_guess_is_told_before_depth_is_found():
+    stages = []
+    with warnings.catch_warnings(), pytest.raises(GuessedFocalWarning):
+        warnings.simplefilter("error")
+        tisfm.reconstruct(
+            arc().frames[::2],
+            settings=FAST,
+            calibrate="nothing",
+            progress=lambda stage, done, total: stages.append(stage),
+        )
+    assert set(stages) == {"reading", "path"}
+
+
+def test_a_turn_alone_is_no_path():
+    turning = room_film(along(8, (0, 0, 0, 0, 0.03, 0)), *SIZE, samples=2)
+    with pytest.warns(GuessedFocalWarning):
+        result = path_of(turning)
+    assert (result.piece == -1).all()
+
+
+def test_what_the_file_states_is_better_than_what_is_hardly_seen(tmp_path):
+    film = straight()
+    exif = Image.Exif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    for k, frame in enumerate(film.frames):
+        Image.fromarray(frame).save(tmp_path / f"{k:02d}.jpg", quality=98, exif=exif)
+    with pytest.warns(GuessedFocalWarning, match="26 mm"):
+        result = tisfm.reconstruct(tmp_path, settings=FAST, depth_of="none")
+    assert result.calibration.origin == "guessed"
+    assert result.camera.focal == pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
 
 
 def test_no_path_leaves_the_guess():
@@ -213,6 +279,7 @@ def test_streams_find_it_once():
         ({"calibrate": "focal", "poses": along(16)}, "poses are given"),
         ({"calibrate": "radial", "poses": along(16)}, "poses are given"),
         ({"calibrate": "radial", "camera": Camera(distortion=(0.1, 0, 0, 0))}, "has distortion"),
+        ({"calibrate": "focal", "camera": TILTED}, "tilted sensor"),
     ],
 )
 def test_wrong_arguments_are_refused(options, text):
@@ -229,7 +296,7 @@ GUESS = FocalGuess(focal=100.0, origin="size", reason="by its size")
     [
         (2.0, "estimated", True, r"^50 ± 2 px, found"),
         (3.0, "estimated", False, "hardly shows it"),
-        (11.0, "guessed", False, "100 px, by its size: the motion does not show"),
+        (16.0, "guessed", False, "100 px, by its size: the motion does not show"),
     ],
 )
 def test_what_is_said_of_an_estimate(deviation, origin, seen, text):

@@ -22,6 +22,7 @@ from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import RECORD, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.cli.stated_camera import stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.datasets.trajectories import motion_between, read_poses
 from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
@@ -78,7 +79,7 @@ def run(
     del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
     if isinstance(camera, Path):
-        camera = read_camera(camera, full or shape[:2])
+        camera = stated_camera(camera, full or shape[:2])
     elif guess:
         camera = _guessed(camera, pairs.first_file or full or shape)
     camera = pairs.camera_after(camera, full)
@@ -209,7 +210,7 @@ def figures(
     runtime.start(threads=threads)
     for pair in pairs:
         if isinstance(camera, Path):
-            camera = read_camera(camera, pair.frame0.shape[:2])
+            camera = stated_camera(camera, pair.frame0.shape[:2])
         elif guess:
             camera = _guessed(camera, pairs.files[0])
         written = write_paper_figures(

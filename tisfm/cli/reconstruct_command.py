@@ -1,6 +1,7 @@
 """What `tisfm reconstruct` does."""
 
 import signal
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -16,6 +17,8 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.stated_camera import stated_camera
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
@@ -53,8 +56,9 @@ def reconstruct(
     two frames and the distance of the camera's places; `mesh` is "ply" or "glb".
     """
     given = None if poses is None else read_trajectory(poses).poses
-    if poses is not None and output.resolve() in poses.resolve().parents:
-        raise ValueError(f"{poses} lies in {output}, which is written to: give another folder")
+    for file in (poses, camera):
+        if isinstance(file, Path):
+            _refuse_inside(file, output)
     if depth_of == "none" and (ply or mesh is not None):
         raise ValueError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
     # What comes at the end may be refused now: the rest takes long.
@@ -68,7 +72,12 @@ def reconstruct(
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
         tell("Ctrl-C ends the recording; a second one ends the command.")
-    with progress_bar() as bar, interrupted(endless) as is_interrupted:
+    with (
+        progress_bar() as bar,
+        interrupted(endless) as is_interrupted,
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore", GuessedFocalWarning)  # a line says so at the end
         task = bar.add_task("", total=None)
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:
@@ -105,11 +114,16 @@ def reconstruct(
 def _camera_in(file: Path, source: Source, frames: FrameOptions) -> Camera:
     """Return the camera in a file, of the size of a source's frames."""
     read_camera(file)  # what is no camera is refused before the source is looked at
-    if isinstance(source, str) and webcam_number(source) is not None:
-        return read_camera(file)
     with closing(frames.open(source).frames()) as found:
         first = next(found, None)
-    return read_camera(file, None if first is None else first.full or first.image.shape[:2])
+    return stated_camera(file, None if first is None else first.full or first.image.shape[:2])
+
+
+def _refuse_inside(file: Path, output: Path) -> None:
+    """Refuse a file in the folder that is written to: what lies there is replaced."""
+    place = output.resolve()
+    if place in (file.resolve(), *file.resolve().parents):
+        raise ValueError(f"{file} lies in {output}, which is written to: give another folder")
 
 
 def _check_scale(frame0: int, frame1: int, distance: float) -> None:
@@ -163,8 +177,9 @@ def _tell(result: Reconstruction, output: Path) -> None:
         f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
         f"Results in {output}."
     )
-    if result.calibration.origin == "estimated":
-        tell(f"focal length: {result.calibration.message}")
+    about = result.calibration
+    if about.message:
+        tell(f"focal length: {about.message}" if about.seen else about.message)
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():
         message = next(status.message for status in result.status if status == code)

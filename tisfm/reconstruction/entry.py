@@ -56,10 +56,10 @@ def reconstruct(
         What of the camera is found from the frames: by default nothing, if a camera is given; or
         else the focal length, with the principal point in the centre. ``"radial"`` finds one
         coefficient of the lens as well, k1, and removes its distortion. With a camera and
-        ``"focal"`` or ``"radial"``, its focal length is a guess. `Reconstruction.calibration` says
-        how far to trust what is found, with a `GuessedFocalWarning` if the motion hardly shows it.
-        Where poses are given, and no camera, the focal length is guessed from the first image file
-        or the size of the frames.
+        ``"focal"`` or ``"radial"``, its focal length is a guess, and distortion that it has moves
+        pixels as it does with that guess. `Reconstruction.calibration` says how far to trust what
+        is found. Where poses are given, and no camera, the focal length is guessed from the first
+        image file or the size of the frames.
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
         sequences.
@@ -87,6 +87,11 @@ def reconstruct(
     Returns
     -------
     Reconstruction
+
+    Warns
+    -----
+    GuessedFocalWarning
+        If the focal length is a guess, or the motion hardly shows it.
 
     Raises
     ------
@@ -122,6 +127,11 @@ def reconstruct(
     camera = None if camera is None else check_camera(camera)
     if calibrate == "radial" and camera is not None and camera.distortion is not None:
         raise ValueError('the camera has distortion, which calibrate="radial" is to find: drop it')
+    if calibrate == "focal" and camera is not None and camera.is_tilted:
+        raise ValueError(
+            'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
+            "focal length; leave out the last two coefficients"
+        )
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
     runtime.start()

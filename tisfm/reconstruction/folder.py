@@ -8,7 +8,7 @@ import json
 import math
 import os
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -223,7 +223,8 @@ def _read_calibration(about: dict[str, Any] | None) -> Calibration:
     if about is None:
         return GIVEN
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
-    return Calibration(**{**about, "focal_std": deviation})
+    known = {field.name for field in fields(Calibration)}  # later versions may say more
+    return Calibration(**{k: about[k] for k in about.keys() & known} | {"focal_std": deviation})
 
 
 def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:

@@ -11,6 +11,7 @@ from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
 from tisfm.reconstruction.mapping import models_of, pose_from_points
 from tisfm.reconstruction.self_calibration import (
+    WORTHLESS,
     FocalEstimate,
     models_and_focal,
     without_distortion,
@@ -76,10 +77,14 @@ class PathFinder:
         A pinhole, of the frames.
     calibrate : {"nothing", "focal", "radial"}
         What of it is found from the frames: then its focal length is a guess.
+    limit : float
+        Of the focal length: with a larger deviation, the guess stays.
     """
 
-    def __init__(self, camera: Camera, calibrate: Calibrate = "nothing") -> None:
-        self._camera, self._calibrate = camera, calibrate
+    def __init__(
+        self, camera: Camera, calibrate: Calibrate = "nothing", *, limit: float = WORTHLESS
+    ) -> None:
+        self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._tracker = Tracker(camera, TRACKING)
         self._seen: list[Seen] = []
         self._views = Views(camera, focal_known=calibrate == "nothing")
@@ -120,7 +125,12 @@ class PathFinder:
             models = models_of(views.chosen, views.matches, camera, grey.shape)
         else:
             models, focal = models_and_focal(
-                views.chosen, views.matches, camera, grey.shape, self._calibrate
+                views.chosen,
+                views.matches,
+                camera,
+                grey.shape,
+                self._calibrate,
+                limit=self._limit,
             )
             camera = camera if focal is None else focal.taken(camera)
         seen = [without_distortion(one, camera, grey.shape) for one in self._seen]

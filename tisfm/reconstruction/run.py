@@ -20,7 +20,7 @@ from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.self_calibration import calibration_of
+from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
@@ -83,6 +83,7 @@ class Run:
     def result(self) -> Reconstruction:
         """Read, find the path, then depth; write everything."""
         read, path = self._read()
+        calibration = self._calibration(path)
         count = len(read.names)
         poses = np.full((count, 4, 4), np.nan)
         piece = np.full(count, -1, np.int32)
@@ -106,7 +107,6 @@ class Run:
             if number > 0:
                 first = min(part.poses)
                 status[first] = begins_piece(status[first])
-        calibration = self._calibration(path)
         write_camera(self._folder / CAMERA, *self._taken, about=as_json(calibration))
         result = Reconstruction(
             poses=poses,
@@ -147,7 +147,9 @@ class Run:
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    finder = PathFinder(self._frames.camera, self._calibrate)
+                    stated = self._guess is not None and self._guess.origin == "exif"
+                    limit = OF_EXIF if stated else WORTHLESS
+                    finder = PathFinder(self._frames.camera, self._calibrate, limit=limit)
                     tracker = Tracker(self._frames.camera, TRACKING)
                 grey, ignored = self._frames.add(frame)
                 if self._given is None and finder is not None:
@@ -168,9 +170,11 @@ class Run:
         self._progress("path", 0, len(names))
         path = finder.finish() if self._given is None else self._given_path(seen, self._given)
         ratio = path.camera.focal / self._frames.camera.focal
-        taken, shape = self._taken
-        lens = path.camera.distortion or taken.distortion
-        self._taken = replace(taken, focal=taken.focal * ratio, distortion=lens), shape
+        if path.focal is not None:
+            taken, shape = self._taken
+            taken = taken.with_focal(taken.focal * ratio)
+            lens = path.camera.distortion or taken.distortion
+            self._taken = replace(taken, distortion=lens), shape
         self._frames.take(path.camera)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path

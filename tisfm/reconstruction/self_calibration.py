@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tisfm.camera import Camera
+from tisfm.camera import LONGEST, SHORTEST, Camera
 from tisfm.focal_guess import FocalGuess
 from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration
 from tisfm.reconstruction.colmap import pycolmap
@@ -23,16 +23,17 @@ from tisfm.reconstruction.mapping import Model, Shared, View, models_of
 from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
-WINDOW = (
-    16  # views that beginnings are compared on, twice; and beyond so many there are two windows
-)
+WINDOW = 16  # views: of each of the two windows that beginnings are compared on
 ENOUGH = 6000  # observations that parts are made of
 STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
+PARTS = 6
 AWAY = 1.2  # times: the focal length that a part begins with, or as much less
+STAYED = 0.1  # of the way back from there: a part that goes less says nothing
 # Of the logarithm: what parts are off by, as a share of it the deviation of the whole.
 OF_PARTS = 0.7
 BENT = 0.03  # of the focal length, and more than parts are off by: then it seems to distort
 UNSEEN = 0.05  # of the focal length: with a larger deviation, the motion does not show it
+OF_EXIF = 0.1  # what a camera writes into a file is better than what deviates by more
 WORTHLESS = 0.3  # with a larger one, a guess is as good: lenses of 0.6 to 2 longer sides are common
 UNSEEN_SAID = (
     "the motion does not show the focal length, as where the camera goes straight on without "
@@ -52,9 +53,11 @@ class FocalEstimate:
     focal : float
         px.
     deviation : float
-        Standard deviation, px.
+        Standard deviation, px; infinite where the sequence says nothing.
     radial, radial_deviation : float
         k1 of the lens; 0 if it was not sought.
+    limit : float
+        With a deviation of a larger share of the focal length, a guess is as good.
     bent : bool
         Whether a lens that distorts, if there may be one, leads to another focal length.
     """
@@ -63,6 +66,7 @@ class FocalEstimate:
     deviation: float
     radial: float = 0.0
     radial_deviation: float = 0.0
+    limit: float = WORTHLESS
     bent: bool = False
 
     def taken(self, camera: Camera) -> Camera:
@@ -73,9 +77,14 @@ class FocalEstimate:
         return replace(camera, focal=self.focal, distortion=distortion)
 
     @property
+    def is_seen(self) -> bool:
+        """Whether the motion shows it."""
+        return self.deviation <= UNSEEN * self.focal
+
+    @property
     def is_of_use(self) -> bool:
         """Whether it says more than a guess."""
-        return self.deviation <= WORTHLESS * self.focal
+        return self.deviation <= self.limit * self.focal
 
 
 def calibration_of(
@@ -108,13 +117,12 @@ def calibration_of(
     told = f"{found.focal:.4g} ± {deviation:g} px, found from the sequence"
     if found.radial:
         told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
-    seen = found.deviation <= UNSEEN * found.focal
     doubt = BENT_SAID if found.bent else HARDLY_SAID
-    message = told if seen else f"the focal length is {told}: {doubt}; {ADVICE}"
+    message = told if found.is_seen else f"the focal length is {told}: {doubt}; {ADVICE}"
     return Calibration(
         origin="estimated",
         focal_std=found.deviation,
-        seen=seen,
+        seen=found.is_seen,
         message=message,
         radial=found.radial,
         radial_std=found.radial_deviation,
@@ -127,6 +135,8 @@ def models_and_focal(
     camera: Camera,
     shape: tuple[int, int],
     calibrate: Calibrate,
+    *,
+    limit: float = WORTHLESS,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views and points of tracks, and the focal length with which they fit best.
 
@@ -138,6 +148,8 @@ def models_and_focal(
         A pinhole, whose centre is known and whose focal length is a guess.
     calibrate : {"focal", "radial"}
         Whether a radial coefficient is sought as well.
+    limit : float
+        Of the focal length: with a larger deviation, what is found is no better than the guess.
 
     Returns
     -------
@@ -150,11 +162,16 @@ def models_and_focal(
     begun = _best_start(shared, camera, calibrate)
     found = [] if begun is None else shared.grown(replace(camera, focal=begun), calibrate)
     if not found:
-        return models_of(views, matches, camera, shape), None
+        models = models_of(views, matches, camera, shape)
+        return models, _unknown(camera) if models else None
     _adjust(found[0], calibrate)
-    estimate = _estimate(found[0], camera, shape, calibrate)
+    estimate = replace(_estimate(found[0], camera, shape, calibrate), limit=limit)
     if not estimate.is_of_use:
         return models_of(views, matches, camera, shape), estimate
+    if not estimate.is_seen and not estimate.radial:
+        # What a wrong focal length has made of a turn may look like a path: from the one that was
+        # found it is not begun.
+        return models_of(views, matches, estimate.taken(camera), shape), estimate
     for other in found[1:]:
         _set(other, estimate.focal, estimate.radial)
         _adjust(other, "nothing")
@@ -181,13 +198,23 @@ def _estimate(
 ) -> FocalEstimate:
     """Return the focal length of a reconstruction, and what its parts say of it."""
     focal, radial = _found(whole)
+    if not _is_possible(focal):
+        return _unknown(camera)
+    starts = [focal * AWAY ** (1 if k % 2 else -1) for k in range(PARTS)]
     parts = [
-        _of_part(whole, part, focal * AWAY ** (1 if k % 2 else -1), calibrate)
-        for k, part in enumerate(_parts(whole, camera, shape))
+        _of_part(whole, part, start, calibrate)
+        for part, start in zip(_parts(whole, camera, shape), starts, strict=True)
     ]
-    off = np.array([(math.log(one / focal), other - radial) for one, other in parts])
+    focals = np.array([one for one, _ in parts])
+    if not all(map(_is_possible, focals)):
+        return _unknown(camera)
+    # Where the focal length may be anything, an adjustment leaves it where it was.
+    stayed = np.abs(np.log(focals / starts)) < STAYED * math.log(AWAY)
+    if stayed.sum() > len(parts) / 2:
+        return _unknown(camera)
+    off = np.stack([np.log(focals / focal), [one - radial for _, one in parts]], axis=1)
     deviation, radial_deviation = OF_PARTS * np.sqrt(np.mean(off**2, axis=0))
-    bend = 0.0 if calibrate == "radial" else math.log(_through_a_lens(whole) / focal)
+    bend = 0.0 if calibrate == "radial" else _bend(whole)
     return FocalEstimate(
         focal=focal,
         deviation=focal * math.hypot(deviation, bend),
@@ -197,15 +224,25 @@ def _estimate(
     )
 
 
-def _through_a_lens(whole: Any) -> float:
-    """Return the focal length, px, if the lens may distort."""
+def _unknown(guess: Camera) -> FocalEstimate:
+    return FocalEstimate(focal=guess.focal, deviation=math.inf)
+
+
+def _is_possible(focal: float) -> bool:
+    """Return whether a camera may have it: an adjustment is free to end anywhere."""
+    return SHORTEST <= focal <= LONGEST
+
+
+def _bend(whole: Any) -> float:
+    """Return by how much the focal length changes, as a logarithm, if the lens may distort."""
     bent = copy.deepcopy(whole)
     camera = next(iter(bent.cameras.values()))
     params = [*camera.params, 0.0]
     camera.model = pycolmap().CameraModelId.SIMPLE_RADIAL
     camera.params = params
     _adjust(bent, "radial")
-    return _found(bent)[0]
+    focal = _found(bent)[0]
+    return math.log(focal / _found(whole)[0]) if _is_possible(focal) else math.inf
 
 
 def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float | None:
@@ -215,7 +252,7 @@ def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float |
         explained, found = 0, []
         for window in _windows(shared):
             grown = window.grown(replace(camera, focal=times * camera.focal), calibrate)
-            if grown:
+            if grown and _is_possible(_found(grown[0])[0]):
                 explained += grown[0].compute_num_observations()
                 found.append(_found(grown[0])[0])
         if explained > most:

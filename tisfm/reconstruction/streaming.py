@@ -59,6 +59,8 @@ def reconstruct_stream(
     -----
     UserWarning
         Of every frame that is skipped.
+    GuessedFocalWarning
+        If the focal length is a guess, or the motion hardly shows it.
 
     Raises
     ------

@@ -129,25 +129,25 @@ class Views:
         height, width = shape
         threshold = INLIER * max(height, width) / 640
         try:
-            if not self._focal_known:
+            if self._focal_known:
+                cx, cy = self._camera.center_for(height, width)
+                focal = self._camera.focal
+                _, inlier = cv2.findEssentialMat(
+                    before,
+                    after,
+                    np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
+                    method=cv2.USAC_MAGSAC,
+                    prob=0.999,
+                    threshold=threshold,
+                    maxIters=TRIALS,
+                )
+            else:
                 _, inlier = cv2.findFundamentalMat(
                     before, after, cv2.USAC_MAGSAC, threshold, 0.999, TRIALS
                 )
-                return np.asarray(inlier) if inlier is not None else None
-            cx, cy = self._camera.center_for(height, width)
-            focal = self._camera.focal
-            _, inlier = cv2.findEssentialMat(
-                before,
-                after,
-                np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
-                method=cv2.USAC_MAGSAC,
-                prob=0.999,
-                threshold=threshold,
-                maxIters=TRIALS,
-            )
         except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
             return None
-        return np.asarray(inlier) if inlier is not None else None
+        return None if inlier is None else np.asarray(inlier)
 
 
 def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
