@@ -316,7 +316,7 @@ def test_a_folder_of_images_and_of_results(film, tmp_path):
     )
     assert found.names == tuple(f"f{k}" for k in range(9))
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        "depth", "frames", "path.npz", "reconstruction.json",
+        "camera.json", "depth", "frames", "path.npz", "reconstruction.json",
     ]  # fmt: skip
     assert told[0] == ("reading", 1, 9) and told[-1] == ("depth", 9, 9)
     assert [stage for stage, done, total in told if done == 9].count("reading") == 1

@@ -180,7 +180,7 @@ def test_known_poses_stay_as_they_are(monkeypatch):
 def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
     monkeypatch.setattr(stream, "REACH", 8)
     film = swing()
-    running = Stream(FrameSource(film.frames), film.camera, FAST, DELAY)
+    running = Stream(FrameSource(film.frames), film.camera, "nothing", FAST, DELAY)
     kept, views, files, points = [], [], [], []
     for _ in running.frames():
         path = running._path
@@ -329,7 +329,7 @@ def test_masked_pixels_count_for_nothing_and_frames_are_chosen():
     images = film.frames.copy()
     images[:, :, :40] = np.random.default_rng(1).integers(0, 255, (120, 40))  # it does not move
     source = FrameSource(images, mask=kept, step=2, stop=24)
-    running = Stream(source, film.camera, FAST, 8)
+    running = Stream(source, film.camera, "nothing", FAST, 8)
     found = list(running.frames())
     assert [frame.index for frame in found] == list(range(0, 24, 2))
     assert path_error(poses_of(found), film.poses[:24:2]) < 0.04
