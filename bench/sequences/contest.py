@@ -80,7 +80,7 @@ class Own:
         """Start the process, and wait for it."""
         if self.poses_given and not loaded.posed.all():
             raise MethodFailure("not all poses are known")
-        if not (self.camera_given or camera.is_pinhole):
+        if not self.camera_given and camera.distortion is not None:
             raise MethodFailure("its lens has distortion, which is not sought")
         answer = _asked(
             [sys.executable, "-m", "bench.sequences.worker"],
