@@ -19,7 +19,7 @@ def test_what_is_written_is_read(camera, tmp_path):
 
 
 def test_a_folder_has_its_camera(tmp_path):
-    write_camera(tmp_path / "camera.json", LENS, (480, 640), {"origin": "estimated"})
+    write_camera(tmp_path / "camera.json", LENS, (480, 640), {"origin": "estimated", "focal": 1})
     assert read_camera(tmp_path) == LENS
     assert json.loads((tmp_path / "camera.json").read_text())["origin"] == "estimated"
 

@@ -45,7 +45,7 @@ def write_camera(
     height, width = (int(side) for side in shape)
     if height < 1 or width < 1:
         raise ValueError(f"shape is {shape}: expected (height, width)")
-    record = {"format": FORMAT, "width": width, "height": height, **asdict(camera), **(about or {})}
+    record = {**(about or {}), "format": FORMAT, "width": width, "height": height, **asdict(camera)}
     with atomic_write(path) as file:
         file.write((json.dumps(record, indent=1) + "\n").encode())
 

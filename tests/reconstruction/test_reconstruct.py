@@ -232,6 +232,14 @@ def test_the_scale_from_a_known_distance(found, film, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("frame", "error"), [(9, IndexError), (-1, IndexError), (0.5, TypeError), ("0", TypeError)]
+)
+def test_frames_that_are_none_are_refused(found, frame, error):
+    with pytest.raises(error):
+        found.depth(frame)
+
+
+@pytest.mark.parametrize(
     ("frames", "text"),
     [((0, 0, 1.0), "one place"), ((0, 1, -1.0), "positive"), ((0, 99, 1.0), "expected 0 to 8")],
 )

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import index
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -278,7 +279,7 @@ class Reconstruction:
         return inverse_depth / unit, deviation / unit
 
     def _number(self, frame: int) -> int:
-        number = int(frame)
+        number = index(frame)
         if not 0 <= number < len(self):
             raise IndexError(f"frame is {frame}: expected 0 to {len(self) - 1}")
         return number
