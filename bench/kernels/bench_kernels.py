@@ -39,7 +39,7 @@ TOLERANCES = {
     "share_of_data": 1e-5,  # of determinants, which are such differences
     "update": 1e-4,
     "squared_residual": 1e-4,
-    "add_frame": 1e-4,
+    "add_frame": 1e-5,
     "answered": 1e-5,
     "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,

@@ -24,6 +24,7 @@ from tisfm.kernels.rigid import (
     several_frames,
     shared_depth,
 )
+from tisfm.reconstruction.adjustment import OUTLYING
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs
@@ -76,10 +77,9 @@ class DepthOperations(TaichiSide):
         slopes, sums = self.grid.allocate(6), self.grid.allocate(2)
         motion = np.ascontiguousarray(p.motions[0], np.float32)
         options = {"number": 0, "motion": motion, "focal": p.camera.focal}
+        options["tolerated"] = tolerated(p)
         return (
-            lambda: shared_depth.add_frame(
-                self.grid, *arguments, slopes, sums, tolerated=TOLERATED_SQUARE, **options
-            ),
+            lambda: shared_depth.add_frame(self.grid, *arguments, slopes, sums, **options),
             lambda found: np.column_stack(found),
         )
 
@@ -219,13 +219,10 @@ class DepthReferences(NumpySide):
 
     def add_frame(self) -> Run:
         p = self.problem
-        identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
-        pose = p.motions[0, :, :3], p.motions[0, :, 3]
-        moved = reference.displacement(p.inverse_depth[0], p.camera, *pose)
+        pose, limit = (p.motions[0, :, :3], p.motions[0, :, 3]), tolerated(p)
 
         def run() -> np.ndarray:
-            square = np.maximum(reference.residual(p.tensor, identity, moved), 0)
-            trusted = p.tensor * p.trust / (1 + square / TOLERATED_SQUARE) ** 2
+            trusted = p.tensor * p.trust / (1 + squares(p) / limit) ** 2
             found = reference.frame_equations(trusted, p.inverse_depth[0], p.camera, *pose)
             return np.column_stack(found[:2])
 
@@ -320,6 +317,21 @@ def restricted_sums(problem: Problem) -> np.ndarray:
     moved, direction = np.split(displaced(problem), 2)
     found = reference.along([problem.tensor], moved, direction, problem.inverse_depth[0])[0]
     return single(found[[0, 3, 5]])
+
+
+def squares(problem: Problem) -> np.ndarray:
+    """Return the squared residuals, (H, W), where the first motion takes the pixels."""
+    p = problem
+    identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
+    pose = p.motions[0, :, :3], p.motions[0, :, 3]
+    moved = reference.displacement(p.inverse_depth[0], p.camera, *pose)
+    found: np.ndarray = np.maximum(reference.residual(p.tensor, identity, moved), 0)
+    return found
+
+
+def tolerated(problem: Problem) -> float:
+    """Return the squared residual that counts for a quarter, as the adjustment chooses it."""
+    return OUTLYING**2 * float(np.median(squares(problem)))
 
 
 def displaced(problem: Problem) -> np.ndarray:
