@@ -9,6 +9,7 @@ from tisfm.camera import Camera
 from tisfm.formats import atomic_write
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
+from tisfm.reconstruction.folder import read_picture
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
 
@@ -100,7 +101,8 @@ class PreparedFrames:
             if ignored.any():
                 np.save(self._mask_path(number), ignored)
                 self._masked.add(number)
-            write_picture(self._picture_path(number), lens.apply(self._picture(number)))
+            picture = read_picture(self._pictures.parent, number)
+            write_picture(self._picture_path(number), lens.apply(picture))
 
     def forget(self, number: int) -> None:
         """Delete a frame; numbers of the others stay."""
@@ -125,12 +127,6 @@ class PreparedFrames:
             return None
         counted: np.ndarray = ~np.load(self._mask_path(number))
         return counted
-
-    def _picture(self, number: int) -> np.ndarray:
-        picture = cv2.imread(str(self._picture_path(number)), cv2.IMREAD_UNCHANGED)
-        if picture is None:
-            raise OSError(f"{self._picture_path(number)} cannot be read")
-        return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
     def _grey_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}.npy"

@@ -48,7 +48,7 @@ class Run:
     source : FrameSource
     camera : Camera or None
         Of the frames as they come; None for a guess.
-    calibrate : {"nothing", "focal"}
+    calibrate : {"nothing", "focal", "radial"}
         What of it is found from the frames.
     settings : Settings
     poses : (N, 4, 4) array or None
