@@ -1,4 +1,4 @@
-"""The camera: focal length and principal point, in pixels, and the distortion of its lens."""
+"""The camera: focal length and principal point in pixels, distortion of its lens, its shutter."""
 
 import math
 from collections.abc import Iterable
@@ -32,6 +32,11 @@ class Camera:
         model is another one. None, or zeros alone, for a lens that does not distort.
     aspect : float, default 1.0
         fy / fx, in place of a second focal length.
+    readout : float, optional
+        How long a frame is read, row after row, as a share of the time from a frame of the source
+        to the next: from the first row to the last, in [−1, 1], negative where the last row is
+        read first. 0 where all rows are read at once (a global shutter). By default it is not
+        known: a sequence finds it where the motion shows it, a pair takes it to be 0.
 
     Attributes
     ----------
@@ -49,6 +54,7 @@ class Camera:
     center: tuple[float, float] | None
     distortion: tuple[float, ...] | None
     aspect: float
+    readout: float | None
 
     def __init__(
         self,
@@ -56,6 +62,7 @@ class Camera:
         center: tuple[float, float] | None = None,
         distortion: Iterable[float] | None = None,
         aspect: float = 1.0,
+        readout: float | None = None,
     ) -> None:
         aspect = _positive(aspect, "aspect", "fy / fx", unit="")
         if isinstance(focal, (tuple, list, np.ndarray)):
@@ -71,6 +78,7 @@ class Camera:
             "center": None if center is None else _center(center),
             "distortion": coefficients if coefficients and any(coefficients) else None,
             "aspect": aspect,
+            "readout": None if readout is None else _readout(readout),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -136,6 +144,7 @@ class Camera:
             center=((cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5),
             distortion=self.distortion,
             aspect=self.aspect,
+            readout=self.readout,
         )
 
 
@@ -190,6 +199,15 @@ def _positive(value: object, name: str, what: str, *, unit: str = ", in px") -> 
     number = _number(value, name, unit=unit)
     if number <= 0:
         raise ValueError(f"{name} is {number:g}: {what} must be positive{unit}")
+    return number
+
+
+def _readout(value: object) -> float:
+    number = _number(value, "readout", unit=", a share of the time between frames")
+    if not -1 <= number <= 1:
+        raise ValueError(
+            f"readout is {number:g}: expected -1 to 1, a share of the time from a frame to the next"
+        )
     return number
 
 

@@ -6,8 +6,8 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
 from tisfm.frames import check_frame
-from tisfm.solver.sampling import FAR, goes_to, sample
-from tisfm.visibility.occlusion import leaves_image
+from tisfm.resampling import Resampling
+from tisfm.solver.sampling import FAR
 
 __all__ = ["undistort"]
 
@@ -15,7 +15,7 @@ LEAST_SEEN = 0.1  # of the pixels: coefficients that leave fewer with data belon
 RADII = 4096  # at which the radial part of the model is looked at
 
 
-class Undistortion:
+class Undistortion(Resampling):
     """The map from frames with distortion or oblong pixels to the pinhole image.
 
     The pinhole image has the frame's size, and the focal length and centre of the camera.
@@ -55,10 +55,10 @@ class Undistortion:
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
         # Not left to the kernel: compiled for speed, it may take a comparison with NaN for true.
-        self._flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+        flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
         radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
         folded = radius > _fold(coefficients, float(radius.max()))
-        self.valid = ~(leaves_image(self._flow) | folded)
+        super().__init__(flow, ~folded)
         share = float(self.valid.mean())
         if share < LEAST_SEEN:
             raise ValueError(
@@ -66,59 +66,6 @@ class Undistortion:
                 f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "
                 "focal length and the centre"
             )
-
-    def apply(self, image: np.ndarray) -> np.ndarray:
-        """Return an image without distortion, sampled by its cubic spline.
-
-        Parameters
-        ----------
-        image : (H, W) or (H, W, 3) array
-            uint8, uint16 or float.
-
-        Returns
-        -------
-        array of the image's shape and type
-            No value lies beyond the image's own least and greatest one. Where there are no data,
-            the border is repeated.
-        """
-        if image.ndim == 3:
-            return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)
-        values = sample(image.astype(np.float32, order="C"), self._flow)
-        if np.issubdtype(image.dtype, np.integer):
-            np.rint(values, out=values)
-        return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
-
-    def nearest(self, values: np.ndarray) -> np.ndarray:
-        """Return a map of values as the pinhole image has it, each from the nearest pixel.
-
-        Parameters
-        ----------
-        values : (H, W) float array
-            Such as depth.
-
-        Returns
-        -------
-        (H, W) array of the same type
-            NaN where there are no data.
-        """
-        height, width = self.valid.shape
-        x = np.rint(self._flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
-        y = np.rint(self._flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
-        return np.where(self.valid, values[y.astype(np.intp), x], values.dtype.type(np.nan))
-
-    def missing(self, flow: np.ndarray) -> np.ndarray:
-        """Return which pixels have no data, or go to where frame 1 has none.
-
-        Parameters
-        ----------
-        flow : (2, H, W) float32
-            Image motion between two pinhole images, px/frame.
-
-        Returns
-        -------
-        (H, W) bool
-        """
-        return ~(self.valid & self.valid[goes_to(flow)])
 
 
 def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:

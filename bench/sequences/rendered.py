@@ -1,9 +1,9 @@
 """``python -m bench.sequences.rendered``: what sequences must show on films with exact truth.
 
 Films of a rendered room, with a pattern on its walls and with bare ones: a round trip, frames
-blanked, a turn without parallax, a mesh, depth from more and more frames. Each figure stands beside
-its bar. Rendered frames are kept in a temporary folder. The table, all numbers and a picture of the
-error over the number of frames are left in bench/results.
+blanked, a turn without parallax, a mesh, depth from more and more frames, a rolling shutter. Each
+figure stands beside its bar. Rendered frames are kept in a temporary folder. The table, all numbers
+and a picture of the error over the number of frames are left in bench/results.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,9 +21,18 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import tisfm
-from bench.sequences.rendered_films import SIZE, Take, around_one, round_trip, turned, walked
+from bench.sequences.rendered_films import (
+    SIZE,
+    Take,
+    around_one,
+    round_trip,
+    shaken,
+    turned,
+    walked,
+)
 from bench.sequences.rendered_scores import (
     COUNTS,
+    depth_in_one_scale,
     depth_of_pair,
     depth_of_window,
     flicker,
@@ -40,6 +49,7 @@ from tisfm.settings import Preset
 
 SMOKE_SIZE = 96, 128
 ROOMS = {"pattern": True, "bare": False}
+READOUT = 0.8  # of a rolling shutter: a share of the time from a frame to the next
 
 Found = dict[str, list[float]]  # error of each number of frames, by room
 
@@ -68,15 +78,24 @@ class Checks:
             "turn": self._turn,
             "walk": self._walk,
             "frames": self._frames,
+            "shutter": self._shutter,
         }
         seeds = self._seeds[:1] if kind == "trip" else self._seeds  # it is long
         for seed in seeds:
             yield from makers[kind](room, seed)
 
-    def _film(self, name: str, poses: np.ndarray, room: str, seed: int) -> Film:
+    def _film(
+        self, name: str, poses: np.ndarray, room: str, seed: int, readout: float = 0.0
+    ) -> Film:
         height, width = SMOKE_SIZE if self._smoke else SIZE
         return Take(
-            name=name, poses=poses, textured=ROOMS[room], seed=seed, height=height, width=width
+            name=name,
+            poses=poses,
+            textured=ROOMS[room],
+            seed=seed,
+            height=height,
+            width=width,
+            readout=readout,
         ).film()
 
     def _reconstructed(self, film: Film, folder: Path) -> tisfm.Reconstruction:
@@ -156,8 +175,27 @@ class Checks:
         yield Bar(f"{name}: within one deviation, %, at least", found[-1][1], 60.0, False)
         yield Bar(f"{name}: within one deviation, %, at most", found[-1][1], 75.0)
 
+    def _shutter(self, room: str, seed: int) -> Iterator[Bar]:
+        film = self._film("shaken", shaken(12 if self._smoke else 24), room, seed, READOUT)
+        name = f"rows read within {READOUT:g} of an interval, {room}, seed {seed}"
+        ate: list[float] = []
+        for readout, how in ((0.0, "ignored"), (None, "found and undone")):
+            camera = replace(film.camera, readout=readout)
+            with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+                result = tisfm.reconstruct(
+                    film.frames, camera=camera, settings=self._settings, folder=Path(folder)
+                )
+                where = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
+                ate.append(path_error(where, film.poses))
+                yield Bar(f"{name}, {how}: ATE, %", ate[-1], None)
+                error = 100 * depth_in_one_scale(film, result)
+                yield Bar(f"{name}, {how}: error of depth, %", error, None)
+        found = result.calibration.readout
+        yield Bar(f"{name}: readout that is found", found, None)
+        yield Bar(f"{name}: ATE over that with it ignored", ate[1] / ate[0], 1 / 3)
 
-KINDS = ("trip", "blanked", "turn", "walk", "frames")
+
+KINDS = ("trip", "blanked", "turn", "walk", "frames", "shutter")
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

@@ -30,6 +30,8 @@ class Take:
     seed : int
     height, width : int
         Of the frames, px.
+    readout : float
+        Of a shutter that reads row after row, as for `tisfm.Camera`.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Take:
     seed: int = 0
     height: int = SIZE[0]
     width: int = SIZE[1]
+    readout: float = 0.0
 
     def film(self) -> Film:
         """Return the film; what was rendered once lies in a temporary folder."""
@@ -50,7 +53,13 @@ class Take:
                     frames=kept["frames"], depth=kept["depth"], poses=self.poses, camera=camera
                 )
         film = room_film(
-            self.poses, self.height, self.width, seed=self.seed, textured=self.textured, samples=2
+            self.poses,
+            self.height,
+            self.width,
+            seed=self.seed,
+            textured=self.textured,
+            samples=2,
+            readout=self.readout,
         )
         CACHE.mkdir(exist_ok=True)
         part = path.with_suffix(".part.npz")
@@ -80,6 +89,14 @@ def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndar
     shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
     angle = np.r_[np.zeros(before), 1 + np.arange(turning), np.full(after, turning)] * step
     return _looking((shift - shift[0])[:, None] * going, angle - step * turning / 2)
+
+
+def shaken(count: int) -> np.ndarray:
+    """Return the poses of a camera that is shaken as it goes: by up to 3° between frames."""
+    at = np.arange(count)
+    turns = 0.03 * np.sin(0.9 * at), 0.04 * (np.cos(0.7 * at) - 1), 0.02 * np.sin(1.3 * at)
+    twists = np.stack([0.04 * at, 0.01 * np.sin(at), 0.02 * at, *turns], axis=1)
+    return np.array([pose_matrix(twist) for twist in twists])
 
 
 def around_one(count: int) -> np.ndarray:

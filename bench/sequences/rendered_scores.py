@@ -74,6 +74,14 @@ def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
     return 100 * float(np.mean(_distance(moved, film) < WITHIN))
 
 
+def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
+    """Return the mean error of the depth of all frames, in one scale; what has none counts as 1."""
+    found = np.array([result.depth(k) for k in range(len(film.frames))])
+    scale = np.nanmedian(film.depth / found)
+    error = np.abs(scale * found - film.depth) / film.depth
+    return float(np.nan_to_num(error, nan=1.0).mean())
+
+
 def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[float, float]:
     """Return the mean error of the first frame's depth from so many frames, and its certainty.
 

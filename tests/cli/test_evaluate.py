@@ -70,7 +70,13 @@ def test_options_reach_the_evaluation(tisfm_run, benchmark_folder):
     assert code == 0
     about = evaluated("out")
     assert Settings(**about["settings"]) == Settings.preset("paper", outer_iterations=7)
-    camera = {"focal": 55.0, "center": [3.0, 4.0], "distortion": None, "aspect": 1.0}
+    camera = {
+        "focal": 55.0,
+        "center": [3.0, 4.0],
+        "distortion": None,
+        "aspect": 1.0,
+        "readout": None,
+    }
     assert about["camera"] == camera and {str(p["camera"]) for p in about["pairs"]} == {str(camera)}
     assert "2 iteration_limit" in err and "raise outer_iterations" in err
 

@@ -56,14 +56,14 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         (
             "figures",
             {"--output", "--threads", "--camera", "--focal", "--center", "--distortion"}
-            | {"--aspect", "--help"},
+            | {"--aspect", "--readout", "--help"},
         ),
         (
             "reconstruct",
             {"--output", "--preset", "--poses", "--mask", "--calibrate", "--depth-of", "--scale"}
             | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
             | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}
-            | {"--distortion", "--aspect", "--help"},
+            | {"--distortion", "--aspect", "--readout", "--help"},
         ),
         (
             "eval",

@@ -58,7 +58,13 @@ def test_all_files_of_a_run_agree(tisfm_run, frames):
     assert tisfm_run("run", "frames", "-o", "out", "--focal", "50")[0] == 0
     about = record("out")
     assert about["version"] == tisfm.__version__
-    assert about["camera"] == {"focal": 50.0, "center": None, "distortion": None, "aspect": 1.0}
+    assert about["camera"] == {
+        "focal": 50.0,
+        "center": None,
+        "distortion": None,
+        "aspect": 1.0,
+        "readout": None,
+    }
     assert Settings(**about["settings"]) == Settings()
     assert list(about["pairs"]) == ["f0", "f1", "f2"]
     scale = about["depth16_values_per_unit"]

@@ -41,6 +41,9 @@ class CameraOptions:
     aspect: float = 1.0
     """fy / fx, where pixels are not square; --focal is then the smaller of both. Frames are
     resampled first."""
+    readout: float | None = None
+    """How long a frame is read, row after row, as a share of the time from a frame to the next; 0
+    where all rows are read at once. By default it is found from a sequence. Pairs take it as 0."""
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""
@@ -60,7 +63,13 @@ class CameraOptions:
             return self.file
         focal = self.focal if isinstance(self.focal, float) else 600.0
         distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
-        return Camera(focal=focal, center=self.center, distortion=distortion, aspect=self.aspect)
+        return Camera(
+            focal=focal,
+            center=self.center,
+            distortion=distortion,
+            aspect=self.aspect,
+            readout=self.readout,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,10 +336,11 @@ class Reconstruct:
         options = self.camera
         if not options.guess("camera"):
             return options.camera()
-        if (options.center, options.distortion, options.aspect) != (None, None, 1.0):
+        stated = (options.center, options.distortion, options.readout)
+        if any(value is not None for value in stated) or options.aspect != 1:
             raise ValueError(
-                "--center, --distortion and --aspect are of a camera whose focal length is known: "
-                "give --focal as well; with --calibrate focal, a guess will do"
+                "--center, --distortion, --aspect and --readout are of a camera whose focal length "
+                "is known: give --focal as well; with --calibrate focal, a guess will do"
             )
         if options.focal == "guess" and self.calibrate not in (None, "nothing"):
             raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")

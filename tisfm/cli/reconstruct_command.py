@@ -180,6 +180,11 @@ def _tell(result: Reconstruction, output: Path) -> None:
     about = result.calibration
     if about.message:
         tell(f"focal length: {about.message}" if about.seen else about.message)
+    if about.readout:
+        tell(
+            f"rolling shutter: the rows of a frame are read within {about.readout:.2f} ± "
+            f"{about.readout_std:.1g} of the time to the next; what that moves has been undone"
+        )
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():
         message = next(status.message for status in result.status if status == code)

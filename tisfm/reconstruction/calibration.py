@@ -28,6 +28,12 @@ class Calibration:
         none was sought.
     radial_std : float
         Its standard deviation.
+    readout : float
+        How long a frame is read, as for `tisfm.Camera`, of the frames as they were taken, if that
+        was found from the sequence: what it moves has been undone. 0 if none was seen, or it was
+        given.
+    readout_std : float
+        Its standard deviation.
     """
 
     origin: Origin
@@ -36,6 +42,8 @@ class Calibration:
     message: str = ""
     radial: float = 0.0
     radial_std: float = 0.0
+    readout: float = 0.0
+    readout_std: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""

@@ -51,7 +51,11 @@ def reconstruct(
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
         (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera, optional
-        Of the frames as they come; distortion is removed.
+        Of the frames as they come; distortion is removed, and what the rows of a rolling shutter
+        move, which are read one after the other: the result belongs to frames as their middle rows
+        saw them. If its readout is None, it is found, and taken for 0 if the motion does not show
+        it. Where poses are given, a readout is undone that the camera states; they are those of
+        middle rows.
     calibrate : {"nothing", "focal", "radial"}, optional
         What of the camera is found from the frames: by default nothing, if a camera is given; or
         else the focal length, with the principal point in the centre. ``"radial"`` finds one

@@ -208,6 +208,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 center=None if camera["center"] is None else tuple(camera["center"]),
                 distortion=camera["distortion"],
                 aspect=camera["aspect"],
+                readout=camera.get("readout"),
             ),
             calibration=_read_calibration(about.get("calibration")),
             settings=Settings(**settings),

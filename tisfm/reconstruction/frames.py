@@ -1,5 +1,6 @@
 """Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,8 @@ from tisfm.formats import atomic_write
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.folder import read_picture
+from tisfm.reconstruction.shutter import Rolling, UnrolledFrame
+from tisfm.resampling import Resampling
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
 
@@ -91,18 +94,28 @@ class PreparedFrames:
         if camera.is_pinhole or not self.count:
             return
         lens = Undistortion(camera, *self.shape)
-        self._held.clear()
         for number in range(self.count):
-            ignored = ~lens.valid
-            if number in self._masked:
-                ignored |= lens.nearest(np.load(self._mask_path(number)).astype(np.float32)) > 0
-            np.save(self._grey_path(number), lens.apply(self.grey(number)))
-            self._held.clear()
-            if ignored.any():
-                np.save(self._mask_path(number), ignored)
-                self._masked.add(number)
-            picture = read_picture(self._pictures.parent, number)
-            write_picture(self._picture_path(number), lens.apply(picture))
+            self._make_anew(number, lens)
+
+    def unroll(self, rolling: Rolling) -> None:
+        """Make frames anew as if all their rows had been read with the middle one."""
+        for number in sorted(rolling.rates):
+            self._make_anew(number, UnrolledFrame(rolling, number, self.camera, self.shape))
+        self.camera = replace(self.camera, readout=0.0)
+
+    def _make_anew(self, number: int, map_: Resampling) -> None:
+        ignored = ~map_.valid
+        if number in self._masked:
+            before = np.load(self._mask_path(number)).astype(np.float32)
+            ignored |= map_.nearest(before) > 0
+        grey = self.grey(number)
+        self._held.pop(number)
+        np.save(self._grey_path(number), map_.apply(grey))
+        if ignored.any():
+            np.save(self._mask_path(number), ignored)
+            self._masked.add(number)
+        picture = read_picture(self._pictures.parent, number)
+        write_picture(self._picture_path(number), map_.apply(picture))
 
     def forget(self, number: int) -> None:
         """Delete a frame; numbers of the others stay."""

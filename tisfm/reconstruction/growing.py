@@ -1,6 +1,6 @@
 """Models grown view by view: a first pair, then whatever sees enough of what is known."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ FEWEST = 15  # observations that two views, or a view and the points, share
 LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
 INLIER = 6.0  # px: of a view that is added
 SMALLEST = 3  # views of a model
-OUTLYING = 0.5  # px: residuals beyond count less and less in adjustments of all
+# px: residuals beyond count less and less in adjustments of all; and where all is to move first
+OUTLYING, ROUGHLY = 0.5, 3.0
 GROWN = 1.5  # times as many views, or points, as when all of them were adjusted the last time
 # Of adjustments of all, while a model grows and at its end: steps at most, and the relative change
 # of the sum of squares that is none.
@@ -60,21 +61,29 @@ def grown(database: Any, pairs: Pairs, count: int, calibrate: Calibrate = "nothi
     return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
 
 
-def grown_from(database: Any, known: Mapping[int, np.ndarray]) -> Any:
+def grown_from(
+    database: Any,
+    known: Mapping[int, np.ndarray],
+    *,
+    fixed: bool = True,
+    left: Collection[int] | None = None,
+) -> Any:
     """Return pycolmap's reconstruction of views, grown from those whose poses are known.
-
-    These stay where they are.
 
     Parameters
     ----------
     database : pycolmap.Database
     known : mapping of int to (3, 4) array
         World to camera, of two views at least, whose numbers begin with 1.
+    fixed : bool
+        Whether these stay where they are, or are adjusted with the rest.
+    left : collection of int, optional
+        The views that may be added; by default all others.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options()
-    options.mapper.fix_existing_frames = True
+    options.mapper.fix_existing_frames = fixed
     reconstruction = pycolmap().Reconstruction()
     reconstruction.load(cache)
     known = {number: pose for number, pose in known.items() if number in cache.images}
@@ -86,7 +95,8 @@ def grown_from(database: Any, known: Mapping[int, np.ndarray]) -> Any:
     mapper.begin_reconstruction(reconstruction)
     for number in known:
         mapper.triangulate_image(options.triangulation, number)
-    _grow(mapper, reconstruction, options, set(cache.images) - set(known))
+    others = set(cache.images) if left is None else set(cache.images) & set(left)
+    _grow(mapper, reconstruction, options, others - set(known), roughly=not fixed)
     mapper.end_reconstruction(False)
     return reconstruction
 
@@ -154,21 +164,28 @@ def _needed(motion: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
     return bool(np.median(_parallax(before, after)) > BETTER * np.median(away))
 
 
-def _grow(mapper: Any, reconstruction: Any, options: Any, left: set[int]) -> None:
+def _grow(
+    mapper: Any, reconstruction: Any, options: Any, left: set[int], *, roughly: bool = False
+) -> None:
+    """Grow a reconstruction; `roughly` if all of it has to move first."""
     local = options.get_local_bundle_adjustment()
     one_place = OnePlace(mapper, reconstruction)
 
-    def adjust_all(refinements: int, limits: tuple[int, float] = GROWING) -> tuple[int, int]:
+    def adjust_all(
+        refinements: int, limits: tuple[int, float] = GROWING, outlying: float = OUTLYING
+    ) -> tuple[int, int]:
         mapper.iterative_global_refinement(
             refinements,
             1e-3,
             options.mapper,
-            _adjustment(options, *limits),
+            _adjustment(options, *limits, outlying),
             options.triangulation,
             normalize_reconstruction=not options.mapper.fix_existing_frames,
         )
         return reconstruction.num_reg_images(), reconstruction.num_points3D()
 
+    if roughly:
+        adjust_all(3, ENDING, ROUGHLY)
     views, points = adjust_all(2)
     if points == 0:
         return
@@ -248,16 +265,16 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
     return options
 
 
-def _adjustment(options: Any, steps: int, tolerance: float) -> Any:
+def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> Any:
     """Return what all views and points are adjusted by, robustly."""
-    return robust(options.get_global_bundle_adjustment(), steps, tolerance)
+    return robust(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
 
 
-def robust(adjustment: Any, steps: int, tolerance: float) -> Any:
+def robust(adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLYING) -> Any:
     """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
-    adjustment.ceres.loss_function_scale = OUTLYING
+    adjustment.ceres.loss_function_scale = outlying
     solver = adjustment.ceres.solver_options
     solver.num_threads = 1
     solver.max_num_iterations, solver.function_tolerance = steps, tolerance

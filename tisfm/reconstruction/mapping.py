@@ -53,10 +53,13 @@ class Model:
         Camera to world, by frame.
     points : dict of int to (3,) float64
         Positions of tracks, in the world.
+    explained : int
+        Observations in views that it was adjusted for.
     """
 
     poses: dict[int, np.ndarray]
     points: dict[int, np.ndarray]
+    explained: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,6 +199,40 @@ def continued(
     return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
 
 
+def models_again(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    known: Sequence[Mapping[int, np.ndarray]],
+) -> list[Model]:
+    """Find poses of views and points of tracks, beginning with poses that are nearly right.
+
+    Parameters
+    ----------
+    views, matches, camera, shape
+        As for `models_of`.
+    known : sequence of mapping of int to (4, 4) array
+        Camera to world, by frame, for each model.
+
+    Returns
+    -------
+    list of Model
+        One for each; views that are in none may be added to any, the first before others.
+    """
+    shared = Shared.of(views, matches, shape)
+    number = {view.frame: k for k, view in enumerate(views, start=1)}
+    left = set(number.values()) - {number[frame] for poses in known for frame in poses}
+    found = []
+    with shared.database(_camera(camera, shape)) as database:
+        for poses in known:
+            matrices = {number[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
+            model = grown_from(database, matrices, fixed=False, left=left)
+            left -= set(model.reg_image_ids())
+            found.append(model)
+    return [model for model in shared.models(found, views, camera) if model.poses]
+
+
 def pose_from_points(
     seen: Seen, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
 ) -> np.ndarray | None:
@@ -331,7 +368,11 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
             tracks = views[element.image_id - 1].seen.tracks
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
-    return Model(poses=dict(sorted(poses.items())), points=points)
+    return Model(
+        poses=dict(sorted(poses.items())),
+        points=points,
+        explained=reconstruction.compute_num_observations(),
+    )
 
 
 def _with_others(

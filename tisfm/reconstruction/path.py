@@ -9,37 +9,27 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
-from tisfm.reconstruction.mapping import models_of, pose_from_points
+from tisfm.reconstruction.mapping import (
+    Model,
+    View,
+    models_again,
+    models_of,
+    pose_from_points,
+)
 from tisfm.reconstruction.self_calibration import (
     WORTHLESS,
     FocalEstimate,
     models_and_focal,
     without_distortion,
 )
+from tisfm.reconstruction.shutter import Rolling
 from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.reconstruction.unrolled_way import unrolled_way
 from tisfm.reconstruction.views import Views
+from tisfm.reconstruction.way import Piece, Way
 from tisfm.settings import Settings
 
 TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
-
-
-@dataclass(frozen=True, kw_only=True)
-class Piece:
-    """Frames in one coordinate system, of one scale.
-
-    Attributes
-    ----------
-    poses : dict of int to (4, 4) float64
-        Camera to world, by frame, in order.
-    views : tuple of int
-        Frames that poses and points were adjusted for.
-    points : dict of int to (3,) float64
-        Positions of tracks, in the world.
-    """
-
-    poses: dict[int, np.ndarray]
-    views: tuple[int, ...]
-    points: dict[int, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +49,8 @@ class CameraPath:
         pinhole; it has distortion where that was found with them.
     focal : FocalEstimate or None
         If it was to be found: None as well if no path was.
+    rolling : Rolling or None
+        If rows are not read at once: poses, points and tracks are those of middle rows.
     """
 
     pieces: tuple[Piece, ...]
@@ -66,6 +58,7 @@ class CameraPath:
     seen: tuple[Seen, ...]
     camera: Camera
     focal: FocalEstimate | None = None
+    rolling: Rolling | None = None
 
 
 class PathFinder:
@@ -79,12 +72,20 @@ class PathFinder:
         What of it is found from the frames: then its focal length is a guess.
     limit : float
         Of the focal length: with a larger deviation, the guess stays.
+    readout : float or None
+        Of the shutter, as in `tisfm.Camera`; None if it is found.
     """
 
     def __init__(
-        self, camera: Camera, calibrate: Calibrate = "nothing", *, limit: float = WORTHLESS
+        self,
+        camera: Camera,
+        calibrate: Calibrate = "nothing",
+        *,
+        limit: float = WORTHLESS,
+        readout: float | None = None,
     ) -> None:
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
+        self._readout = readout
         self._tracker = Tracker(camera, TRACKING)
         self._seen: list[Seen] = []
         self._views = Views(camera, focal_known=calibrate == "nothing")
@@ -99,8 +100,14 @@ class PathFinder:
         self._seen.append(seen)
         self._last = grey, ignored
 
-    def finish(self) -> CameraPath:
+    def finish(self, instants: np.ndarray | None = None) -> CameraPath:
         """Return the path of the frames so far.
+
+        Parameters
+        ----------
+        instants : (N,) array, optional
+            When each frame was taken, in intervals between frames of the source; by default one
+            after the other.
 
         Raises
         ------
@@ -120,30 +127,82 @@ class PathFinder:
                 "frames are not in the order in which they were taken: most show nothing of the "
                 "frame before, but what others show; sort them, or give a video"
             )
-        camera, focal = self._camera, None
-        if self._calibrate == "nothing":
-            models = models_of(views.chosen, views.matches, camera, grey.shape)
+        way = self._way(views.chosen, self._seen, self._camera, self._calibrate)
+        rolling = None
+        if self._readout != 0 and way.pieces:
+            instants = np.arange(len(self._seen)) if instants is None else np.asarray(instants)
+            way, rolling = self._unrolled(way, instants)
+        lost = {frame: why_lost(way.seen[frame], way.pieces, different) for frame in way.unplaced}
+        return CameraPath(
+            pieces=tuple(sorted(way.pieces, key=lambda piece: min(piece.poses))),
+            lost=lost,
+            seen=tuple(way.seen),
+            camera=way.camera,
+            focal=way.focal,
+            rolling=rolling,
+        )
+
+    def _unrolled(self, way: Way, instants: np.ndarray) -> tuple[Way, Rolling | None]:
+        """Return the way of middle rows, and how frames moved while they were read, if they did."""
+        pinhole, matches = way.camera.pinhole(), self._views.matches
+
+        def near(views: list[View], seen: list[Seen], before: Sequence[Piece]) -> Way:
+            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
+            models = models_again(views, matches, pinhole, self._shape, known)
+            return self._complete(models, views, seen, pinhole)
+
+        found, rolling = unrolled_way(way, near, matches, instants, self._readout, self._shape)
+        if rolling is None:
+            return way, None
+        # A path that was bent by what rows do may stay so. Another begins without it.
+        calibrate: Calibrate = "focal" if self._calibrate == "focal" else "nothing"
+        anew = self._way(found.views, found.seen, pinhole, calibrate)
+        if anew.pieces and anew.focal is None:
+            anew = near(found.views, found.seen, anew.pieces)
+        if anew.explained > found.explained:
+            found = anew
+        if found.focal is None:
+            found = replace(found, camera=way.camera, focal=way.focal)
+        return found, rolling
+
+    def _way(
+        self, views: list[View], tracks: Sequence[Seen], camera: Camera, calibrate: Calibrate
+    ) -> Way:
+        """Return the path through views and tracks in every frame."""
+        matches, focal = self._views.matches, None
+        if calibrate == "nothing":
+            models = models_of(views, matches, camera, self._shape)
         else:
             models, focal = models_and_focal(
-                views.chosen,
-                views.matches,
-                camera,
-                grey.shape,
-                self._calibrate,
-                limit=self._limit,
+                views, matches, camera, self._shape, calibrate, limit=self._limit
             )
             camera = camera if focal is None else focal.taken(camera)
-        seen = [without_distortion(one, camera, grey.shape) for one in self._seen]
+        seen = [without_distortion(one, camera, self._shape) for one in tracks]
+        return self._complete(models, views, seen, camera, focal)
+
+    def _complete(
+        self,
+        models: Sequence[Model],
+        views: list[View],
+        seen: list[Seen],
+        camera: Camera,
+        focal: FocalEstimate | None = None,
+    ) -> Way:
+        """Return the way of models and of the frames between their views."""
         pieces, unplaced = with_others(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
             dict(enumerate(seen)),
             camera.pinhole(),
             self._shape,
         )
-        lost = {frame: why_lost(seen[frame], pieces, different) for frame in unplaced}
-        ordered = sorted(pieces, key=lambda piece: min(piece.poses))
-        return CameraPath(
-            pieces=tuple(ordered), lost=lost, seen=tuple(seen), camera=camera, focal=focal
+        return Way(
+            pieces=pieces,
+            unplaced=unplaced,
+            views=views,
+            seen=seen,
+            camera=camera,
+            focal=focal,
+            explained=sum(model.explained for model in models),
         )
 
 

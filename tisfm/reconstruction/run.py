@@ -17,12 +17,15 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
+from tisfm.reconstruction.mapping import Model
+from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.reconstruction.unrolling import Unrolling
+from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.version import __version__
@@ -131,6 +134,7 @@ class Run:
         """Read all frames once, and find the path, or take the one that is given."""
         names: list[str] = []
         times: list[float | None] = []
+        indices: list[int] = []
         finder: PathFinder | None = None
         tracker: Tracker | None = None
         seen: list[Seen] = []
@@ -149,7 +153,12 @@ class Run:
                     )
                     stated = self._guess is not None and self._guess.origin == "exif"
                     limit = OF_EXIF if stated else WORTHLESS
-                    finder = PathFinder(self._frames.camera, self._calibrate, limit=limit)
+                    finder = PathFinder(
+                        self._frames.camera,
+                        self._calibrate,
+                        limit=limit,
+                        readout=self._frames.camera.readout,
+                    )
                     tracker = Tracker(self._frames.camera, TRACKING)
                 grey, ignored = self._frames.add(frame)
                 if self._given is None and finder is not None:
@@ -158,6 +167,7 @@ class Run:
                     seen.append(tracker.go_on(grey, ignored))
                 names.append(frame.name)
                 times.append(frame.time)
+                indices.append(frame.index)
                 try:
                     self._progress("reading", len(names), total)
                 except Enough:
@@ -168,32 +178,51 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
-        path = finder.finish() if self._given is None else self._given_path(seen, self._given)
-        ratio = path.camera.focal / self._frames.camera.focal
-        if path.focal is not None:
-            taken, shape = self._taken
-            taken = taken.with_focal(taken.focal * ratio)
-            lens = path.camera.distortion or taken.distortion
-            self._taken = replace(taken, distortion=lens), shape
-        self._frames.take(path.camera)
+        if self._given is None:
+            path = finder.finish(_instants(indices, times))
+        else:
+            path = self._given_path(seen, self._given, _instants(indices, times))
+        self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
-    def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
+    def _take_camera(self, path: CameraPath) -> None:
+        """Take what was found of the camera; frames are made anew where it asks for that."""
+        taken, shape = self._taken
+        if path.focal is not None:
+            taken = taken.with_focal(taken.focal * path.camera.focal / self._frames.camera.focal)
+            taken = replace(taken, distortion=path.camera.distortion or taken.distortion)
+        self._frames.take(path.camera)
+        if path.rolling is not None:
+            part = self._source.camera_after(replace(taken, readout=1.0), shape).readout or 1.0
+            taken = replace(taken, readout=max(-1.0, min(path.rolling.readout / part, 1.0)))
+            self._frames.unroll(path.rolling)
+        self._taken = taken, shape
+
+    def _given_path(self, seen: list[Seen], poses: np.ndarray, instants: np.ndarray) -> CameraPath:
         check_count(len(poses), len(seen))
+        camera, shape = self._frames.camera, self._frames.shape
         known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
-        points = triangulated(seen, known, self._frames.camera, self._frames.shape)
+        points = triangulated(seen, known, camera, shape)
         lost = {
             k: Status("unrelated", "no pose is given for it")
             for k in range(len(poses))
             if k not in known
         }
+        rolling = None
+        if known and camera.readout:  # poses are those of middle rows
+            model = Model(poses=known, points=points)
+            unrolling = Unrolling(seen, [model], instants, camera.readout, 0.0, camera, shape)
+            rolling = unrolling.rolling
+            seen = [unrolling.tracks(frame) for frame in range(len(seen))]
+            points = triangulated(seen, known, camera, shape)
         piece = Piece(poses=known, views=tuple(known), points=points)
         return CameraPath(
             pieces=(piece,) if known else (),
             lost=lost,
             seen=tuple(seen),
-            camera=self._frames.camera,
+            camera=camera,
+            rolling=rolling,
         )
 
     def _guessed(self, first: Path | tuple[int, ...]) -> Camera:
@@ -206,6 +235,9 @@ class Run:
         found = calibration_of(
             path.focal, self._guess, self._frames.camera, sought=self._calibrate != "nothing"
         )
+        if path.rolling is not None and path.rolling.deviation:  # it was not given
+            readout = self._taken[0].readout or 0.0
+            found = replace(found, readout=readout, readout_std=path.rolling.deviation)
         if not found.seen:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
         return found
@@ -268,6 +300,15 @@ def begins_piece(status: Status) -> Status:
     told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
     told += "its own"
     return Status(str(status), f"{status.message}; {told}" if status.message else told)
+
+
+def _instants(indices: list[int], times: list[float | None]) -> np.ndarray:
+    """Return when frames were taken, in intervals between frames of the source."""
+    number = np.array(indices, np.float64)
+    known = np.array([time for time in times if time is not None])
+    if len(known) < len(times) or (np.diff(known) <= 0).any():
+        return number
+    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
 
 
 def _count(source: FrameSource) -> int | None:

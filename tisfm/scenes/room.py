@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats, finite, whole
-from tisfm.rigid import rigid_motion
+from tisfm.rigid import pose_matrix, rigid_motion, rigid_twist
 
 from .geometry import Box, Plane
 from .render import Scene, SyntheticPair, check_dtype
@@ -24,6 +24,7 @@ _TILES = 64  # a side: beyond, they repeat
 _FOCAL = 0.6  # of the width
 # Without detail the finest wave has this length, px, in a picture of this width, px.
 _FINEST, _WIDTH = 4.0, 320
+_ROWS = 2  # that are rendered as if they were read at once
 _BARE = 5  # labels below are those of bare walls and of the ceiling
 
 _AXES = (  # of the room in columns: right, down, ahead
@@ -171,6 +172,7 @@ def room_film(
     noise: float = 1.5,
     blur: float = 0.0,
     samples: int = 3,
+    readout: float = 0.0,
 ) -> Film:
     """Render the room from a path of the camera.
 
@@ -182,6 +184,9 @@ def room_film(
         As for `room`. Noise is another one in every frame.
     textured : bool, default False
         Whether walls and ceiling are papered with a pattern, rather than bare.
+    readout : float, default 0
+        How long a frame is read, row after row, as for `tisfm.Camera`. Poses and depth are those of
+        the middle row; between poses, the camera moves and turns evenly.
 
     Raises
     ------
@@ -200,12 +205,41 @@ def room_film(
     ]
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     random = np.random.default_rng(seed)
+    if not -1 <= readout <= 1:
+        raise ValueError(f"readout is {readout!r}: expected a number from -1 to 1")
     frames = np.empty((len(path), height, width), np.uint8)
     depth = np.empty((len(path), height, width), np.float32)
     for k, pose in enumerate(path):
         frame, depth[k] = scene.seen_from(pose, samples=samples)
+        if readout:
+            frame = _read_in_turn(scene, path, k, readout, samples)
         frames[k] = _taken(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
+
+
+def _read_in_turn(scene: Scene, path: Floats, number: int, readout: float, samples: int) -> NDArray:
+    """Return a frame, (H, W) float32, of which every few rows are seen from where they are read."""
+    cx, cy = scene.camera.center_for(scene.height, scene.width)
+    parts = []
+    for top in range(0, scene.height, _ROWS):
+        rows = min(_ROWS, scene.height - top)
+        late = readout * (top + (rows - scene.height) / 2) / scene.height
+        camera = replace(scene.camera, center=(cx, cy - top))
+        part = replace(scene, camera=camera, height=rows)
+        parts.append(part.seen_from(_between(path, number, late), samples=samples)[0])
+    return np.concatenate(parts)
+
+
+def _between(path: Floats, number: int, late: float) -> Floats:
+    """Return the pose so much of an interval after a frame, or before it."""
+    other = number + (1 if late > 0 else -1)
+    if not 0 <= other < len(path):  # it went on as it came, or as it will
+        other = 2 * number - other
+    if not 0 <= other < len(path):
+        return path[number]
+    motion = np.linalg.inv(path[number]) @ path[other]
+    twist = rigid_twist(motion[:3, :3], motion[:3, 3])
+    return np.asarray(path[number] @ pose_matrix(late * (other - number) * twist))
 
 
 def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> list[Plane]:

@@ -92,7 +92,12 @@ class View:
         """
         rows, columns = self._window((height, width), "the frame")
         cx, cy = camera.center_for(height, width)
-        part = replace(camera, center=(cx - columns.start, cy - rows.start))
+        share = (rows.stop - rows.start) / height  # of the time that rows are read in
+        part = replace(
+            camera,
+            center=(cx - columns.start, cy - rows.start),
+            readout=None if camera.readout is None else share * camera.readout,
+        )
         height, width = rows.stop - rows.start, columns.stop - columns.start
         scale = self._scale((height, width), "the frame")
         return part if scale == 1 else part.scaled(scale, height, width)

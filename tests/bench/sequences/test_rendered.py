@@ -1,14 +1,22 @@
 """Films with exact truth, what is measured of them, and how it is told."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bench.sequences import rendered_films
 from bench.sequences.rendered import draw, write
-from bench.sequences.rendered_films import Take, around_one, round_trip, turned, walked
-from bench.sequences.rendered_scores import COUNTS, _distance, gap, path_error, scale_change
+from bench.sequences.rendered_films import Take, around_one, round_trip, shaken, turned, walked
+from bench.sequences.rendered_scores import (
+    COUNTS,
+    _distance,
+    depth_in_one_scale,
+    gap,
+    path_error,
+    scale_change,
+)
 from bench.shared.bar import Bar
 
 
@@ -49,6 +57,24 @@ def test_a_change_of_scale_is_seen():
     found[10:, :3, 3] = found[9, :3, 3] + 1.1 * (found[10:, :3, 3] - found[9, :3, 3])
     change = scale_change(found, poses, slice(0, 5), slice(10, None))
     assert change == pytest.approx(100 * (1 - 1 / 1.1), abs=1e-6)
+
+
+def test_a_shaken_camera_turns_between_frames():
+    poses = shaken(20)
+    turns = poses[:-1, :3, :3].transpose(0, 2, 1) @ poses[1:, :3, :3]
+    angle = np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    assert 2 < angle.max() < 3.2 and np.linalg.norm(poses[-1, :3, 3]) > 0.5
+
+
+def test_depth_in_one_scale_counts_what_has_none():
+    true = np.random.default_rng(0).uniform(1, 3, (4, 6, 8)).astype(np.float32)
+    found = 2 * true
+    found[1] *= 1.1
+    found[2, :3] = np.nan
+    film = SimpleNamespace(frames=true, depth=true)
+    result = SimpleNamespace(depth=lambda k: found[k])
+    expected = (0.1 + 0.5) / 4
+    assert depth_in_one_scale(film, result) == pytest.approx(expected, abs=1e-5)
 
 
 def test_frames_around_one():

@@ -1,0 +1,126 @@
+"""Sequences from a camera that reads row after row, and is shaken."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.one_thread import bits_on_one_thread, several_threads
+from tests.reconstruction.films import path_error
+from tisfm.camera_file import read_camera
+from tisfm.reconstruction.path import PathFinder
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room_film
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource
+
+COUNT, READOUT = 16, 0.8
+
+
+def shaken(count=COUNT):
+    """Return the poses of a camera that is shaken as it goes."""
+    at = np.arange(count)
+    turns = 0.03 * np.sin(0.9 * at), 0.04 * np.cos(0.7 * at) - 0.04, 0.02 * np.sin(1.3 * at)
+    twists = np.stack([0.04 * at, 0.01 * np.sin(at), 0.02 * at, *turns], axis=1)
+    return np.array([pose_matrix(twist) for twist in twists])
+
+
+@cache
+def film(readout=READOUT):
+    return room_film(shaken(), 120, 160, textured=True, samples=2, readout=readout)
+
+
+def reconstructed(readout, of=READOUT, **options):
+    options = {"depth_of": "none"} | options
+    return tisfm.reconstruct(
+        film(of).frames,
+        camera=replace(film(of).camera, readout=readout),
+        settings=Settings.preset("fast", motion="camera"),
+        **options,
+    )
+
+
+def bits():
+    finder = PathFinder(film().camera)
+    for frame in film().frames:
+        finder.add(frame)
+    path = finder.finish()
+    assert path.rolling is not None
+    return b"".join(pose.tobytes() for pose in path.pieces[0].poses.values()).hex()
+
+
+@pytest.mark.slow
+def test_the_readout_is_found_and_undone(tmp_path):
+    ignored = reconstructed(0.0)
+    found = reconstructed(None, folder=tmp_path / "found", depth_of="keyframes")
+    assert (found.piece == 0).all()
+    assert path_error(found.poses, shaken()) < 0.2 * path_error(ignored.poses, shaken())
+    about = found.calibration
+    assert abs(about.readout - READOUT) < 0.08 and 0 < about.readout_std < 0.06
+    assert about.origin == "given"  # the focal length was
+    assert found.camera.readout == 0.0  # that of the frames of the result
+    again = tisfm.Reconstruction.load(tmp_path / "found")
+    assert again.calibration == about and again.camera == found.camera
+    assert read_camera(tmp_path / "found").readout == about.readout
+
+
+@pytest.mark.slow
+def test_depth_is_that_of_middle_rows():
+    off = []
+    for readout in (0.0, READOUT):
+        result = reconstructed(readout, depth_of="keyframes")
+        errors = []
+        for key in result.keyframes:
+            ratio = film().depth[key] * result.inverse_depth(key)
+            errors.append(np.nanmean(np.abs(np.nanmedian(ratio) / ratio - 1)))
+        off.append(np.mean(errors))
+    assert off[1] < 0.6 * off[0]
+
+
+@pytest.mark.slow
+def test_a_readout_that_is_given_is_undone():
+    result = reconstructed(READOUT)
+    assert path_error(result.poses, shaken()) < 0.01
+    assert result.calibration.readout == 0  # nothing was found
+    assert result.camera.readout == 0
+
+
+@pytest.mark.slow
+def test_rows_that_are_read_at_once_leave_everything_as_it_is():
+    found, given = (reconstructed(readout, of=0.0) for readout in (None, 0.0))
+    assert found.calibration.readout == 0
+    np.testing.assert_array_equal(found.poses, given.poses)
+    assert found.camera.readout is None  # nothing is known
+
+
+@pytest.mark.slow
+def test_known_poses_are_those_of_middle_rows():
+    poses = shaken()
+    errors = []
+    for readout in (None, READOUT):
+        result = reconstructed(readout, poses=poses, depth_of="keyframes")
+        key = result.keyframes[0]
+        errors.append(np.nanmean(np.abs(result.depth(key) / film().depth[key] - 1)))
+    assert errors[1] < 0.7 * errors[0]
+
+
+@pytest.mark.slow
+def test_what_is_said_of_cropped_frames_is_of_whole_ones(tmp_path):
+    result = reconstructed(None, crop=(0, 6, 160, 108), folder=tmp_path / "cropped")
+    assert abs(result.calibration.readout - READOUT) < 0.1
+    assert read_camera(tmp_path / "cropped").readout == result.calibration.readout
+
+
+def test_cropped_rows_take_their_share_of_the_time():
+    source = FrameSource(np.zeros((2, 120, 160), np.uint8), crop=(0, 30, 160, 60), size=80)
+    camera = tisfm.Camera(focal=96.0, readout=0.8)
+    assert source.camera_after(camera, (120, 160)).readout == pytest.approx(0.4)
+    assert source.camera_after(tisfm.Camera(focal=96.0), (120, 160)).readout is None
+
+
+@pytest.mark.slow
+@several_threads
+def test_one_thread_gives_the_same_bits():
+    assert bits_on_one_thread("tests.reconstruction.test_rolling_shutter") == bits()

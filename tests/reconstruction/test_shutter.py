@@ -1,0 +1,93 @@
+"""What a shutter that reads row after row moves, and how it is undone."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.shutter import (
+    Rolling,
+    UnrolledFrame,
+    at_middle,
+    rates_of,
+    transported,
+)
+from tisfm.rigid import pose_matrix
+
+CAMERA, SHAPE = Camera(focal=120.0, center=(83.0, 55.0)), (121, 160)
+TWIST = np.array([0.1, -0.04, 0.16, 0.08, -0.12, 0.1])
+
+
+def moved(points, twist):
+    matrix = pose_matrix(twist)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+@pytest.mark.parametrize("twist", [TWIST, TWIST * (1, 1, 1, 0, 0, 0), TWIST * (0, 0, 0, 1, 1, 1)])
+def test_points_are_moved_as_rigid_motions_move_them(twist):
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    times = np.linspace(-1.5, 2, 7)
+    for point, time, found in zip(points, times, transported(points, twist, times), strict=True):
+        np.testing.assert_allclose(found, moved(point, time * twist), atol=1e-12)
+
+
+def test_rates_of_a_steady_motion_are_its_twist():
+    instants = np.array([0, 1, 2.5, 3, 7])
+    poses = {k: np.linalg.inv(pose_matrix(at * TWIST)) for k, at in enumerate(instants)}
+    del poses[1]  # a frame without a pose
+    rates = rates_of(poses, instants)
+    assert sorted(rates) == [0, 2, 3, 4]
+    for rate in rates.values():
+        np.testing.assert_allclose(rate, TWIST, atol=1e-9)
+
+
+def test_a_frame_alone_has_no_rate():
+    assert rates_of({4: np.eye(4)}, np.arange(5)) == {}
+
+
+@pytest.mark.parametrize("readout", [0.9, -0.5])
+def test_points_go_to_where_the_middle_row_would_have_them(readout):
+    random = np.random.default_rng(1)
+    world = random.uniform((-1, -1, 3), (1, 1, 6), (40, 3))  # as the middle row has them
+    cx, cy = CAMERA.center
+    # The row that a point is read in, found by going to and fro.
+    row = np.full(40, SHAPE[0] / 2)
+    for _ in range(60):
+        late = readout * (row - (SHAPE[0] - 1) / 2) / SHAPE[0]
+        there = np.array([moved(p, t * TWIST) for p, t in zip(world, late, strict=True)])
+        row = 120 * there[:, 1] / there[:, 2] + cy
+    seen = np.column_stack([120 * there[:, 0] / there[:, 2] + cx, row])
+    middle = 120 * world[:, :2] / world[:, 2:] + (cx, cy)
+    assert np.abs(seen - middle).max() > 1
+    found = at_middle(seen, there[:, 2], TWIST, readout, CAMERA, SHAPE)
+    np.testing.assert_allclose(found, middle, atol=1e-8)
+
+
+def test_a_frame_is_made_as_its_middle_row_saw_it():
+    """Of a plane before the camera, of a smooth pattern, no point of which is out of place."""
+    depth, readout = 4.0, 0.8
+    rolling = Rolling(readout=readout, rates={3: TWIST}, inverse_depth={3: 1 / depth})
+    height, width = SHAPE
+    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+
+    def pattern(x, y):
+        return 120 + 50 * np.sin(x / 9) * np.cos(y / 7)
+
+    taken = np.column_stack([x.ravel(), y.ravel()])
+    # What each pixel of the frame shows is on a surface that is plane for the middle row.
+    middle = at_middle(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
+    frame = pattern(*middle.T).reshape(SHAPE).astype(np.float32)
+    made = UnrolledFrame(rolling, 3, CAMERA, SHAPE)
+    found = made.apply(frame)
+    off = np.abs(found - pattern(x, y))[made.valid]
+    assert np.abs(frame - pattern(x, y)).mean() > 5
+    assert off.mean() < 0.25 and off.max() < 3  # depth of the frame is not quite that of the plane
+    assert 0.8 < made.valid.mean() < 1
+
+
+def test_a_frame_whose_rows_are_read_at_once_stays():
+    rolling = Rolling(readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3})
+    made = UnrolledFrame(rolling, 0, CAMERA, SHAPE)
+    frame = cv2.randu(np.zeros(SHAPE, np.uint8), 0, 255)
+    assert made.valid.all()
+    np.testing.assert_array_equal(made.apply(frame), frame)

@@ -1,0 +1,104 @@
+"""How long a camera reads a frame, found from points that move through views."""
+
+import numpy as np
+import pytest
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.shutter import at_middle, rates_of, transported
+from tisfm.reconstruction.shutter_estimate import estimate_readout
+from tisfm.reconstruction.tracks import Seen
+from tisfm.rigid import pose_matrix
+
+CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
+
+
+def shaken(count):
+    """Return poses of a camera that is shaken as it goes, camera to world."""
+    at = np.arange(count)
+    turns = 0.06 * np.sin(0.9 * at), 0.05 * np.cos(0.7 * at), 0.03 * np.sin(1.3 * at)
+    twists = np.stack([0.05 * at, 0.02 * np.sin(at), 0.01 * at, *turns], axis=1)
+    return {k: pose_matrix(twist) for k, twist in enumerate(twists)}
+
+
+def seen_by(poses, readout, noise, outliers=0.0):
+    """Return views of points, each row of which is read at its own moment; some are wrong."""
+    random = np.random.default_rng(0)
+    world = random.uniform((-3, -2, 3), (4, 2, 7), (500, 3))
+    rates = rates_of(poses, np.arange(len(poses)))
+    center = np.array(CAMERA.center_for(*SHAPE))
+    views = []
+    for frame, pose in poses.items():
+        local = (world - pose[:3, 3]) @ pose[:3, :3]
+        row = np.zeros(len(local))
+        for _ in range(8):
+            late = readout * (row - (SHAPE[0] - 1) / 2) / SHAPE[0]
+            there = transported(local, rates[frame], late)
+            place = CAMERA.focal * there[:, :2] / there[:, 2:] + center
+            row = place[:, 1].clip(0, SHAPE[0])
+        place += random.normal(0, noise, place.shape)
+        wrong = random.random(len(place)) < outliers
+        place[wrong] += random.uniform(-40, 40, (int(wrong.sum()), 2))
+        inside = ((place >= 0) & (place < SHAPE[::-1])).all(axis=1) & (there[:, 2] > 0)
+        half = np.arange(len(world)) < 250
+        tracks = np.flatnonzero(inside & half)
+        views.append(
+            View(
+                frame=frame,
+                seen=Seen(points=place[tracks], tracks=tracks),
+                detected=np.where((inside & ~half)[:, None], place, -1)[250:],
+            )
+        )
+    return views
+
+
+def matched(views):
+    """Return matches of what neighbouring views both detect."""
+    matches = {}
+    for k in range(len(views) - 1):
+        both = (views[k].detected[:, 0] >= 0) & (views[k + 1].detected[:, 0] >= 0)
+        matches[k, k + 1] = np.repeat(np.flatnonzero(both)[:, None], 2, axis=1)
+    return matches
+
+
+@pytest.mark.parametrize("readout", [0.7, -0.4])
+def test_it_is_found_beside_noise_and_wrong_points(readout):
+    poses = shaken(14)
+    views = seen_by(poses, readout, 0.3, outliers=0.1)
+    rates = rates_of(poses, np.arange(14))
+    found = estimate_readout(views, matched(views), poses, rates, CAMERA, SHAPE)
+    assert abs(found.readout - readout) < min(0.03, 4 * found.deviation)
+    assert 0 < found.deviation < 0.1 * abs(readout)
+
+
+def test_rows_that_are_read_at_once_are_told():
+    poses = shaken(14)
+    views = seen_by(poses, 0.0, 0.3)
+    rates = rates_of(poses, np.arange(14))
+    found = estimate_readout(views, matched(views), poses, rates, CAMERA, SHAPE)
+    assert abs(found.readout) < found.deviation < 0.05
+
+
+def test_a_steady_way_shows_little_of_it():
+    """Each frame is moved alike: poses and points that are a little bent explain it as well."""
+    poses = {k: pose_matrix((0.05 * k, 0, 0, 0, 0, 0)) for k in range(14)}
+    shaking = shaken(14)
+    views = [seen_by(path, 0.5, 0.3) for path in (poses, shaking)]
+    steady, shaken_ = (
+        estimate_readout(v, {}, path, rates_of(path, np.arange(14)), CAMERA, SHAPE)
+        for v, path in zip(views, (poses, shaking), strict=True)
+    )
+    assert steady.deviation > 5 * shaken_.deviation
+
+
+def test_nothing_is_said_of_views_that_share_nothing():
+    poses = shaken(4)
+    nothing = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    views = [View(frame=k, seen=nothing, detected=np.empty((0, 2))) for k in range(4)]
+    rates = rates_of(poses, np.arange(4))
+    assert estimate_readout(views, {}, poses, rates, CAMERA, SHAPE) is None
+    assert estimate_readout([], {}, poses, rates, CAMERA, SHAPE) is None
+
+
+def test_at_middle_needs_no_point():
+    assert at_middle(np.empty((0, 2)), np.empty(0), np.ones(6), 0.5, CAMERA, SHAPE).shape == (0, 2)

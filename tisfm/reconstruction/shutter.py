@@ -1,0 +1,168 @@
+"""A shutter that reads row after row, as those of phones do: what it moves, and how to undo it.
+
+A camera that moves meanwhile sees every row from another place. The pose of a frame is that of its
+middle row. Row y is read `readout` · (y − middle) / H intervals later, where an interval is the
+time from a frame of the source to the next.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.resampling import Resampling
+from tisfm.rigid import rigid_twist
+
+NODES = 33  # along the longer side, between which the way of pixels is interpolated
+STEPS = 4  # of the search for the row that a pixel was read in
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rolling:
+    """How frames moved while they were read.
+
+    Attributes
+    ----------
+    readout : float
+        The share of the interval that passes from the first row to the last; negative where the
+        last is read first, 0 where all are read at once.
+    deviation : float
+        Its standard deviation; 0 where it was given.
+    rates : dict of int to (6,) float64
+        By frame: the twist (T, ω) of what is before the camera, by interval.
+    inverse_depth : dict of int to float
+        By frame: the usual one of what it shows, 1/unit of the rates.
+    """
+
+    readout: float
+    deviation: float = 0.0
+    rates: Mapping[int, np.ndarray] = field(default_factory=dict)
+    inverse_depth: Mapping[int, float] = field(default_factory=dict)
+
+
+def rates_of(
+    poses: Mapping[int, np.ndarray], instants: Sequence[float] | np.ndarray
+) -> dict[int, np.ndarray]:
+    """Return the twist of what is before the camera at every frame, (6,) float64, by interval.
+
+    Parameters
+    ----------
+    poses : mapping of int to (4, 4) array
+        Camera to world, by frame.
+    instants : sequence of float
+        When each frame was taken, in intervals.
+    """
+    frames = sorted(poses)
+    ways = {
+        frame: _twist(poses[frame], poses[after]) / (instants[after] - instants[frame])
+        for frame, after in pairwise(frames)
+    }
+    rates = {}
+    for number, frame in enumerate(frames):
+        near = [ways[k] for k in frames[max(0, number - 1) : number + 1] if k in ways]
+        if near:
+            rates[frame] = np.mean(near, axis=0)
+    return rates
+
+
+def at_middle(
+    points: np.ndarray,
+    depth: np.ndarray,
+    rate: np.ndarray,
+    readout: float,
+    camera: Camera,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return where points of a frame would be if all rows were read with the middle one, (N, 2).
+
+    Parameters
+    ----------
+    points : (N, 2) array
+        px.
+    depth : (N,) array
+        Z of each, positive.
+    rate : (6,) array
+        Of the frame, as in `Rolling`.
+    readout : float
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width, px.
+    """
+    center = np.array(camera.center_for(*shape))
+    ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
+    late = _late(points[:, 1], readout, shape)
+    moved = transported(ray * np.asarray(depth)[:, None], rate, -late)
+    return moved[:, :2] / moved[:, 2:] * camera.focal + center
+
+
+def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return points, (N, 3), moved by a twist (T, ω) that acts for so long, (N,), each."""
+    velocity, spin = rate[:3], rate[3:]
+    angle = max(float(np.linalg.norm(spin)), 1e-12)
+    axis = spin / angle
+    turned = (angle * time)[:, None]
+    sine, rest = np.sin(turned), 2 * np.sin(turned / 2) ** 2
+    about = np.cross(axis, points)
+    across = np.cross(axis, velocity)
+    return np.asarray(
+        points
+        + sine * about
+        + rest * np.cross(axis, about)
+        + time[:, None] * velocity
+        + rest / angle * across
+        + (turned - sine) / angle * np.cross(axis, across)
+    )
+
+
+class UnrolledFrame(Resampling):
+    """The map from a frame to what it would be if all rows were read with the middle one.
+
+    All that the frame shows is taken to be of one depth: what is nearer or farther is moved by the
+    turn of the camera, and by its way as if it were there.
+
+    Parameters
+    ----------
+    rolling : Rolling
+    frame : int
+        One that has a rate.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width, px.
+    """
+
+    def __init__(
+        self, rolling: Rolling, frame: int, camera: Camera, shape: tuple[int, int]
+    ) -> None:
+        height, width = shape
+        center = np.array(camera.center_for(*shape))
+        spacing = max(shape) / (NODES - 1)
+        columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
+        x, y = np.meshgrid(np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows))
+        wanted = np.column_stack([x.ravel(), y.ravel()])
+        depth = 1 / max(rolling.inverse_depth[frame], 1e-12)
+        ray = np.column_stack([(wanted - center) / camera.focal, np.ones(len(wanted))])
+        there = wanted
+        for _ in range(STEPS):
+            late = _late(there[:, 1], rolling.readout, shape)
+            moved = transported(ray * depth, rolling.rates[frame], late)
+            there = moved[:, :2] / np.maximum(moved[:, 2:], 1e-6) * camera.focal + center
+        nodes = (there - wanted).reshape(rows, columns, 2).astype(np.float32)
+        at_x = np.linspace(0, columns - 1, width, dtype=np.float32)
+        at_y = np.linspace(0, rows - 1, height, dtype=np.float32)
+        flow = cv2.remap(nodes, *np.meshgrid(at_x, at_y), cv2.INTER_LINEAR)
+        super().__init__(np.ascontiguousarray(np.moveaxis(flow, -1, 0)))
+
+
+def _late(y: np.ndarray, readout: float, shape: tuple[int, int]) -> np.ndarray:
+    """Return how much later than the middle row rows are read, intervals."""
+    return readout * (y - (shape[0] - 1) / 2) / shape[0]
+
+
+def _twist(pose: np.ndarray, after: np.ndarray) -> np.ndarray:
+    motion = np.linalg.inv(after) @ pose
+    return rigid_twist(motion[:3, :3], motion[:3, 3])

@@ -1,0 +1,122 @@
+"""The way of a camera that reads row after row: readout and path, found in turn."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping import Model, View
+from tisfm.reconstruction.shutter import Rolling, rates_of
+from tisfm.reconstruction.shutter_estimate import ReadoutEstimate, estimate_readout
+from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.unrolling import Unrolling
+from tisfm.reconstruction.way import Piece, Way
+
+SEEN = 4.0  # deviations from 0: of a readout that is taken
+MOST = 1.0  # interval: a frame has been read when the next one begins
+ROUNDS, SAME = 4, 0.02  # of path and readout, at most; and a change that is none
+KNOWN_ROUNDS = 2  # of a path whose readout is known
+# A path that was found with too little readout hides a part of the rest: how much of each change
+# is foreseen to come again, at most.
+HIDDEN = 0.6
+
+Near = Callable[[list[View], list[Seen], Sequence[Piece]], Way]
+
+
+def unrolled_way(
+    way: Way,
+    near: Near,
+    matches: Mapping[tuple[int, int], np.ndarray],
+    instants: np.ndarray,
+    readout: float | None,
+    shape: tuple[int, int],
+) -> tuple[Way, Rolling | None]:
+    """Return the way of middle rows, and how frames moved while they were read.
+
+    If all rows seem to be read at once, it is the way as it was, and None.
+
+    Parameters
+    ----------
+    way : Way
+        Found as if all rows were read at once.
+    near : callable
+        Returns the way through other views and tracks, which are what a pinhole sees, near those
+        of pieces.
+    matches : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views: indices of their detected points that are the same.
+    instants : (N,) array
+        When each frame was taken, in intervals between frames of the source.
+    readout : float or None
+        If it is known.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    camera = way.camera.pinhole()
+    views = [_straight(view, seen=way.seen[view.frame], lens=way.camera, shape=shape)
+             for view in way.views]  # fmt: skip
+    found, rolling = way, None
+    value, deviation, change = readout or 0.0, 0.0, 0.0
+    for number in range(ROUNDS if readout is None else KNOWN_ROUNDS):
+        if readout is None:
+            estimate = _estimate(found, views, matches, instants, camera, shape, begun=value)
+            if estimate is None or (not number and not _is_seen(estimate)):
+                break
+            before, change = change, estimate.readout - value
+            if number and abs(change) < SAME:
+                break
+            hidden = min(max(change / before, 0.0), HIDDEN) if before else 0.0
+            value, last = _taken(value + change / (1 - hidden)), value
+            deviation = estimate.deviation
+            if number and value == last:  # it is as much as it can be
+                break
+        models = [Model(poses=piece.poses, points=piece.points) for piece in found.pieces]
+        unrolling = Unrolling(way.seen, models, instants, value, deviation, camera, shape)
+        rolling = unrolling.rolling
+        found = near(
+            [unrolling.view(view) for view in views],
+            [unrolling.tracks(frame) for frame in range(len(way.seen))],
+            found.pieces,
+        )
+        if not found.pieces:
+            return way, None
+    return found, rolling
+
+
+def _is_seen(estimate: ReadoutEstimate) -> bool:
+    return abs(estimate.readout) > SEEN * estimate.deviation
+
+
+def _taken(readout: float) -> float:
+    """Return a readout as it is taken: whole thousandths, so that no rounding gets further."""
+    return round(min(max(readout, -MOST), MOST), 3)
+
+
+def _estimate(
+    way: Way,
+    views: list[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    instants: np.ndarray,
+    camera: Camera,
+    shape: tuple[int, int],
+    *,
+    begun: float,
+) -> ReadoutEstimate | None:
+    """Return the readout that the largest piece shows."""
+    if not way.pieces:
+        return None
+    largest = max(way.pieces, key=lambda piece: len(piece.views))
+    rates = rates_of(largest.poses, instants)
+    return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)
+
+
+def _straight(view: View, *, seen: Seen, lens: Camera, shape: tuple[int, int]) -> View:
+    """Return a view as a pinhole has it, with tracks that are so already."""
+    if lens.is_pinhole or not len(view.detected):
+        return View(frame=view.frame, seen=seen, detected=view.detected)
+    cx, cy = lens.center_for(*shape)
+    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
+    detected = cv2.undistortPoints(
+        view.detected[:, None], matrix, np.array(lens.distortion), P=matrix
+    )
+    return View(frame=view.frame, seen=seen, detected=detected[:, 0])

@@ -1,0 +1,105 @@
+"""Tracks and views as they would be if a camera read all rows at once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping import Model, View
+from tisfm.reconstruction.shutter import Rolling, at_middle, rates_of
+from tisfm.reconstruction.tracks import Seen
+
+NEAR = 3  # tracks around a point, whose median depth it is taken to have
+
+
+class Unrolling:
+    """Undoes what a readout does to the points of frames.
+
+    Parameters
+    ----------
+    seen : sequence of Seen
+        Tracks of every frame, as the camera sees them.
+    pieces : sequence of Model
+        A frame is in one of them at most.
+    instants : (N,) array
+        When each frame was taken, in intervals.
+    readout, deviation : float
+        As in `Rolling`.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+
+    Attributes
+    ----------
+    rolling : Rolling
+    """
+
+    def __init__(
+        self,
+        seen: Sequence[Seen],
+        pieces: Sequence[Model],
+        instants: np.ndarray,
+        readout: float,
+        deviation: float,
+        camera: Camera,
+        shape: tuple[int, int],
+    ) -> None:
+        self._seen, self._camera, self._shape = seen, camera, shape
+        rates: dict[int, np.ndarray] = {}
+        usual: dict[int, float] = {}
+        self._depths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        for piece in pieces:
+            for frame, rate in rates_of(piece.poses, instants).items():
+                depth, known = _depths(seen[frame], piece.points, piece.poses[frame])
+                if known.any():
+                    rates[frame], usual[frame] = rate, 1 / float(np.median(depth[known]))
+                    self._depths[frame] = depth, known
+        self.rolling = Rolling(
+            readout=readout, deviation=deviation, rates=rates, inverse_depth=usual
+        )
+
+    def tracks(self, frame: int) -> Seen:
+        """Return the tracks of a frame; those that would lie outside of it are left out."""
+        seen = self._seen[frame]
+        if frame not in self._depths:
+            return seen
+        depth, known = self._depths[frame]
+        usual = 1 / self.rolling.inverse_depth[frame]
+        points = self._moved(frame, seen.points, np.where(known, depth, usual))
+        height, width = self._shape
+        inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
+        return Seen(points=points[inside], tracks=seen.tracks[inside])
+
+    def view(self, view: View) -> View:
+        """Return a view; of its detected points, all are there."""
+        frame = view.frame
+        if frame not in self._depths or not len(view.detected):
+            return replace(view, seen=self.tracks(frame))
+        depth, known = self._depths[frame]
+        _, near = cKDTree(self._seen[frame].points[known]).query(
+            view.detected, k=min(NEAR, int(known.sum()))
+        )
+        around = np.median(depth[known][near].reshape(len(view.detected), -1), axis=1)
+        return replace(
+            view, seen=self.tracks(frame), detected=self._moved(frame, view.detected, around)
+        )
+
+    def _moved(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        rolling = self.rolling
+        return at_middle(
+            points, depth, rolling.rates[frame], rolling.readout, self._camera, self._shape
+        )
+
+
+def _depths(
+    seen: Seen, points: Mapping[int, np.ndarray], pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Z of every track of a frame, (N,), and which are known and before the camera, (N,)."""
+    known = np.array([track in points for track in seen.tracks.tolist()], bool)
+    world = np.array([points[track] for track in seen.tracks[known].tolist()]).reshape(-1, 3)
+    depth = np.ones(len(seen.tracks))
+    depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]
+    return depth, known & (depth > 0)

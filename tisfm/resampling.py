@@ -1,0 +1,82 @@
+"""Images taken to another grid: each pixel from where a map leads to."""
+
+import numpy as np
+
+from tisfm.solver.sampling import goes_to, sample
+from tisfm.visibility.occlusion import leaves_image
+
+
+class Resampling:
+    """The map from an image to another one of its size.
+
+    Parameters
+    ----------
+    flow : (2, H, W) float32
+        From each pixel of the new image to where the old one has it, px.
+    known : (H, W) bool, optional
+        Where that is to be relied on; by default everywhere.
+
+    Attributes
+    ----------
+    valid : (H, W) bool
+        Where the new image has data: the map leads to inside the old one.
+    """
+
+    def __init__(self, flow: np.ndarray, known: np.ndarray | None = None) -> None:
+        self._flow = flow
+        self.valid: np.ndarray = ~leaves_image(flow)
+        if known is not None:
+            self.valid &= known
+
+    def apply(self, image: np.ndarray) -> np.ndarray:
+        """Return the new image, sampled from the old one by its cubic spline.
+
+        Parameters
+        ----------
+        image : (H, W) or (H, W, 3) array
+            uint8, uint16 or float.
+
+        Returns
+        -------
+        array of the image's shape and type
+            No value lies beyond the image's own least and greatest one. Where there are no data,
+            the border is repeated.
+        """
+        if image.ndim == 3:
+            return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)
+        values = sample(image.astype(np.float32, order="C"), self._flow)
+        if np.issubdtype(image.dtype, np.integer):
+            np.rint(values, out=values)
+        return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
+
+    def nearest(self, values: np.ndarray) -> np.ndarray:
+        """Return a map of values as the new image has it, each from the nearest pixel.
+
+        Parameters
+        ----------
+        values : (H, W) float array
+            Such as depth.
+
+        Returns
+        -------
+        (H, W) array of the same type
+            NaN where there are no data.
+        """
+        height, width = self.valid.shape
+        x = np.rint(self._flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
+        y = np.rint(self._flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
+        return np.where(self.valid, values[y.astype(np.intp), x], values.dtype.type(np.nan))
+
+    def missing(self, flow: np.ndarray) -> np.ndarray:
+        """Return which pixels have no data, or go to where frame 1 has none.
+
+        Parameters
+        ----------
+        flow : (2, H, W) float32
+            Image motion between two new images, px/frame.
+
+        Returns
+        -------
+        (H, W) bool
+        """
+        return ~(self.valid & self.valid[goes_to(flow)])
