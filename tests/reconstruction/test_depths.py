@@ -9,7 +9,13 @@ import tisfm
 from tests.reconstruction.films import walk
 from tisfm import Settings
 from tisfm.reconstruction import depths
-from tisfm.reconstruction.compared_depth import GUESSED, MOST_APART, apart_from, filled
+from tisfm.reconstruction.compared_depth import (
+    GUESSED,
+    MOST_APART,
+    apart_from,
+    at_every_pixel,
+    filled,
+)
 from tisfm.reconstruction.depths import effort_of
 from tisfm.rigid import pose_matrix
 
@@ -83,6 +89,26 @@ def test_holes_end_at_the_edges_of_the_frame():
 def test_nothing_is_made_of_nothing():
     inverse_depth, deviation = filled(flat(np.nan), flat(np.nan), flat(100))
     assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
+
+
+@pytest.mark.parametrize("stride", [1, 2, 4])
+def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
+    plane = slanted()
+    found = at_every_pixel(plane[::stride, ::stride], stride, SHAPE)
+    assert found.shape == SHAPE and found.flags.c_contiguous
+    inside = np.s_[: 1 - stride or None, : 1 - stride or None]  # beyond, the last pixel stays
+    np.testing.assert_allclose(found[inside], plane[inside], rtol=1e-6)
+
+
+def test_nothing_lies_between_two_surfaces():
+    depth = flat(0.5)
+    depth[:, 41:], depth[:20, :10] = 1.0, np.nan
+    found = at_every_pixel(depth[::2, ::2], 2, SHAPE)
+    assert set(np.unique(found[np.isfinite(found)])) == {np.float32(0.5), np.float32(1.0)}
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(depth))
+    np.testing.assert_array_equal(
+        found[30:], np.where(np.arange(80) < 42, 0.5, 1.0)[None] + 0 * found[30:]
+    )
 
 
 def within_one(film, poses):

@@ -13,6 +13,7 @@ from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
 
 DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
+SMOOTH = 0.05  # of a value: neighbours that differ by more lie on different surfaces
 # Differences count in a window of so much of the longer side, and for no more than so much each;
 # the median of all counts for as many pixels' worth, as a share of the window.
 NEARBY, MOST_APART, USUAL = 0.05, 0.5, 0.02
@@ -99,3 +100,35 @@ def filled(
         np.where(known, inverse_depth, value).astype(np.float32),
         np.where(known, deviation, GUESSED * value).astype(np.float32),
     )
+
+
+def at_every_pixel(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return an image of some pixels at all of them: between two that are alike, their mean.
+
+    Where they are not, the image has an edge, and the one before stands for both.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+        Of every pixel in `stride` rows and columns, from 0; positive, or NaN.
+    stride : int
+        A power of 2.
+    shape : (int, int)
+        H and W.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    while stride > 1:
+        image = _twice_the_rows(_twice_the_rows(image).T).T
+        stride //= 2
+    return np.ascontiguousarray(image[: shape[0], : shape[1]])
+
+
+def _twice_the_rows(image: np.ndarray) -> np.ndarray:
+    out = image.repeat(2, axis=0)
+    before, after = image[:-1], image[1:]
+    alike = np.abs(after - before) < SMOOTH * np.minimum(before, after)
+    out[1:-1:2] = np.where(alike, (before + after) / 2, before)
+    return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.adjustment import Star, star_of
-from tisfm.reconstruction.compared_depth import apart_from, filled, merged
+from tisfm.reconstruction.compared_depth import apart_from, at_every_pixel, filled, merged
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.path import Piece
@@ -128,7 +128,7 @@ class PieceDepths:
         found = self._known[key]
         others = [self._shown(self._known[k], k, key, COMPARED)[0] for k in self._known if k != key]
         rough = found.inverse_depth[::COMPARED, ::COMPARED]
-        apart = np.float32(APART) * _repeated(
+        apart = np.float32(APART) * at_every_pixel(
             apart_from(rough, others), COMPARED, self._frames.shape
         )
         deviation = np.hypot(found.deviation, apart * found.inverse_depth)
@@ -240,14 +240,7 @@ class PieceDepths:
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
         found, spread = filled(inverse_depth, deviation, grey)
         shape = self._frames.shape
-        return _repeated(found, stride, shape), _repeated(spread, stride, shape)
-
-
-def _repeated(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return an image of every pixel in `stride` rows and columns, each repeated."""
-    if stride == 1:
-        return image
-    return image.repeat(stride, axis=0).repeat(stride, axis=1)[: shape[0], : shape[1]]
+        return at_every_pixel(found, stride, shape), at_every_pixel(spread, stride, shape)
 
 
 def chosen_keyframes(
