@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.reconstruction.films import walk
+from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction import depths
 from tisfm.reconstruction.compared_depth import (
@@ -15,6 +15,8 @@ from tisfm.reconstruction.compared_depth import (
     apart_from,
     at_every_pixel,
     filled,
+    together,
+    unsure_where_apart,
 )
 from tisfm.reconstruction.depths import effort_of
 from tisfm.rigid import pose_matrix
@@ -54,6 +56,34 @@ def test_it_counts_where_it_is_and_else_as_usual():
     assert (apart[:, 35:48] < 0.02).all()
     np.testing.assert_allclose(apart[:, 55:], 0.2, rtol=1e-5)  # the median of what is compared
     assert apart.dtype == np.float32
+
+
+def test_what_shows_nothing_is_not_compared():
+    mine = flat()
+    mine[:, :40] = np.nan
+    apart = apart_from(mine, [flat(0.55)])
+    np.testing.assert_allclose(apart[:, 60:], 0.1, rtol=1e-5)
+    assert np.isfinite(apart).all()
+
+
+def test_views_are_unsure_by_what_others_say():
+    views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
+    first, second, third = unsure_where_apart(views, 2.0)
+    np.testing.assert_array_equal(first[0], 0.5)
+    np.testing.assert_allclose(first[1], np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(second[1], np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(third[1], np.hypot(0.01, 2 * 0.25 * 0.4), rtol=1e-5)
+
+
+def test_together_they_say_what_most_say():
+    one, other = flat(0.5), flat(0.52)
+    wrong = flat(0.9)
+    one[:, :20] = other[:, :20] = wrong[:, :10] = np.nan
+    depth, deviation = together([(each, 0.1 * each) for each in (wrong, one, other)])
+    assert np.isnan(depth[:, :10]).all() and np.isnan(deviation[:, :10]).all()
+    np.testing.assert_allclose(depth[:, 10:20], 0.9, rtol=1e-6)
+    np.testing.assert_allclose(depth[:, 20:], 0.51, rtol=1e-5)
+    np.testing.assert_allclose(deviation[:, 20:], 0.051, rtol=1e-5)  # no surer than they are
 
 
 def slanted():
@@ -146,3 +176,15 @@ def test_effort_follows_what_a_pair_takes():
     assert effort_of(replace(balanced, warps=3)) == "accurate"
     assert effort_of(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
     assert effort_of(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"
+
+
+def test_keyframes_are_righter_together(monkeypatch):
+    film = walk()
+
+    def error():
+        found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses)
+        return np.mean([depth_error(found.depth(k), film.depth[k]) for k in found.keyframes])
+
+    both = error()
+    monkeypatch.setattr(depths, "together", lambda views: views[0])
+    assert both < 0.96 * error()

@@ -55,6 +55,7 @@ from tisfm.reference.linear_system import (
     sweep_lexicographic,
     sweep_red_black,
 )
+from tisfm.reference.merging import merged
 from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
@@ -126,6 +127,7 @@ __all__ = [
     "local_matrices",
     "local_right_sides",
     "matching_cost",
+    "merged",
     "minimise",
     "minimise_second_order",
     "motion_jacobian",
