@@ -19,6 +19,7 @@ from tisfm.reconstruction.compared_depth import (
     unsure_where_apart,
 )
 from tisfm.reconstruction.depths import effort_of
+from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")
@@ -116,9 +117,29 @@ def test_holes_end_at_the_edges_of_the_frame():
     np.testing.assert_allclose(inverse_depth[:, 41:50], 1.0, rtol=0.05)
 
 
+@pytest.mark.parametrize("beside", [39, 41])
+def test_surfaces_end_where_the_frame_has_an_edge(beside):
+    column = np.arange(SHAPE[1])
+    depth, frame = flat(0.5), flat(50)
+    depth[:, column >= beside], frame[:, column >= 40] = 1.0, 150
+    found, deviation = on_own_edges(depth, 0.1 * depth, frame)
+    expected = np.where(column < 40, 0.5, 1.0)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, SHAPE), rtol=1e-6)
+    np.testing.assert_allclose(deviation, 0.1 * found, rtol=1e-6)
+
+
+def test_planes_have_no_edges():
+    plane = slanted()
+    frame = flat(50)
+    frame[:, 40:] = 150
+    found, _ = on_own_edges(plane, 0.1 * plane, frame)
+    np.testing.assert_array_equal(found, plane)
+
+
 def test_nothing_is_made_of_nothing():
     inverse_depth, deviation = filled(flat(np.nan), flat(np.nan), flat(100))
     assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
+    assert np.isnan(on_own_edges(inverse_depth, deviation, flat(100))[0]).all()
 
 
 @pytest.mark.parametrize("stride", [1, 2, 4])

@@ -18,6 +18,7 @@ from tisfm.reconstruction.compared_depth import (
 )
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
+from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.tracks import Seen
@@ -245,7 +246,7 @@ class PieceDepths:
         views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
         inverse_depth, deviation = together(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        found, spread = filled(inverse_depth, deviation, grey)
+        found, spread = on_own_edges(*filled(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
         return at_every_pixel(found, stride, shape), at_every_pixel(spread, stride, shape)
 

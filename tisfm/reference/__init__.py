@@ -96,6 +96,7 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
+from tisfm.reference.surface_edges import by_look
 
 __all__ = [
     "Minimisation",
@@ -108,6 +109,7 @@ __all__ = [
     "aubert",
     "best_mean",
     "brightness_tensor",
+    "by_look",
     "coarse_to_fine",
     "constancy_constraints",
     "constancy_tensors",

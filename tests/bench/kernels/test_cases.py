@@ -26,11 +26,12 @@ def test_every_kernel_has_its_traffic():
 
 
 # Not timed: no reference improves or carries displacements of all pixels at once, those of fusion,
-# rendering and merging go point by point.
+# rendering, merging and edges go point by point.
 AS_A_WHOLE = {
     "rigid.flow_search",
     "rigid.merging",
     "rigid.rendering",
+    "rigid.surface_edges",
     "fusion.agreement",
     "fusion.colors",
     "fusion.distance_field",
