@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.reconstruction.films import walk
+from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction import depths
-from tisfm.reconstruction.compared_depth import GUESSED, MOST_APART, apart_from, filled
+from tisfm.reconstruction.compared_depth import (
+    GUESSED,
+    MOST_APART,
+    apart_from,
+    at_every_pixel,
+    filled,
+    together,
+    unsure_where_apart,
+)
 from tisfm.reconstruction.depths import effort_of
+from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")
@@ -50,6 +59,34 @@ def test_it_counts_where_it_is_and_else_as_usual():
     assert apart.dtype == np.float32
 
 
+def test_what_shows_nothing_is_not_compared():
+    mine = flat()
+    mine[:, :40] = np.nan
+    apart = apart_from(mine, [flat(0.55)])
+    np.testing.assert_allclose(apart[:, 60:], 0.1, rtol=1e-5)
+    assert np.isfinite(apart).all()
+
+
+def test_views_are_unsure_by_what_others_say():
+    views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
+    first, second, third = unsure_where_apart(views, 2.0)
+    np.testing.assert_array_equal(first[0], 0.5)
+    np.testing.assert_allclose(first[1], np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(second[1], np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(third[1], np.hypot(0.01, 2 * 0.25 * 0.4), rtol=1e-5)
+
+
+def test_together_they_say_what_most_say():
+    one, other = flat(0.5), flat(0.52)
+    wrong = flat(0.9)
+    one[:, :20] = other[:, :20] = wrong[:, :10] = np.nan
+    depth, deviation = together([(each, 0.1 * each) for each in (wrong, one, other)])
+    assert np.isnan(depth[:, :10]).all() and np.isnan(deviation[:, :10]).all()
+    np.testing.assert_allclose(depth[:, 10:20], 0.9, rtol=1e-6)
+    np.testing.assert_allclose(depth[:, 20:], 0.51, rtol=1e-5)
+    np.testing.assert_allclose(deviation[:, 20:], 0.051, rtol=1e-5)  # no surer than they are
+
+
 def slanted():
     """Return the inverse depth of a plane."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -80,9 +117,49 @@ def test_holes_end_at_the_edges_of_the_frame():
     np.testing.assert_allclose(inverse_depth[:, 41:50], 1.0, rtol=0.05)
 
 
+@pytest.mark.parametrize("beside", [39, 41])
+def test_surfaces_end_where_the_frame_has_an_edge(beside):
+    column = np.arange(SHAPE[1])
+    depth, frame = flat(0.5), flat(50)
+    depth[:, column >= beside], frame[:, column >= 40] = 1.0, 150
+    found, deviation = on_own_edges(depth, 0.1 * depth, frame)
+    expected = np.where(column < 40, 0.5, 1.0)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, SHAPE), rtol=1e-6)
+    np.testing.assert_allclose(deviation, 0.1 * found, rtol=1e-6)
+
+
+def test_planes_have_no_edges():
+    plane = slanted()
+    frame = flat(50)
+    frame[:, 40:] = 150
+    found, _ = on_own_edges(plane, 0.1 * plane, frame)
+    np.testing.assert_array_equal(found, plane)
+
+
 def test_nothing_is_made_of_nothing():
     inverse_depth, deviation = filled(flat(np.nan), flat(np.nan), flat(100))
     assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
+    assert np.isnan(on_own_edges(inverse_depth, deviation, flat(100))[0]).all()
+
+
+@pytest.mark.parametrize("stride", [1, 2, 4])
+def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
+    plane = slanted()
+    found = at_every_pixel(plane[::stride, ::stride], stride, SHAPE)
+    assert found.shape == SHAPE and found.flags.c_contiguous
+    inside = np.s_[: 1 - stride or None, : 1 - stride or None]  # beyond, the last pixel stays
+    np.testing.assert_allclose(found[inside], plane[inside], rtol=1e-6)
+
+
+def test_nothing_lies_between_two_surfaces():
+    depth = flat(0.5)
+    depth[:, 41:], depth[:20, :10] = 1.0, np.nan
+    found = at_every_pixel(depth[::2, ::2], 2, SHAPE)
+    assert set(np.unique(found[np.isfinite(found)])) == {np.float32(0.5), np.float32(1.0)}
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(depth))
+    np.testing.assert_array_equal(
+        found[30:], np.where(np.arange(80) < 42, 0.5, 1.0)[None] + 0 * found[30:]
+    )
 
 
 def within_one(film, poses):
@@ -120,3 +197,15 @@ def test_effort_follows_what_a_pair_takes():
     assert effort_of(replace(balanced, warps=3)) == "accurate"
     assert effort_of(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
     assert effort_of(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"
+
+
+def test_keyframes_are_righter_together(monkeypatch):
+    film = walk()
+
+    def error():
+        found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses)
+        return np.mean([depth_error(found.depth(k), film.depth[k]) for k in found.keyframes])
+
+    both = error()
+    monkeypatch.setattr(depths, "together", lambda views: views[0])
+    assert both < 0.96 * error()

@@ -8,16 +8,21 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from tisfm.kernels.rigid.merging import merged
 from tisfm.reconstruction.window_depth import FURTHEST, FURTHEST_SHARE, second_order
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
 
 DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
+SMOOTH = 0.05  # of a value: neighbours that differ by more lie on different surfaces
 # Differences count in a window of so much of the longer side, and for no more than so much each;
 # the median of all counts for as many pixels' worth, as a share of the window.
 NEARBY, MOST_APART, USUAL = 0.05, 0.5, 0.02
 GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
 CELLS, SPAN = 2**13, 20.0  # at most, to fill holes with; and their median of D, in their sides
+
+
+View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
 
 
 def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
@@ -26,7 +31,7 @@ def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.nd
     Parameters
     ----------
     inverse_depth : (H, W) float32
-        Positive everywhere.
+        Positive, or NaN: there it is not compared.
     others : sequence of (H, W) float32
 
     Returns
@@ -36,9 +41,9 @@ def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.nd
     """
     total, count = np.zeros((2, *inverse_depth.shape), np.float32)
     for other in others:
-        shown = np.isfinite(other)
-        share = np.abs(np.where(shown, other, inverse_depth) - inverse_depth) / inverse_depth
-        total += np.minimum(share, np.float32(MOST_APART))
+        share = np.abs(other - inverse_depth) / inverse_depth
+        shown = np.isfinite(share)
+        total += np.where(shown, np.minimum(share, np.float32(MOST_APART)), 0)
         count += shown
     seen = count > 0
     if not seen.any():
@@ -50,22 +55,33 @@ def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.nd
     return apart
 
 
-def merged(
-    first: np.ndarray, deviation0: np.ndarray, second: np.ndarray, deviation1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what two views say of the same pixels: the mean where they agree, else the surer."""
-    both = np.isfinite(first) & np.isfinite(second)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        alike = both & (np.abs(first - second) < DISAGREE * np.maximum(first, second))
-        weight0, weight1 = 1 / deviation0**2, 1 / deviation1**2
-        mean = (weight0 * first + weight1 * second) / (weight0 + weight1)
-        surer = deviation0 / first <= deviation1 / second
-    inverse_depth = np.where(np.isfinite(first) & (~both | surer), first, second)
-    deviation = np.where(np.isfinite(first) & (~both | surer), deviation0, deviation1)
-    # Both come from overlapping sets of images: their mean is not surer than the surer of them.
-    return np.where(alike, mean, inverse_depth), np.where(
-        alike, np.minimum(deviation0, deviation1), deviation
-    )
+def unsure_where_apart(views: Sequence[View], times: float) -> list[View]:
+    """Return views as unsure as the others contradict each: `times` how far they are from it."""
+    depths = [depth for depth, _ in views]
+    unsure = []
+    for number, (depth, deviation) in enumerate(views):
+        apart = np.float32(times) * apart_from(depth, depths[:number] + depths[number + 1 :])
+        unsure.append((depth, np.hypot(deviation, apart * depth)))
+    return unsure
+
+
+def together(views: Sequence[View]) -> View:
+    """Return what several keyframes say of the same pixels: the mean of those that agree most.
+
+    Parameters
+    ----------
+    views : sequence of View
+        NaN where there is none.
+
+    Returns
+    -------
+    inverse_depth, deviation : (H, W) float32
+        The same. Keyframes are of overlapping sets of images: their mean is no surer than they are.
+    """
+    depths, spreads = (np.nan_to_num(np.stack(each), posinf=0) for each in zip(*views, strict=True))
+    out, deviation = np.empty((2, *depths.shape[1:]), np.float32)
+    merged(depths, spreads, out, deviation, alike=DISAGREE)
+    return np.where(out > 0, out, np.nan), np.where(out > 0, deviation, np.nan)
 
 
 def filled(
@@ -99,3 +115,35 @@ def filled(
         np.where(known, inverse_depth, value).astype(np.float32),
         np.where(known, deviation, GUESSED * value).astype(np.float32),
     )
+
+
+def at_every_pixel(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return an image of some pixels at all of them: between two that are alike, their mean.
+
+    Where they are not, the image has an edge, and the one before stands for both.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+        Of every pixel in `stride` rows and columns, from 0; positive, or NaN.
+    stride : int
+        A power of 2.
+    shape : (int, int)
+        H and W.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    while stride > 1:
+        image = _twice_the_rows(_twice_the_rows(image).T).T
+        stride //= 2
+    return np.ascontiguousarray(image[: shape[0], : shape[1]])
+
+
+def _twice_the_rows(image: np.ndarray) -> np.ndarray:
+    out = image.repeat(2, axis=0)
+    before, after = image[:-1], image[1:]
+    alike = np.abs(after - before) < SMOOTH * np.minimum(before, after)
+    out[1:-1:2] = np.where(alike, (before + after) / 2, before)
+    return out

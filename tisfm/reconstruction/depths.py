@@ -9,9 +9,16 @@ import numpy as np
 
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.adjustment import Star, star_of
-from tisfm.reconstruction.compared_depth import apart_from, filled, merged
+from tisfm.reconstruction.compared_depth import (
+    View,
+    at_every_pixel,
+    filled,
+    together,
+    unsure_where_apart,
+)
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
+from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.tracks import Seen
@@ -69,7 +76,8 @@ class PieceDepths:
     keyframes : list of int
         Chosen beforehand; those without depth are taken out as they turn up.
     settled : dict of int to WindowDepth
-        Of the keyframe that came last, and the one before, as they are written.
+        Of the keyframe that came last, and the one before, as they are written: together with
+        those before and after them.
     """
 
     def __init__(
@@ -121,18 +129,22 @@ class PieceDepths:
         self.settled = {key: found}
 
     def _compared(self, key: int) -> WindowDepth:
-        """Return the depth of a keyframe, as unsure as those before and after it differ from it.
+        """Return the depth of a keyframe and of those before and after it, together.
 
-        They say the same but for errors of poses and of matches, which a window knows nothing of.
+        It is as unsure as they differ from it. They say the same but for errors of poses and of
+        matches, which a window knows nothing of.
         """
         found = self._known[key]
-        others = [self._shown(self._known[k], k, key, COMPARED)[0] for k in self._known if k != key]
-        rough = found.inverse_depth[::COMPARED, ::COMPARED]
-        apart = np.float32(APART) * _repeated(
-            apart_from(rough, others), COMPARED, self._frames.shape
+        shape = self._frames.shape
+        own, spread = (
+            image[::COMPARED, ::COMPARED] for image in (found.inverse_depth, found.deviation)
         )
-        deviation = np.hypot(found.deviation, apart * found.inverse_depth)
-        return replace(found, deviation=deviation)
+        others = [self._shown(self._known[k], k, key, COMPARED) for k in self._known if k != key]
+        mean, deviation = together(unsure_where_apart([(own, spread), *others], APART))
+        # Its own is known at every pixel: what is carried there is by how much others correct it.
+        inverse_depth = found.inverse_depth * at_every_pixel(mean / own, COMPARED, shape)
+        deviation = at_every_pixel(deviation, COMPARED, shape)
+        return replace(found, inverse_depth=inverse_depth, deviation=deviation)
 
     def stars(self) -> list[Star]:
         """Return the keyframes with a rough depth, each with the frames up to the next ones."""
@@ -203,9 +215,7 @@ class PieceDepths:
             masks=[self._frames.counted(f) for f in chosen],
         )
 
-    def _shown(
-        self, known: WindowDepth, key: int, frame: int, stride: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _shown(self, known: WindowDepth, key: int, frame: int, stride: int) -> View:
         """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none.
 
         They are of every pixel in `stride` rows and columns, from 0.
@@ -230,24 +240,15 @@ class PieceDepths:
         seen = out > 0
         return np.where(seen, out, np.nan), np.where(seen, deviation, np.nan)
 
-    def _rendered(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def _rendered(self, frame: int) -> View:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
         stride = SHOWN[self._effort]
         views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
-        inverse_depth, deviation = views[0]
-        for other, its_deviation in views[1:]:
-            inverse_depth, deviation = merged(inverse_depth, deviation, other, its_deviation)
+        inverse_depth, deviation = together(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        found, spread = filled(inverse_depth, deviation, grey)
+        found, spread = on_own_edges(*filled(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
-        return _repeated(found, stride, shape), _repeated(spread, stride, shape)
-
-
-def _repeated(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return an image of every pixel in `stride` rows and columns, each repeated."""
-    if stride == 1:
-        return image
-    return image.repeat(stride, axis=0).repeat(stride, axis=1)[: shape[0], : shape[1]]
+        return at_every_pixel(found, stride, shape), at_every_pixel(spread, stride, shape)
 
 
 def chosen_keyframes(

@@ -55,6 +55,7 @@ from tisfm.reference.linear_system import (
     sweep_lexicographic,
     sweep_red_black,
 )
+from tisfm.reference.merging import merged
 from tisfm.reference.minimisation import (
     Minimisation,
     minimise,
@@ -95,6 +96,7 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
+from tisfm.reference.surface_edges import by_look
 
 __all__ = [
     "Minimisation",
@@ -107,6 +109,7 @@ __all__ = [
     "aubert",
     "best_mean",
     "brightness_tensor",
+    "by_look",
     "coarse_to_fine",
     "constancy_constraints",
     "constancy_tensors",
@@ -126,6 +129,7 @@ __all__ = [
     "local_matrices",
     "local_right_sides",
     "matching_cost",
+    "merged",
     "minimise",
     "minimise_second_order",
     "motion_jacobian",

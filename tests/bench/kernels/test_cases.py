@@ -25,11 +25,13 @@ def test_every_kernel_has_its_traffic():
         assert callable(getattr(side, case.step))
 
 
-# Not timed: no reference improves or carries displacements of all pixels at once, those of fusion
-# and rendering go point by point.
+# Not timed: no reference improves or carries displacements of all pixels at once, those of fusion,
+# rendering, merging and edges go point by point.
 AS_A_WHOLE = {
     "rigid.flow_search",
+    "rigid.merging",
     "rigid.rendering",
+    "rigid.surface_edges",
     "fusion.agreement",
     "fusion.colors",
     "fusion.distance_field",

@@ -1,0 +1,47 @@
+"""Depth that a frame has from others, with the edges of surfaces where the frame itself has edges.
+
+Depth that is rendered ends raggedly: edges lie where each of several keyframes has them.
+"""
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
+
+JUMP = 0.1  # of the inverse depth: neighbours that differ by more lie on two surfaces
+SIMILAR = 10.0  # grey levels: pixels that differ by so much count 1/e as much
+
+
+def on_own_edges(
+    inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth and its deviation, its edges moved to those of the frame nearby.
+
+    Parameters
+    ----------
+    inverse_depth, deviation, frame : (H, W) float32
+        The frame has grey levels. Nothing changes where inverse depth is not known.
+    """
+    if not np.isfinite(inverse_depth).all():
+        return inverse_depth, deviation
+    depth = np.ascontiguousarray(inverse_depth)
+    spread = np.ascontiguousarray(deviation)
+    out, out_deviation = np.empty((2, *depth.shape), np.float32)
+    by_look(depth, spread, _middle(depth), frame, out, out_deviation, similar=SIMILAR)
+    return out, out_deviation
+
+
+def _middle(inverse_depth: np.ndarray) -> np.ndarray:
+    """Return the geometric mean of the extremes nearby, where there is a jump; elsewhere 0."""
+    near, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
+    jump = _apart(inverse_depth, near)
+    # So far that a pixel beside the jump is within the window.
+    around = cv2.dilate(jump.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
+    lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
+    return np.where(around, np.sqrt(lowest * highest), np.float32(0))
+
+
+def _apart(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
+    highest = cv2.dilate(inverse_depth, window)
+    apart: np.ndarray = highest - cv2.erode(inverse_depth, window) > JUMP * highest
+    return apart
