@@ -15,7 +15,7 @@ from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
-from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -42,6 +42,16 @@ class View:
     seen: Seen
     detected: np.ndarray
 
+    @classmethod
+    def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
+        """Return the view that has these arrays."""
+        points, tracks, detected = arrays
+        return cls(frame=int(frame.item()), seen=Seen.of_arrays(points, tracks), detected=detected)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return np.array(self.frame), *self.seen.arrays(), self.detected
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
@@ -51,12 +61,12 @@ class Model:
     ----------
     poses : dict of int to (4, 4) float64
         Camera to world, by frame.
-    points : dict of int to (3,) float64
-        Positions of tracks, in the world.
+    points : TrackPoints
+        In the world.
     """
 
     poses: dict[int, np.ndarray]
-    points: dict[int, np.ndarray]
+    points: TrackPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,10 +213,9 @@ def pose_from_points(
 
     None if too few of them agree.
     """
-    known = [k for k, track in enumerate(seen.tracks.tolist()) if track in points]
+    known, world = located(seen, points)
     if len(known) < FEWEST:
         return None
-    world = np.array([points[track] for track in seen.tracks[known].tolist()])
     estimation = pycolmap().AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = INLIER
     estimation.ransac.random_seed = 0
@@ -331,7 +340,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
             tracks = views[element.image_id - 1].seen.tracks
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
-    return Model(poses=dict(sorted(poses.items())), points=points)
+    return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
 
 
 def _with_others(

@@ -1,6 +1,7 @@
 """The camera's path through a sequence."""
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,13 +10,14 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
-from tisfm.reconstruction.mapping import models_of, pose_from_points
+from tisfm.reconstruction.mapping import Model, models_of, pose_from_points
 from tisfm.reconstruction.self_calibration import (
     WORTHLESS,
     FocalEstimate,
     models_and_focal,
     without_distortion,
 )
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
 from tisfm.settings import Settings
@@ -33,13 +35,13 @@ class Piece:
         Camera to world, by frame, in order.
     views : tuple of int
         Frames that poses and points were adjusted for.
-    points : dict of int to (3,) float64
+    points : mapping of int to (3,) float64
         Positions of tracks, in the world.
     """
 
     poses: dict[int, np.ndarray]
     views: tuple[int, ...]
-    points: dict[int, np.ndarray]
+    points: Mapping[int, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +54,7 @@ class CameraPath:
         In the order of their first frames. A frame is in one of them at most.
     lost : dict of int to Status
         Frames in none of them.
-    seen : tuple of Seen
+    seen : sequence of Seen
         Tracks in every frame.
     camera : Camera
         With the focal length that poses are found with. Poses, points and tracks are those of its
@@ -63,7 +65,7 @@ class CameraPath:
 
     pieces: tuple[Piece, ...]
     lost: dict[int, Status]
-    seen: tuple[Seen, ...]
+    seen: Sequence[Seen]
     camera: Camera
     focal: FocalEstimate | None = None
 
@@ -86,8 +88,8 @@ class PathFinder:
     ) -> None:
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._tracker = Tracker(camera, TRACKING)
-        self._seen: list[Seen] = []
-        self._views = Views(camera, focal_known=calibrate == "nothing")
+        self._seen = Shelf(Seen.arrays, Seen.of_arrays)
+        self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -120,56 +122,69 @@ class PathFinder:
                 "frames are not in the order in which they were taken: most show nothing of the "
                 "frame before, but what others show; sort them, or give a video"
             )
-        camera, focal = self._camera, None
-        if self._calibrate == "nothing":
-            models = models_of(views.chosen, views.matches, camera, grey.shape)
-        else:
-            models, focal = models_and_focal(
-                views.chosen,
-                views.matches,
-                camera,
-                grey.shape,
-                self._calibrate,
-                limit=self._limit,
-            )
-            camera = camera if focal is None else focal.taken(camera)
-        seen = [without_distortion(one, camera, grey.shape) for one in self._seen]
+        models, focal = self._models()
+        camera = self._camera if focal is None else focal.taken(self._camera)
+        seen = self._straight(camera)
         pieces, unplaced = with_others(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
-            dict(enumerate(seen)),
+            seen,
+            range(len(seen)),
             camera.pinhole(),
             self._shape,
         )
         lost = {frame: why_lost(seen[frame], pieces, different) for frame in unplaced}
         ordered = sorted(pieces, key=lambda piece: min(piece.poses))
-        return CameraPath(
-            pieces=tuple(ordered), lost=lost, seen=tuple(seen), camera=camera, focal=focal
+        return CameraPath(pieces=tuple(ordered), lost=lost, seen=seen, camera=camera, focal=focal)
+
+    def _models(self) -> tuple[list[Model], FocalEstimate | None]:
+        """Return the models of views, and the focal length if it was to be found, and was."""
+        views, camera, shape = self._views, self._camera, self._shape
+        if self._calibrate == "nothing":
+            return models_of(views.chosen, views.matches, camera, shape), None
+        return models_and_focal(
+            views.chosen, views.matches, camera, shape, self._calibrate, limit=self._limit
         )
+
+    def _straight(self, lens: Camera) -> Shelf[Seen]:
+        """Return where a pinhole would see the tracks."""
+        if lens.is_pinhole:
+            return self._seen
+        straight = Shelf(Seen.arrays, Seen.of_arrays)
+        for one in self._seen:
+            straight.append(without_distortion(one, lens, self._shape))
+        return straight
 
 
 def with_others(
-    pieces: Sequence[Piece], seen: Mapping[int, Seen], camera: Camera, shape: tuple[int, int]
+    pieces: Sequence[Piece],
+    seen: Sequence[Seen],
+    frames: Iterable[int],
+    camera: Camera,
+    shape: tuple[int, int],
 ) -> tuple[list[Piece], list[int]]:
     """Add the frames between views to pieces; return those that are in none as well.
 
     Parameters
     ----------
     pieces : sequence of Piece
-    seen : mapping of int to Seen
-        Tracks, by frame.
+    seen : sequence of Seen
+        Tracks in every frame.
+    frames : iterable of int
+        Those that are to be in a piece.
     camera : Camera
         A pinhole, of the frames.
     shape : (int, int)
         Height and width of the frames, px.
     """
     placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
+    ordered = sorted(placed)
     added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
     unplaced = []
-    for frame, tracks in seen.items():
+    for frame in frames:
         if frame in placed:
             continue
-        for k in _nearest(frame, placed):
-            pose = pose_from_points(tracks, pieces[k].points, camera, shape)
+        for k in _nearest(frame, placed, ordered):
+            pose = pose_from_points(seen[frame], pieces[k].points, camera, shape)
             if pose is not None:
                 added[k][frame] = pose
                 break
@@ -210,10 +225,9 @@ def why_lost(seen: Seen, pieces: Sequence[Piece], different: int) -> Status:
     )
 
 
-def _nearest(frame: int, placed: Mapping[int, int]) -> list[int]:
+def _nearest(frame: int, placed: Mapping[int, int], ordered: Sequence[int]) -> list[int]:
     """Return the pieces of the nearest frames before and after, without repetition."""
-    before = [f for f in placed if f < frame]
-    after = [f for f in placed if f > frame]
-    near = ([max(before)] if before else []) + ([min(after)] if after else [])
+    after = bisect_left(ordered, frame)
+    near = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
     near.sort(key=lambda other: abs(other - frame))
     return list(dict.fromkeys(placed[other] for other in near))

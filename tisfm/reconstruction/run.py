@@ -1,7 +1,7 @@
 """One reconstruction, from the source to the folder: reading, the path, depth."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
@@ -133,7 +134,7 @@ class Run:
         times: list[float | None] = []
         finder: PathFinder | None = None
         tracker: Tracker | None = None
-        seen: list[Seen] = []
+        seen = Shelf(Seen.arrays, Seen.of_arrays)
         total = _count(self._source)
         with closing(self._source.frames()) as frames:
             for frame in frames:
@@ -179,7 +180,7 @@ class Run:
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
-    def _given_path(self, seen: list[Seen], poses: np.ndarray) -> CameraPath:
+    def _given_path(self, seen: Sequence[Seen], poses: np.ndarray) -> CameraPath:
         check_count(len(poses), len(seen))
         known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
         points = triangulated(seen, known, self._frames.camera, self._frames.shape)
@@ -192,7 +193,7 @@ class Run:
         return CameraPath(
             pieces=(piece,) if known else (),
             lost=lost,
-            seen=tuple(seen),
+            seen=seen,
             camera=self._frames.camera,
         )
 
@@ -210,7 +211,7 @@ class Run:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
         return found
 
-    def _adjusted(self, piece: Piece, seen: tuple[Seen, ...]) -> Piece:
+    def _adjusted(self, piece: Piece, seen: Sequence[Seen]) -> Piece:
         """Return the piece with poses adjusted to the images, if there are any to adjust."""
         from tisfm.reconstruction.adjustment import adjusted
         from tisfm.reconstruction.depths import PieceDepths, effort_of
@@ -224,7 +225,7 @@ class Run:
         return replace(piece, poses=poses)
 
     def _depths(
-        self, piece: Piece, seen: tuple[Seen, ...], done: int
+        self, piece: Piece, seen: Sequence[Seen], done: int
     ) -> tuple[dict[int, str], float]:
         """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
         if self._depth_of == "none":
@@ -254,7 +255,7 @@ class Run:
         return found, unit
 
 
-def unit_of_points(piece: Piece, seen: tuple[Seen, ...]) -> float:
+def unit_of_points(piece: Piece, seen: Sequence[Seen]) -> float:
     """Return the median depth of tracks in the first frame of a piece that shows any; 1 if none."""
     for frame, pose in piece.poses.items():
         _, depths = depths_of(seen[frame], piece.points, pose)

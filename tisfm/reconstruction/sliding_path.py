@@ -140,8 +140,10 @@ class SlidingPath:
         for model in sorted(models, key=lambda one: min(one.poses)):
             number = max([*pieces, self._pieces - 1]) + 1
             pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
-        later = {f: self.seen[f] for f in self.seen.frames() if f > self.settled}
-        complete, unplaced = with_others(list(pieces.values()), later, self.camera, self._shape)
+        later = [frame for frame in self.seen.frames() if frame > self.settled]
+        complete, unplaced = with_others(
+            list(pieces.values()), self.seen, later, self.camera, self._shape
+        )
         lost = {frame: why_lost(self.seen[frame], complete, different) for frame in unplaced}
         return Stretch(
             pieces=dict(zip(pieces, complete, strict=True)),
