@@ -120,12 +120,26 @@ class Shared:
         with self.database(known) as database:
             return grown(database, directions, len(self.views), calibrate)
 
+    def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
+        """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
+        matrices = {
+            number: np.linalg.inv(known[view.frame])[:3]
+            for number, view in enumerate(self.views, start=1)
+            if view.frame in known
+        }
+        with self.database(_camera(camera, self.shape)) as database:
+            return grown_from(database, matrices)
+
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
     ) -> list[Model]:
         """Return models of pycolmap's reconstructions, with the points of all tracks of views."""
-        models = [_model(one, self.views) for one in reconstructions]
+        models = [self.model(one) for one in reconstructions]
         return [_with_others(model, views, camera, self.shape) for model in models]
+
+    def model(self, reconstruction: Any) -> Model:
+        """Return the model of one, with the points of the tracks that it was adjusted for."""
+        return _model(reconstruction, self.views)
 
     @contextmanager
     def database(self, camera: Any) -> Iterator[Any]:
@@ -194,14 +208,8 @@ def continued(
     Model
         In the axes and the unit of the known poses; these are in it as they are.
     """
-    matrices = {
-        number: np.linalg.inv(known[view.frame])[:3]
-        for number, view in enumerate(views, start=1)
-        if view.frame in known
-    }
     shared = Shared.of(views, matches, shape)
-    with shared.database(_camera(camera, shape)) as database:
-        model = _model(grown_from(database, matrices), shared.views)
+    model = _model(shared.continued(camera, known), shared.views)
     poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
     return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
 

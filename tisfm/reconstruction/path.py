@@ -10,11 +10,13 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
-from tisfm.reconstruction.mapping import Model, models_of, pose_from_points
+from tisfm.reconstruction.mapping import Model, View, models_of, pose_from_points
+from tisfm.reconstruction.parts import MOST, focal_from_parts, models_in_parts
 from tisfm.reconstruction.self_calibration import (
     WORTHLESS,
     FocalEstimate,
     models_and_focal,
+    straight,
     without_distortion,
 )
 from tisfm.reconstruction.shelf import Shelf
@@ -139,20 +141,40 @@ class PathFinder:
     def _models(self) -> tuple[list[Model], FocalEstimate | None]:
         """Return the models of views, and the focal length if it was to be found, and was."""
         views, camera, shape = self._views, self._camera, self._shape
+        if len(views.chosen) > MOST:
+            return self._models_in_parts()
         if self._calibrate == "nothing":
             return models_of(views.chosen, views.matches, camera, shape), None
         return models_and_focal(
             views.chosen, views.matches, camera, shape, self._calibrate, limit=self._limit
         )
 
+    def _models_in_parts(self) -> tuple[list[Model], FocalEstimate | None]:
+        """Return the same of many views, in bounded memory."""
+        views, matches, shape = self._views.chosen, self._views.matches, self._shape
+        focal = None
+        if self._calibrate != "nothing":
+            focal = focal_from_parts(
+                views, matches, self._camera, shape, self._calibrate, limit=self._limit
+            )
+        lens = self._camera if focal is None else focal.taken(self._camera)
+        if not lens.is_pinhole:
+            bent, views = views, Shelf(View.arrays, View.of_arrays)
+            for view in bent:
+                seen = without_distortion(view.seen, lens, shape)
+                detected = straight(view.detected, lens, shape)
+                views.append(replace(view, seen=seen, detected=detected))
+        of_frames = self._straight(lens)
+        return models_in_parts(views, matches, lens.pinhole(), shape, of_frames), focal
+
     def _straight(self, lens: Camera) -> Shelf[Seen]:
         """Return where a pinhole would see the tracks."""
         if lens.is_pinhole:
             return self._seen
-        straight = Shelf(Seen.arrays, Seen.of_arrays)
+        found = Shelf(Seen.arrays, Seen.of_arrays)
         for one in self._seen:
-            straight.append(without_distortion(one, lens, self._shape))
-        return straight
+            found.append(without_distortion(one, lens, self._shape))
+        return found
 
 
 def with_others(
