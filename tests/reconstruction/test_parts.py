@@ -36,7 +36,7 @@ def bits():
     return hashlib.sha256(b"".join(poses)).hexdigest()
 
 
-@pytest.mark.parametrize("count", [1, 400, 401, 760, 761, 2000, 12345])
+@pytest.mark.parametrize("count", [1, 370, 371, 700, 701, 2000, 12345])
 def test_parts_overlap_and_are_no_larger_than_they_may(count):
     spans = parts_of(count)
     assert spans[0][0] == 0 and spans[-1][1] == count
@@ -104,15 +104,15 @@ def test_the_same_bits_on_one_thread():
 
 
 def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
-    shares = {0: 0.2, 360: 0.1, 720: 0.01, 1080: 0.001}  # deviation, by the first view of a part
+    shares = {0: 0.2, 330: 0.1, 660: 0.01, 990: 0.001}  # deviation, by the first view of a part
 
     def models_and_focal(views, *_, limit):
         return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]], limit=limit)
 
     monkeypatch.setattr(parts, "models_and_focal", models_and_focal)
-    views = list(range(4 * 360 + 40))
+    views = list(range(4 * 330 + 40))
     assert [begin for begin, _ in parts_of(len(views))] == list(shares)
     found = focal_from_parts(views, {}, CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 5
-    found = focal_from_parts(views[:760], {}, CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_parts(views[:700], {}, CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 50  # no part shows it well

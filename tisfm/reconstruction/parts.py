@@ -21,7 +21,7 @@ from tisfm.reconstruction.similarity_graph import Edge, placed
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen
 
-MOST, OVERLAP = 400, 40  # views of a part, at most, and of two parts that follow one another
+MOST, OVERLAP = 370, 40  # views of a part, at most, and of two parts that follow one another
 GROUPS, SMALLEST_GROUP = 120, 8  # of views: about so many, of so many views at least
 # Points that two groups share; at a joint, and where a place is seen again, those that agree, and
 # their share.

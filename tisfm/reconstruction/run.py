@@ -11,12 +11,12 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import write_camera
-from tisfm.checks import check_count
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
+from tisfm.reconstruction.given_poses import poses_of_frames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder, Piece
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
@@ -26,6 +26,7 @@ from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
+from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
 NO_PARALLAX = Status(
@@ -52,7 +53,7 @@ class Run:
     calibrate : {"nothing", "focal", "radial"}
         What of it is found from the frames.
     settings : Settings
-    poses : (N, 4, 4) array or None
+    poses : Trajectory or None
         Those that are given.
     folder : Path
         Ready to be written to.
@@ -68,7 +69,7 @@ class Run:
         camera: Camera | None,
         calibrate: Calibrate,
         settings: Settings,
-        poses: np.ndarray | None,
+        poses: Trajectory | None,
         folder: Path,
         progress: Progress | None,
         depth_of: DepthOf = "all",
@@ -169,7 +170,9 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
-        path = finder.finish() if self._given is None else self._given_path(seen, self._given)
+        path = (
+            finder.finish() if self._given is None else self._given_path(seen, self._given, times)
+        )
         ratio = path.camera.focal / self._frames.camera.focal
         if path.focal is not None:
             taken, shape = self._taken
@@ -180,15 +183,12 @@ class Run:
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
-    def _given_path(self, seen: Sequence[Seen], poses: np.ndarray) -> CameraPath:
-        check_count(len(poses), len(seen))
-        known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
+    def _given_path(
+        self, seen: Sequence[Seen], given: Trajectory, times: Sequence[float | None]
+    ) -> CameraPath:
+        poses, lost = poses_of_frames(given, times)
+        known = {k: pose for k, pose in enumerate(poses) if k not in lost}
         points = triangulated(seen, known, self._frames.camera, self._frames.shape)
-        lost = {
-            k: Status("unrelated", "no pose is given for it")
-            for k in range(len(poses))
-            if k not in known
-        }
         piece = Piece(poses=known, views=tuple(known), points=points)
         return CameraPath(
             pieces=(piece,) if known else (),
