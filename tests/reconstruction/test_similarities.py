@@ -13,7 +13,7 @@ from tisfm.reconstruction.similarities import (
     scale_of,
     step,
 )
-from tisfm.reconstruction.similarity_graph import Edge, placed
+from tisfm.reconstruction.similarity_graph import BLOCK, Edge, placed, solved
 
 TRUE = step(np.log(1.7), np.array([0.2, -0.5, 0.1]), np.array([1.0, -2.0, 0.5]))
 
@@ -119,3 +119,16 @@ def test_nodes_that_nothing_connects_are_apart():
     edges, _, _ = chain()
     found = placed(8, [*edges[:2], edge(6, 7, np.eye(4))])
     assert [list(place) for place in found] == [[0, 1, 2], [3], [4], [5], [6, 7]]
+
+
+@pytest.mark.parametrize("count", [1, BLOCK, BLOCK + 1, 3 * BLOCK - 5])
+def test_a_system_is_solved_as_linalg_does(count):
+    random = np.random.default_rng(count)
+    matrix, vector = random.normal(size=(count, count)), random.normal(size=count)
+    matrix = matrix @ matrix.T + np.eye(count)
+    matrix[:1, count // 2 :] = matrix[count // 2 :, :1] = count == 1  # some of it is empty
+    matrix += count * np.eye(count)
+    kept = matrix.copy(), vector.copy()
+    np.testing.assert_allclose(solved(matrix, vector), np.linalg.solve(matrix, vector), rtol=1e-8)
+    np.testing.assert_array_equal(matrix, kept[0])
+    np.testing.assert_array_equal(vector, kept[1])

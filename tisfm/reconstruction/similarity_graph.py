@@ -16,6 +16,7 @@ ROUNDS = 20  # of Gauss–Newton
 # Of edges that may be wrong: the misfit, as a share of the distance of points, from which on they
 # count less and less: at first, by how much less in each round, and in the end.
 DOUBTED, LESS, DOUBTED_AT_END = 1.0, 0.6, 0.02
+BLOCK = 7  # rows of the system that are eliminated at a time
 SETTLED = 1e-9  # of the unknowns: with smaller steps it ends
 
 
@@ -127,7 +128,7 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
             vector[first] += pull
             vector[second] -= pull
         change = np.zeros(7 * len(nodes))
-        change[7:] = -np.linalg.solve(matrix[7:, 7:], vector[7:])
+        change[7:] = -solved(matrix[7:, 7:], vector[7:])
         for node in nodes[1:]:
             scale, *rest = change[7 * number[node] : 7 * number[node] + 7]
             place[node] = step(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
@@ -135,6 +136,28 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
             break
         doubted = max(LESS * doubted, DOUBTED_AT_END)
     return place
+
+
+def solved(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return the solution of a symmetric, positive definite system, by elimination in blocks.
+
+    BLAS and LAPACK have other last bits with more threads. Most of the system is empty.
+    """
+    system, count = np.column_stack([matrix, vector]), len(vector)
+    begins = range(0, count, BLOCK)
+    for begin in begins:
+        end = min(begin + BLOCK, count)
+        inverse = np.linalg.inv(system[begin:end, begin:end])
+        above = np.einsum("ik,kj->ij", inverse, system[begin:end, end:])
+        below = end + np.flatnonzero(system[end:, begin:end].any(axis=1))
+        columns = np.append(below, count)
+        change = np.einsum("ik,kj->ij", system[below, begin:end], above[:, columns - end])
+        system[np.ix_(below, columns)] -= change
+        system[begin:end, end:] = above
+    for begin in reversed(begins):
+        end = min(begin + BLOCK, count)
+        system[begin:end, -1] -= (system[begin:end, end:-1] * system[end:, -1]).sum(axis=1)
+    return np.array(system[:, -1])
 
 
 def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
