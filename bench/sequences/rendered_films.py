@@ -83,6 +83,17 @@ def round_trip(count: int) -> np.ndarray:
     return _looking(places, 0.35 * np.sin(at))
 
 
+def rounds(count: int, of_round: int = 225) -> np.ndarray:
+    """Return the poses of a camera that goes round and round, each time elsewhere, looking outward.
+
+    No round is like another: they differ in width and height.
+    """
+    at = 2 * np.pi * np.arange(count) / of_round
+    radius = 0.7 + 0.15 * np.sin(at / 3.1)
+    height = 0.2 * np.sin(at / 4.3)
+    return _looking(np.stack([radius * np.sin(at), height, radius * np.cos(at)], axis=1), at)
+
+
 def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
     """Return the poses of a camera that goes, turns where it is, and goes on; step in rad."""
     going = np.array([0.035, 0, 0.02])

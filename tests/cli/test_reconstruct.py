@@ -13,7 +13,7 @@ import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
 from tisfm.camera_file import read_camera, write_camera
-from tisfm.trajectory import read_kitti, read_tum, write_kitti
+from tisfm.trajectory import read_kitti, read_tum, write_kitti, write_tum
 
 COUNT = 9
 
@@ -188,6 +188,36 @@ def test_poses_are_given_and_depth_is_in_their_unit(tisfm_run, film):
     assert code == 0
     np.testing.assert_allclose(result.poses, film.poses[:COUNT], atol=1e-6)
     assert depth_error(result.depth(3), film.depth[3]) < 0.15
+
+
+def test_poses_with_times_go_to_the_frames_nearest_in_time(tisfm_run, film, place):
+    (place / "timed").mkdir()
+    stamps = 1305031102.0 + 0.04 * np.arange(COUNT)
+    for k, stamp in enumerate(stamps):
+        (place / "film" / f"f{k}.png").rename(place / "timed" / f"{stamp:.6f}.png")
+    # Twice as many poses as frames, each a little late; none for the last frames.
+    between = np.repeat(film.poses[: COUNT - 2], 2, axis=0)[:-1]
+    between[1::2, :3, 3] += 1
+    write_tum("known.txt", between, stamps[0] + 0.003 + 0.02 * np.arange(len(between)))
+    options_ = options(film, "--poses", "known.txt", "--depth-of", "keyframes")
+    code, _, err = tisfm_run("reconstruct", "timed", *options_)
+    result = tisfm.Reconstruction.load("out")
+    assert code == 0
+    np.testing.assert_allclose(result.poses[:-2], film.poses[: COUNT - 2], atol=1e-6)
+    assert np.isnan(result.poses[-2:]).all()
+    assert "unrelated, 2 frames: no pose is given within 0.02 s of it" in err
+
+
+def test_poses_with_times_of_frames_without_go_by_their_order(tisfm_run, film):
+    write_tum("known.txt", film.poses[:COUNT], 5.0 + np.arange(COUNT))
+    code, _, _ = tisfm_run("reconstruct", "film", *options(film, "--poses", "known.txt"))
+    assert code == 0
+    np.testing.assert_allclose(
+        tisfm.Reconstruction.load("out").poses, film.poses[:COUNT], atol=1e-6
+    )
+    write_tum("fewer.txt", film.poses[:4], np.arange(4.0))
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "fewer.txt"))
+    assert_one_line(code, err, "poses are 4, with times, but the 9 frames have no times")
 
 
 def test_the_unit_is_chosen(tisfm_run, film):

@@ -4,7 +4,8 @@ import numpy as np
 
 from tests.reconstruction.films import along
 from tisfm import Camera
-from tisfm.reconstruction.sparse_points import depths_of, triangulated
+from tisfm.reconstruction import sparse_points
+from tisfm.reconstruction.sparse_points import TrackPoints, depths_of, located, triangulated
 from tisfm.reconstruction.tracks import Seen
 
 CAMERA, SHAPE = Camera(focal=200.0), (120, 160)
@@ -61,3 +62,29 @@ def test_depths_are_those_before_the_camera():
     expected = ((points[:10] - poses[2, :3, 3]) @ poses[2, :3, :3])[:, 2]
     np.testing.assert_allclose(depth, expected)
     np.testing.assert_allclose(places, seen[2].points[:10])
+
+
+def test_points_found_in_lots_are_those_found_at_once(monkeypatch):
+    poses, points = along(9), points_ahead()
+    seen = seen_by(poses, points, noise=0.3)
+    whole = triangulated(seen, dict(enumerate(poses)), CAMERA, SHAPE)
+    monkeypatch.setattr(sparse_points, "LOT", 50)
+    lots = triangulated(seen, dict(enumerate(poses)), CAMERA, SHAPE)
+    assert len(list(sparse_points._lots(seen, dict(enumerate(poses))))) > 5
+    np.testing.assert_array_equal(lots.tracks, whole.tracks)
+    np.testing.assert_allclose(lots.positions, whole.positions, rtol=1e-12)
+
+
+def test_points_of_tracks_are_a_mapping():
+    points = {7: np.array([1.0, 2.0, 3.0]), 2: np.array([0.0, 1.0, 0.0])}
+    found = TrackPoints.of(points)
+    assert list(found) == [2, 7] and 3 not in found and 8 not in found
+    np.testing.assert_array_equal(found[7], points[7])
+    both = found | TrackPoints.of({7: np.zeros(3), 1: np.ones(3)})
+    assert list(both) == [1, 2, 7]
+    np.testing.assert_array_equal(both[7], np.zeros(3))
+    seen = Seen(points=np.arange(6.0).reshape(3, 2), tracks=np.array([1, 2, 9]))
+    for one in (found, points):
+        index, positions = located(seen, one)
+        np.testing.assert_array_equal(index, [1])
+        np.testing.assert_array_equal(positions, [points[2]])

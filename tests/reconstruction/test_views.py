@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from tests.reconstruction.walks import CAMERA
+from tests.reconstruction.walks import CAMERA, frames
+from tisfm.reconstruction import loops
+from tisfm.reconstruction.loops import Look, similar
 from tisfm.reconstruction.mapping import View
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
 
 
@@ -37,3 +40,29 @@ def test_a_frame_becomes_a_view_where_tracks_have_moved():
     assert views.needs(Seen(points=np.add(points, (9, 0)), tracks=tracks), 320)
     assert views.needs(Seen(points=points[:15], tracks=tracks[:15]), 320)
     assert not views.needs(Seen(points=points[:20], tracks=tracks[:20]), 320)
+
+
+def test_views_on_disk_are_those_in_memory():
+    images = frames([(0.02 * k, 0.04 * k, 0.01 * k) for k in range(6)])
+    found = []
+    for on_disk in (False, True):
+        views, tracker = Views(CAMERA, on_disk=on_disk), Tracker(CAMERA, TRACKING)
+        for k, image in enumerate(images):
+            views.add(k, image, tracker.go_on(image), None)
+        views.close_loops(images[0].shape)
+        found.append((list(views.chosen), views.matches))
+    for one, other in zip(*(views for views, _ in found), strict=True):
+        assert one.frame == other.frame
+        np.testing.assert_array_equal(one.detected, other.detected)
+    assert list(found[0][1]) == list(found[1][1])
+
+
+def test_places_are_found_in_blocks_as_at_once(monkeypatch):
+    random = np.random.default_rng(0)
+    places = random.integers(0, 120, (30, 60, 128)).astype(np.uint8)
+    noisy = [np.clip(places[k % 15] + random.integers(0, 9, (60, 128)), 0, 255) for k in range(30)]
+    looks = [Look(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy]
+    whole = similar(looks, apart=4)
+    monkeypatch.setattr(loops, "BLOCK", 7)
+    assert similar(looks, apart=4) == whole
+    assert {(k, k + 15) for k in range(15)} <= set(whole)

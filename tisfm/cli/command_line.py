@@ -287,7 +287,8 @@ class Reconstruct:
     whose distortion is removed. By default the focal length is found unless --focal or --camera
     states it; with --calibrate focal, --focal is a first guess."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found."""
+    """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found.
+    Those of TUM go by their times where frames have times, else by their order."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
     """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
     depth_of: DepthOf = "all"

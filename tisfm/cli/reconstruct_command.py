@@ -55,7 +55,7 @@ def reconstruct(
     `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
     two frames and the distance of the camera's places; `mesh` is "ply" or "glb".
     """
-    given = None if poses is None else read_trajectory(poses).poses
+    given = None if poses is None else read_trajectory(poses)
     for file in (poses, camera):
         if isinstance(file, Path):
             _refuse_inside(file, output)

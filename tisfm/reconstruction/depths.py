@@ -19,9 +19,9 @@ from tisfm.reconstruction.compared_depth import (
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.own_edges import on_own_edges
-from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.way import Piece
 from tisfm.reconstruction.window_depth import Effort, WindowDepth, window_depth
 from tisfm.settings import Settings
 

@@ -21,6 +21,7 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.masks import Mask
+from tisfm.trajectory import Trajectory
 
 
 def reconstruct(
@@ -29,7 +30,7 @@ def reconstruct(
     camera: Camera | None = None,
     calibrate: Calibrate | None = None,
     settings: Settings | None = None,
-    poses: npt.ArrayLike | None = None,
+    poses: npt.ArrayLike | Trajectory | None = None,
     mask: Mask | None = None,
     depth_of: DepthOf = "all",
     step: int = 1,
@@ -67,9 +68,10 @@ def reconstruct(
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
         sequences.
-    poses : (N, 4, 4) array_like, optional
+    poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
-        alone is found then, in their unit.
+        alone is found then, in their unit. Where a trajectory and all frames have times, each frame
+        gets the pose nearest in time, within half the time from a frame to the next.
     mask : optional
         Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
     depth_of : {"all", "keyframes", "none"}
@@ -101,7 +103,8 @@ def reconstruct(
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
-        settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames.
+        settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames,
+        or none is near to a frame in time.
     """
     settings = checked_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
@@ -126,8 +129,8 @@ def reconstruct(
     )
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
-    if given is not None and frames.count is not None:
-        check_count(len(given), len(frames) + 1)
+    if given is not None and given.times is None and frames.count is not None:
+        check_count(len(given.poses), len(frames) + 1)
     camera = None if camera is None else check_camera(camera)
     if calibrate == "radial" and camera is not None and camera.distortion is not None:
         raise ValueError('the camera has distortion, which calibrate="radial" is to find: drop it')
@@ -188,7 +191,9 @@ def checked_settings(settings: Settings | None) -> Settings:
     return settings
 
 
-def _checked_poses(poses: npt.ArrayLike) -> np.ndarray:
+def _checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
+    if isinstance(poses, Trajectory):
+        return poses
     refuse_masked(poses, "poses")
     array = np.array(poses, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
@@ -204,4 +209,4 @@ def _checked_poses(poses: npt.ArrayLike) -> np.ndarray:
                 f"poses[{number}] is {pose.tolist()}: expected a rotation and a translation over "
                 "the row (0, 0, 0, 1)"
             )
-    return array
+    return Trajectory(poses=array)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.motion.sparse_matches import Described
+from tisfm.reconstruction.shelf import Shelf
 
 WORDS, SAMPLE, ROUNDS = 32, 8192, 8  # of the codebook: descriptors that it is clustered from
 PER_VIEW = 3  # earlier views that are compared with a view
@@ -13,6 +14,7 @@ BETWEEN = 3  # views, at least, from one of them to the next
 FEWEST = 30  # points of a view that can be found again
 ALIKE = 0.4  # of the likeness of neighbours: views less alike are not compared
 LEVELS = 255.0
+BLOCK = 512  # views whose codes are in memory at a time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +36,15 @@ class Look:
     def of(cls, found: Described) -> "Look":
         """Return the look of a view with these points."""
         return cls(points=found.points, levels=np.rint(found.roots * LEVELS).astype(np.uint8))
+
+    @classmethod
+    def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "Look":
+        """Return the look that has these arrays."""
+        return cls(points=points, levels=levels)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return self.points, self.levels
 
     def described(self) -> Described:
         """Return the points with their descriptors."""
@@ -60,29 +71,45 @@ def similar(looks: Sequence[Look], *, apart: int) -> list[tuple[int, int]]:
     seen = [k for k, look in enumerate(looks) if len(look.points) >= FEWEST]
     if len(seen) < 2 or seen[-1] - seen[0] < apart:
         return []
-    codebook = _codebook([looks[k].levels for k in seen])
-    codes = np.stack([_code(looks[k].levels, codebook) for k in seen])
-    likeness = codes @ codes.T
-    least = ALIKE * float(np.median(np.diagonal(likeness, 1)))
-    pairs = []
-    for row, later in enumerate(seen):
-        chosen: list[int] = []
-        for column in np.argsort(-likeness[row, :row], kind="stable"):
-            earlier = seen[column]
-            if len(chosen) == PER_VIEW or likeness[row, column] < least:
-                break
-            far = all(abs(earlier - other) >= BETWEEN for other in chosen)
-            if later - earlier >= apart and far:
-                chosen.append(earlier)
-        pairs += [(earlier, later) for earlier in sorted(chosen)]
-    return pairs
+    codebook = _codebook(looks, seen)
+    codes = Shelf[np.ndarray](lambda block: (block,), np.asarray)
+    found: list[tuple[float, int, int]] = []
+    following = []
+    for begin in range(0, len(seen), BLOCK):
+        block = np.stack([_code(looks[k].levels, codebook) for k in seen[begin : begin + BLOCK]])
+        likeness = np.hstack([*(block @ before.T for before in codes), block @ block.T])
+        codes.append(block)
+        for row, later in enumerate(seen[begin : begin + BLOCK], start=begin):
+            alike = likeness[row - begin, :row]
+            following += alike[-1:].tolist()
+            found += [
+                (float(alike[column]), seen[column], later)
+                for column in _most_alike(alike, seen, later - apart)
+            ]
+    least = ALIKE * float(np.median(np.array(following, np.float32)))
+    return [(earlier, later) for like, earlier, later in found if like >= least]
 
 
-def _codebook(levels: Sequence[np.ndarray]) -> np.ndarray:
+def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
+    """Return which of the views seen, up to the last one, a view is most alike, in order."""
+    chosen: list[int] = []
+    for column in np.argsort(-alike, kind="stable").tolist():
+        if len(chosen) == PER_VIEW:
+            break
+        far = all(abs(seen[column] - seen[other]) >= BETWEEN for other in chosen)
+        if seen[column] <= last and far:
+            chosen.append(column)
+    return sorted(chosen)
+
+
+def _codebook(looks: Sequence[Look], seen: Sequence[int]) -> np.ndarray:
     """Return the centres of clusters of descriptors, (WORDS, 128) float32."""
-    each = max(1, SAMPLE // len(levels))
+    each = max(1, SAMPLE // len(seen))
     # Some of each view, evenly: seeds of a random choice are not needed.
-    some = [one[np.linspace(0, len(one) - 1, min(each, len(one))).astype(int)] for one in levels]
+    some = []
+    for k in seen[:: -(-len(seen) // SAMPLE)]:
+        levels = looks[k].levels
+        some.append(levels[np.linspace(0, len(levels) - 1, min(each, len(levels))).astype(int)])
     sample = np.vstack(some).astype(np.float32)
     centres = sample[np.linspace(0, len(sample) - 1, WORDS).astype(int)]
     for _ in range(ROUNDS):

@@ -15,7 +15,7 @@ from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
-from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
 from tisfm.reconstruction.tracks import Seen
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -42,6 +42,16 @@ class View:
     seen: Seen
     detected: np.ndarray
 
+    @classmethod
+    def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
+        """Return the view that has these arrays."""
+        points, tracks, detected = arrays
+        return cls(frame=int(frame.item()), seen=Seen.of_arrays(points, tracks), detected=detected)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return np.array(self.frame), *self.seen.arrays(), self.detected
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
@@ -51,14 +61,14 @@ class Model:
     ----------
     poses : dict of int to (4, 4) float64
         Camera to world, by frame.
-    points : dict of int to (3,) float64
-        Positions of tracks, in the world.
+    points : TrackPoints
+        In the world.
     explained : int
         Observations in views that it was adjusted for.
     """
 
     poses: dict[int, np.ndarray]
-    points: dict[int, np.ndarray]
+    points: TrackPoints
     explained: int = 0
 
 
@@ -113,12 +123,26 @@ class Shared:
         with self.database(known) as database:
             return grown(database, directions, len(self.views), calibrate)
 
+    def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
+        """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
+        matrices = {
+            number: np.linalg.inv(known[view.frame])[:3]
+            for number, view in enumerate(self.views, start=1)
+            if view.frame in known
+        }
+        with self.database(_camera(camera, self.shape)) as database:
+            return grown_from(database, matrices)
+
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
     ) -> list[Model]:
         """Return models of pycolmap's reconstructions, with the points of all tracks of views."""
-        models = [_model(one, self.views) for one in reconstructions]
+        models = [self.model(one) for one in reconstructions]
         return [_with_others(model, views, camera, self.shape) for model in models]
+
+    def model(self, reconstruction: Any) -> Model:
+        """Return the model of one, with the points of the tracks that it was adjusted for."""
+        return _model(reconstruction, self.views)
 
     @contextmanager
     def database(self, camera: Any) -> Iterator[Any]:
@@ -187,14 +211,8 @@ def continued(
     Model
         In the axes and the unit of the known poses; these are in it as they are.
     """
-    matrices = {
-        number: np.linalg.inv(known[view.frame])[:3]
-        for number, view in enumerate(views, start=1)
-        if view.frame in known
-    }
     shared = Shared.of(views, matches, shape)
-    with shared.database(_camera(camera, shape)) as database:
-        model = _model(grown_from(database, matrices), shared.views)
+    model = _model(shared.continued(camera, known), shared.views)
     poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
     return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
 
@@ -240,10 +258,9 @@ def pose_from_points(
 
     None if too few of them agree.
     """
-    known = [k for k, track in enumerate(seen.tracks.tolist()) if track in points]
+    known, world = located(seen, points)
     if len(known) < FEWEST:
         return None
-    world = np.array([points[track] for track in seen.tracks[known].tolist()])
     estimation = pycolmap().AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = INLIER
     estimation.ransac.random_seed = 0
@@ -370,7 +387,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
     return Model(
         poses=dict(sorted(poses.items())),
-        points=points,
+        points=TrackPoints.of(points),
         explained=reconstruction.compute_num_observations(),
     )
 

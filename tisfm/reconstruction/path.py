@@ -1,6 +1,7 @@
 """The camera's path through a sequence."""
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,12 +17,15 @@ from tisfm.reconstruction.mapping import (
     models_of,
     pose_from_points,
 )
+from tisfm.reconstruction.parts import MOST, focal_from_parts, models_in_parts
 from tisfm.reconstruction.self_calibration import (
     WORTHLESS,
     FocalEstimate,
     models_and_focal,
+    straight,
     without_distortion,
 )
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.unrolled_way import unrolled_way
@@ -42,7 +46,7 @@ class CameraPath:
         In the order of their first frames. A frame is in one of them at most.
     lost : dict of int to Status
         Frames in none of them.
-    seen : tuple of Seen
+    seen : sequence of Seen
         Tracks in every frame.
     camera : Camera
         With the focal length that poses are found with. Poses, points and tracks are those of its
@@ -55,7 +59,7 @@ class CameraPath:
 
     pieces: tuple[Piece, ...]
     lost: dict[int, Status]
-    seen: tuple[Seen, ...]
+    seen: Sequence[Seen]
     camera: Camera
     focal: FocalEstimate | None = None
     rolling: Rolling | None = None
@@ -87,8 +91,8 @@ class PathFinder:
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._readout = readout
         self._tracker = Tracker(camera, TRACKING)
-        self._seen: list[Seen] = []
-        self._views = Views(camera, focal_known=calibrate == "nothing")
+        self._seen = Shelf(Seen.arrays, Seen.of_arrays)
+        self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -136,7 +140,7 @@ class PathFinder:
         return CameraPath(
             pieces=tuple(sorted(way.pieces, key=lambda piece: min(piece.poses))),
             lost=lost,
-            seen=tuple(way.seen),
+            seen=way.seen,
             camera=way.camera,
             focal=way.focal,
             rolling=rolling,
@@ -146,52 +150,70 @@ class PathFinder:
         """Return the way of middle rows, and how frames moved while they were read, if they did."""
         pinhole, matches = way.camera.pinhole(), self._views.matches
 
-        def near(views: list[View], seen: list[Seen], before: Sequence[Piece]) -> Way:
-            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-            models = models_again(views, matches, pinhole, self._shape, known)
+        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+            if len(views) > MOST:
+                models = models_in_parts(views, matches, pinhole, self._shape, seen)
+            else:
+                known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
+                models = models_again(views, matches, pinhole, self._shape, known)
             return self._complete(models, views, seen, pinhole)
 
         found, rolling = unrolled_way(way, near, matches, instants, self._readout, self._shape)
         if rolling is None:
             return way, None
-        # A path that was bent by what rows do may stay so. Another begins without it.
-        calibrate: Calibrate = "focal" if self._calibrate == "focal" else "nothing"
-        anew = self._way(found.views, found.seen, pinhole, calibrate)
-        if anew.pieces and anew.focal is None:
-            anew = near(found.views, found.seen, anew.pieces)
-        if anew.explained > found.explained:
-            found = anew
+        if len(found.views) <= MOST:
+            # A path that was bent by what rows do may stay so. Another begins without it.
+            calibrate: Calibrate = "focal" if self._calibrate == "focal" else "nothing"
+            anew = self._way(found.views, found.seen, pinhole, calibrate)
+            if anew.pieces and anew.focal is None:
+                anew = near(found.views, found.seen, anew.pieces)
+            if anew.explained > found.explained:
+                found = anew
         if found.focal is None:
             found = replace(found, camera=way.camera, focal=way.focal)
         return found, rolling
 
     def _way(
-        self, views: list[View], tracks: Sequence[Seen], camera: Camera, calibrate: Calibrate
+        self,
+        views: Sequence[View],
+        tracks: Sequence[Seen],
+        camera: Camera,
+        calibrate: Calibrate,
     ) -> Way:
         """Return the path through views and tracks in every frame."""
-        matches, focal = self._views.matches, None
+        matches, shape, focal = self._views.matches, self._shape, None
+        if len(views) > MOST:  # memory is to be bounded
+            if calibrate != "nothing":
+                focal = focal_from_parts(
+                    views, matches, camera, shape, calibrate, limit=self._limit
+                )
+            lens = camera if focal is None else focal.taken(camera)
+            seen = _straight(tracks, lens, shape)
+            straight_views = _straight_views(views, lens, shape)
+            models = models_in_parts(straight_views, matches, lens.pinhole(), shape, seen)
+            return self._complete(models, views, seen, lens, focal)
         if calibrate == "nothing":
-            models = models_of(views, matches, camera, self._shape)
+            models = models_of(views, matches, camera, shape)
         else:
             models, focal = models_and_focal(
-                views, matches, camera, self._shape, calibrate, limit=self._limit
+                views, matches, camera, shape, calibrate, limit=self._limit
             )
-            camera = camera if focal is None else focal.taken(camera)
-        seen = [without_distortion(one, camera, self._shape) for one in tracks]
-        return self._complete(models, views, seen, camera, focal)
+        lens = camera if focal is None else focal.taken(camera)
+        return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
 
     def _complete(
         self,
         models: Sequence[Model],
-        views: list[View],
-        seen: list[Seen],
+        views: Sequence[View],
+        seen: Sequence[Seen],
         camera: Camera,
         focal: FocalEstimate | None = None,
     ) -> Way:
         """Return the way of models and of the frames between their views."""
         pieces, unplaced = with_others(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
-            dict(enumerate(seen)),
+            seen,
+            range(len(seen)),
             camera.pinhole(),
             self._shape,
         )
@@ -206,29 +228,62 @@ class PathFinder:
         )
 
 
+def _straight(tracks: Sequence[Seen], lens: Camera, shape: tuple[int, int]) -> Sequence[Seen]:
+    """Return where a pinhole would see the tracks of every frame."""
+    if lens.is_pinhole:
+        return tracks
+    found = Shelf(Seen.arrays, Seen.of_arrays)
+    for one in tracks:
+        found.append(without_distortion(one, lens, shape))
+    return found
+
+
+def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
+    """Return views as a pinhole has them."""
+    if lens.is_pinhole:
+        return views
+    found = Shelf(View.arrays, View.of_arrays)
+    for view in views:
+        found.append(
+            View(
+                frame=view.frame,
+                seen=without_distortion(view.seen, lens, shape),
+                detected=straight(view.detected, lens, shape),
+            )
+        )
+    return found
+
+
 def with_others(
-    pieces: Sequence[Piece], seen: Mapping[int, Seen], camera: Camera, shape: tuple[int, int]
+    pieces: Sequence[Piece],
+    seen: Sequence[Seen],
+    frames: Iterable[int],
+    camera: Camera,
+    shape: tuple[int, int],
 ) -> tuple[list[Piece], list[int]]:
     """Add the frames between views to pieces; return those that are in none as well.
 
     Parameters
     ----------
     pieces : sequence of Piece
-    seen : mapping of int to Seen
-        Tracks, by frame.
+    seen : sequence of Seen
+        Tracks in every frame.
+    frames : iterable of int
+        Those that are to be in a piece.
     camera : Camera
         A pinhole, of the frames.
     shape : (int, int)
         Height and width of the frames, px.
     """
     placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
+    ordered = sorted(placed)
     added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
     unplaced = []
-    for frame, tracks in seen.items():
+    for frame in frames:
         if frame in placed:
             continue
-        for k in _nearest(frame, placed):
-            pose = pose_from_points(tracks, pieces[k].points, camera, shape)
+        for k in _nearest(frame, placed, ordered):
+            pose = pose_from_points(seen[frame], pieces[k].points, camera, shape)
             if pose is not None:
                 added[k][frame] = pose
                 break
@@ -269,10 +324,9 @@ def why_lost(seen: Seen, pieces: Sequence[Piece], different: int) -> Status:
     )
 
 
-def _nearest(frame: int, placed: Mapping[int, int]) -> list[int]:
+def _nearest(frame: int, placed: Mapping[int, int], ordered: Sequence[int]) -> list[int]:
     """Return the pieces of the nearest frames before and after, without repetition."""
-    before = [f for f in placed if f < frame]
-    after = [f for f in placed if f > frame]
-    near = ([max(before)] if before else []) + ([min(after)] if after else [])
+    after = bisect_left(ordered, frame)
+    near = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
     near.sort(key=lambda other: abs(other - frame))
     return list(dict.fromkeys(placed[other] for other in near))

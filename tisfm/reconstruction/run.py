@@ -1,7 +1,7 @@
 """One reconstruction, from the source to the folder: reading, the path, depth."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,23 +11,24 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import write_camera
-from tisfm.checks import check_count
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.mapping import Model
+from tisfm.reconstruction.given_poses import poses_of_frames
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
+from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
 NO_PARALLAX = Status(
@@ -54,7 +55,7 @@ class Run:
     calibrate : {"nothing", "focal", "radial"}
         What of it is found from the frames.
     settings : Settings
-    poses : (N, 4, 4) array or None
+    poses : Trajectory or None
         Those that are given.
     folder : Path
         Ready to be written to.
@@ -70,7 +71,7 @@ class Run:
         camera: Camera | None,
         calibrate: Calibrate,
         settings: Settings,
-        poses: np.ndarray | None,
+        poses: Trajectory | None,
         folder: Path,
         progress: Progress | None,
         depth_of: DepthOf = "all",
@@ -137,7 +138,7 @@ class Run:
         indices: list[int] = []
         finder: PathFinder | None = None
         tracker: Tracker | None = None
-        seen: list[Seen] = []
+        seen = Shelf(Seen.arrays, Seen.of_arrays)
         total = _count(self._source)
         with closing(self._source.frames()) as frames:
             for frame in frames:
@@ -178,10 +179,11 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
+        instants = _instants(indices, times)
         if self._given is None:
-            path = finder.finish(_instants(indices, times))
+            path = finder.finish(instants)
         else:
-            path = self._given_path(seen, self._given, _instants(indices, times))
+            path = self._given_path(seen, self._given, times, instants)
         self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
@@ -199,28 +201,26 @@ class Run:
             self._frames.unroll(path.rolling)
         self._taken = taken, shape
 
-    def _given_path(self, seen: list[Seen], poses: np.ndarray, instants: np.ndarray) -> CameraPath:
-        check_count(len(poses), len(seen))
+    def _given_path(
+        self,
+        seen: Sequence[Seen],
+        given: Trajectory,
+        times: Sequence[float | None],
+        instants: np.ndarray,
+    ) -> CameraPath:
         camera, shape = self._frames.camera, self._frames.shape
-        known = {k: pose for k, pose in enumerate(poses) if np.isfinite(pose).all()}
+        poses, lost = poses_of_frames(given, times)
+        known = {k: pose for k, pose in enumerate(poses) if k not in lost}
         points = triangulated(seen, known, camera, shape)
-        lost = {
-            k: Status("unrelated", "no pose is given for it")
-            for k in range(len(poses))
-            if k not in known
-        }
-        rolling = None
+        piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
         if known and camera.readout:  # poses are those of middle rows
-            model = Model(poses=known, points=points)
-            unrolling = Unrolling(seen, [model], instants, camera.readout, 0.0, camera, shape)
-            rolling = unrolling.rolling
-            seen = [unrolling.tracks(frame) for frame in range(len(seen))]
-            points = triangulated(seen, known, camera, shape)
-        piece = Piece(poses=known, views=tuple(known), points=points)
+            unrolling = Unrolling(seen, [piece], instants, camera.readout, 0.0, camera, shape)
+            seen, rolling = unrolling.all_tracks(), unrolling.rolling
+            piece = replace(piece, points=triangulated(seen, known, camera, shape))
         return CameraPath(
             pieces=(piece,) if known else (),
             lost=lost,
-            seen=tuple(seen),
+            seen=seen,
             camera=camera,
             rolling=rolling,
         )
@@ -242,7 +242,7 @@ class Run:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
         return found
 
-    def _adjusted(self, piece: Piece, seen: tuple[Seen, ...]) -> Piece:
+    def _adjusted(self, piece: Piece, seen: Sequence[Seen]) -> Piece:
         """Return the piece with poses adjusted to the images, if there are any to adjust."""
         from tisfm.reconstruction.adjustment import adjusted
         from tisfm.reconstruction.depths import PieceDepths, effort_of
@@ -256,7 +256,7 @@ class Run:
         return replace(piece, poses=poses)
 
     def _depths(
-        self, piece: Piece, seen: tuple[Seen, ...], done: int
+        self, piece: Piece, seen: Sequence[Seen], done: int
     ) -> tuple[dict[int, str], float]:
         """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
         if self._depth_of == "none":
@@ -286,7 +286,7 @@ class Run:
         return found, unit
 
 
-def unit_of_points(piece: Piece, seen: tuple[Seen, ...]) -> float:
+def unit_of_points(piece: Piece, seen: Sequence[Seen]) -> float:
     """Return the median depth of tracks in the first frame of a piece that shows any; 1 if none."""
     for frame, pose in piece.poses.items():
         _, depths = depths_of(seen[frame], piece.points, pose)

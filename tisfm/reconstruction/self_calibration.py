@@ -185,12 +185,19 @@ def without_distortion(seen: Seen, lens: Camera, shape: tuple[int, int]) -> Seen
     if lens.is_pinhole or not len(seen.points):
         return seen
     height, width = shape
-    cx, cy = lens.center_for(height, width)
-    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
-    points = cv2.undistortPoints(seen.points[:, None], matrix, np.array(lens.distortion), P=matrix)
-    points = points[:, 0]
+    points = straight(seen.points, lens, shape)
     inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
     return Seen(points=points[inside], tracks=seen.tracks[inside])
+
+
+def straight(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
+    """Return where a pinhole would see points, (N, 2), px."""
+    if lens.is_pinhole or not len(points):
+        return points
+    cx, cy = lens.center_for(*shape)
+    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
+    found = cv2.undistortPoints(points[:, None], matrix, np.array(lens.distortion), P=matrix)
+    return np.asarray(found[:, 0])
 
 
 def _estimate(

@@ -8,10 +8,11 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.mapping import View, continued, models_of
-from tisfm.reconstruction.path import TRACKING, Piece, why_lost, with_others
+from tisfm.reconstruction.path import TRACKING, why_lost, with_others
 from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views
+from tisfm.reconstruction.way import Piece
 
 REMEMBERED = 16  # views with poses that stay, from which the path is continued
 ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well
@@ -140,8 +141,10 @@ class SlidingPath:
         for model in sorted(models, key=lambda one: min(one.poses)):
             number = max([*pieces, self._pieces - 1]) + 1
             pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
-        later = {f: self.seen[f] for f in self.seen.frames() if f > self.settled}
-        complete, unplaced = with_others(list(pieces.values()), later, self.camera, self._shape)
+        later = [frame for frame in self.seen.frames() if frame > self.settled]
+        complete, unplaced = with_others(
+            list(pieces.values()), self.seen, later, self.camera, self._shape
+        )
         lost = {frame: why_lost(self.seen[frame], complete, different) for frame in unplaced}
         return Stretch(
             pieces=dict(zip(pieces, complete, strict=True)),

@@ -17,12 +17,12 @@ from tisfm.reconstruction.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.depths import REACH, FrameDepth, PieceDepths, effort_of, unit_of
 from tisfm.reconstruction.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.path import Piece
 from tisfm.reconstruction.run import NO_PARALLAX, begins_piece
 from tisfm.reconstruction.self_calibration import calibration_of
 from tisfm.reconstruction.sliding_path import SlidingPath, Stretch
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.reconstruction.way import Piece
 from tisfm.reconstruction.window_depth import WindowDepth
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame

@@ -41,6 +41,15 @@ class Seen:
     points: np.ndarray
     tracks: np.ndarray
 
+    @classmethod
+    def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Seen":
+        """Return what has these arrays."""
+        return cls(points=points, tracks=tracks)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return self.points, self.tracks
+
     def shared(self, other: "Seen") -> tuple[np.ndarray, np.ndarray]:
         """Return the indices, here and in another frame, of the tracks that are in both."""
         _, here, there = np.intersect1d(

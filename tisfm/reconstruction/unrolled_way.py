@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import Model, View
+from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.self_calibration import straight
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling, rates_of
 from tisfm.reconstruction.shutter_estimate import ReadoutEstimate, estimate_readout
 from tisfm.reconstruction.tracks import Seen
@@ -21,7 +22,7 @@ KNOWN_ROUNDS = 2  # of a path whose readout is known
 # is foreseen to come again, at most.
 HIDDEN = 0.6
 
-Near = Callable[[list[View], list[Seen], Sequence[Piece]], Way]
+Near = Callable[[Sequence[View], Sequence[Seen], Sequence[Piece]], Way]
 
 
 def unrolled_way(
@@ -53,8 +54,10 @@ def unrolled_way(
         Height and width of the frames, px.
     """
     camera = way.camera.pinhole()
-    views = [_straight(view, seen=way.seen[view.frame], lens=way.camera, shape=shape)
-             for view in way.views]  # fmt: skip
+    views = Shelf(View.arrays, View.of_arrays)
+    for view in way.views:
+        detected = straight(view.detected, way.camera, shape)
+        views.append(View(frame=view.frame, seen=way.seen[view.frame], detected=detected))
     found, rolling = way, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
     for number in range(ROUNDS if readout is None else KNOWN_ROUNDS):
@@ -70,14 +73,12 @@ def unrolled_way(
             deviation = estimate.deviation
             if number and value == last:  # it is as much as it can be
                 break
-        models = [Model(poses=piece.poses, points=piece.points) for piece in found.pieces]
-        unrolling = Unrolling(way.seen, models, instants, value, deviation, camera, shape)
+        unrolling = Unrolling(way.seen, found.pieces, instants, value, deviation, camera, shape)
         rolling = unrolling.rolling
-        found = near(
-            [unrolling.view(view) for view in views],
-            [unrolling.tracks(frame) for frame in range(len(way.seen))],
-            found.pieces,
-        )
+        corrected = Shelf(View.arrays, View.of_arrays)
+        for view in views:
+            corrected.append(unrolling.view(view))
+        found = near(corrected, unrolling.all_tracks(), found.pieces)
         if not found.pieces:
             return way, None
     return found, rolling
@@ -94,7 +95,7 @@ def _taken(readout: float) -> float:
 
 def _estimate(
     way: Way,
-    views: list[View],
+    views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     instants: np.ndarray,
     camera: Camera,
@@ -108,15 +109,3 @@ def _estimate(
     largest = max(way.pieces, key=lambda piece: len(piece.views))
     rates = rates_of(largest.poses, instants)
     return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)
-
-
-def _straight(view: View, *, seen: Seen, lens: Camera, shape: tuple[int, int]) -> View:
-    """Return a view as a pinhole has it, with tracks that are so already."""
-    if lens.is_pinhole or not len(view.detected):
-        return View(frame=view.frame, seen=seen, detected=view.detected)
-    cx, cy = lens.center_for(*shape)
-    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
-    detected = cv2.undistortPoints(
-        view.detected[:, None], matrix, np.array(lens.distortion), P=matrix
-    )
-    return View(frame=view.frame, seen=seen, detected=detected[:, 0])

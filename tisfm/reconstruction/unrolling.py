@@ -7,9 +7,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import Model, View
+from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling, at_middle, rates_of
+from tisfm.reconstruction.sparse_points import located
 from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.way import Piece
 
 NEAR = 3  # tracks around a point, whose median depth it is taken to have
 
@@ -21,7 +24,7 @@ class Unrolling:
     ----------
     seen : sequence of Seen
         Tracks of every frame, as the camera sees them.
-    pieces : sequence of Model
+    pieces : sequence of Piece
         A frame is in one of them at most.
     instants : (N,) array
         When each frame was taken, in intervals.
@@ -40,7 +43,7 @@ class Unrolling:
     def __init__(
         self,
         seen: Sequence[Seen],
-        pieces: Sequence[Model],
+        pieces: Sequence[Piece],
         instants: np.ndarray,
         readout: float,
         deviation: float,
@@ -73,6 +76,13 @@ class Unrolling:
         inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
         return Seen(points=points[inside], tracks=seen.tracks[inside])
 
+    def all_tracks(self) -> Shelf[Seen]:
+        """Return the tracks of every frame."""
+        found = Shelf(Seen.arrays, Seen.of_arrays)
+        for frame in range(len(self._seen)):
+            found.append(self.tracks(frame))
+        return found
+
     def view(self, view: View) -> View:
         """Return a view; of its detected points, all are there."""
         frame = view.frame
@@ -98,8 +108,7 @@ def _depths(
     seen: Seen, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Z of every track of a frame, (N,), and which are known and before the camera, (N,)."""
-    known = np.array([track in points for track in seen.tracks.tolist()], bool)
-    world = np.array([points[track] for track in seen.tracks[known].tolist()]).reshape(-1, 3)
-    depth = np.ones(len(seen.tracks))
+    known, world = located(seen, points)
+    depth = np.zeros(len(seen.tracks))
     depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]
-    return depth, known & (depth > 0)
+    return depth, depth > 0

@@ -7,6 +7,7 @@ from tisfm.camera import Camera
 from tisfm.motion.sparse_matches import Described, alike, described
 from tisfm.reconstruction.loops import Look, similar
 from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import Seen, share_of, smaller
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
@@ -33,20 +34,27 @@ class Views:
         A pinhole, of the frames.
     focal_known : bool
         Whether matches have to fit its focal length, or any.
+    on_disk : bool
+        Whether views lie on disk: then they cannot be forgotten.
 
     Attributes
     ----------
-    chosen : list of View
+    chosen : list of View, or Shelf of View
         In the order of their frames.
-    matches : dict of (int, int) to (N, 2) int array
+    matches : dict of (int, int) to (N, 2) int32 array
         For pairs of indices of views: indices of their detected points that are the same.
     """
 
-    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
-        self.chosen: list[View] = []
+    def __init__(self, camera: Camera, *, focal_known: bool = True, on_disk: bool = False) -> None:
+        self.chosen: list[View] | Shelf[View] = (
+            Shelf(View.arrays, View.of_arrays) if on_disk else []
+        )
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._focal_known = camera, focal_known
-        self._looks: list[Look] = []
+        self._looks: list[Look] | Shelf[Look] = (
+            Shelf(Look.arrays, Look.of_arrays) if on_disk else []
+        )
+        self._matchable: list[int] = []  # views that show enough
         self._compared: set[tuple[int, int]] = set()
 
     def use(self, camera: Camera) -> None:
@@ -72,9 +80,10 @@ class Views:
         number = len(self.chosen)
         self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
         self._looks.append(Look.of(found))
-        before = [k for k in range(number) if len(self._looks[k].points) >= FEWEST_MATCHES]
-        for earlier in before[-MATCHED:]:
+        for earlier in self._matchable[-MATCHED:]:
             self._match(earlier, number, grey.shape, fewest=FEWEST_MATCHES, share=0.0)
+        if len(found.points) >= FEWEST_MATCHES:
+            self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same place again; shape is that of frames."""
@@ -84,7 +93,10 @@ class Views:
 
     def forget(self, count: int) -> None:
         """Forget the first views."""
+        if isinstance(self.chosen, Shelf) or isinstance(self._looks, Shelf):
+            raise TypeError("views lie on disk: they cannot be forgotten")
         del self.chosen[:count], self._looks[:count]
+        self._matchable = [k - count for k in self._matchable if k >= count]
         self.matches = {
             (earlier - count, later - count): both
             for (earlier, later), both in self.matches.items()
@@ -120,7 +132,7 @@ class Views:
             return
         agreed = both[inlier[:, 0] > 0]
         if len(agreed) >= max(fewest, share * len(both)):
-            self.matches[earlier, later] = agreed
+            self.matches[earlier, later] = agreed.astype(np.int32)
 
     def _fitting(
         self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]

@@ -1,5 +1,6 @@
 """Where the camera was: frames in pieces, through the views and tracks that lead there."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,13 +21,13 @@ class Piece:
         Camera to world, by frame, in order.
     views : tuple of int
         Frames that poses and points were adjusted for.
-    points : dict of int to (3,) float64
+    points : mapping of int to (3,) float64
         Positions of tracks, in the world.
     """
 
     poses: dict[int, np.ndarray]
     views: tuple[int, ...]
-    points: dict[int, np.ndarray]
+    points: Mapping[int, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +39,9 @@ class Way:
     pieces : list of Piece
     unplaced : list of int
         Frames in none of them.
-    views : list of View
+    views : sequence of View
         As frames show them.
-    seen : list of Seen
+    seen : sequence of Seen
         Tracks in every frame, as the camera's pinhole has them.
     camera : Camera
     focal : FocalEstimate or None
@@ -51,8 +52,8 @@ class Way:
 
     pieces: list[Piece]
     unplaced: list[int]
-    views: list[View]
-    seen: list[Seen]
+    views: Sequence[View]
+    seen: Sequence[Seen]
     camera: Camera
     focal: FocalEstimate | None
     explained: int

@@ -8,7 +8,15 @@ import pytest
 
 from bench.sequences import rendered_films
 from bench.sequences.rendered import draw, write
-from bench.sequences.rendered_films import Take, around_one, round_trip, shaken, turned, walked
+from bench.sequences.rendered_films import (
+    Take,
+    around_one,
+    round_trip,
+    rounds,
+    shaken,
+    turned,
+    walked,
+)
 from bench.sequences.rendered_scores import (
     COUNTS,
     _distance,
@@ -38,6 +46,16 @@ def test_round_trips_end_where_they_began():
     length = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
     assert gap(off, poses) == pytest.approx(100 * 0.1 / length, rel=0.05)
     assert path_error(off, poses) > 0.1
+
+
+def test_rounds_go_on_as_they_began():
+    poses = rounds(460)
+    np.testing.assert_array_equal(rounds(300), poses[:300])
+    np.testing.assert_allclose(poses[225, :3, :3], poses[0, :3, :3], atol=1e-12)
+    assert np.linalg.norm(poses[225, :3, 3] - poses[0, :3, 3]) > 0.1
+    looking = poses[:, :3, 2]
+    outward = poses[:, :3, 3] * (1, 0, 1)
+    assert ((looking * outward).sum(axis=1) > 0.99 * np.linalg.norm(outward, axis=1)).all()
 
 
 def test_the_camera_turns_where_it_is():

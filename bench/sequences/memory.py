@@ -1,0 +1,125 @@
+"""``python -m bench.sequences.memory``: peak memory of `tisfm.reconstruct` over the frames.
+
+A camera goes round and round in a rendered room and looks outward, 225 frames a round, so that most
+frames show something new. Frames lie in files, and each film is reconstructed by a process of its
+own, whose most resident memory counts, libraries included. Rendered frames are kept in a temporary
+folder. The table and all numbers are left in bench/results.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import cv2
+import numpy as np
+from rich.console import Console
+
+import tisfm
+from bench.pairs.memory import peak
+from bench.sequences.rendered_films import CACHE, rounds
+from bench.sequences.rendered_scores import path_error
+from bench.shared.machine import RESULTS, machine
+from tisfm import runtime
+from tisfm.reconstruction.progress import DepthOf
+from tisfm.scenes import room_film
+from tisfm.settings import Preset
+
+HEIGHT, WIDTH = 120, 160
+LOT = 50  # frames that are rendered at a time
+WORDS = "frames", "peak memory, MB", "pieces", "frames with a pose", "ATE, %"
+
+
+def film(count: int) -> tuple[Path, tisfm.Camera]:
+    """Return a folder with at least so many frames, and their camera."""
+    folder = CACHE / f"rounds-{HEIGHT}x{WIDTH}"
+    folder.mkdir(parents=True, exist_ok=True)
+    camera = room_film(rounds(1), 8, WIDTH, samples=1).camera
+    for begin in range(0, count, LOT):
+        files = [folder / f"{k:05d}.png" for k in range(begin, begin + LOT)]
+        if all(file.exists() for file in files):
+            continue
+        some = room_film(rounds(begin + LOT)[begin:], HEIGHT, WIDTH, textured=True, samples=2)
+        for file, frame in zip(files, some.frames, strict=True):
+            cv2.imwrite(str(file), frame)
+    return folder, camera
+
+
+def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict[str, float]:
+    """Reconstruct so many frames in this process, and return what it took."""
+    runtime.start(threads=threads)
+    folder, camera = film(count)
+    settings = tisfm.Settings.preset(preset, motion="camera")
+    result = tisfm.reconstruct(
+        str(folder), stop=count, camera=camera, settings=settings, depth_of=depth_of
+    )
+    most = peak() / 1e6
+    first = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
+    posed = result.piece >= 0
+    values = count, most, len(set(result.piece[posed].tolist())), int(posed.sum())
+    return dict(zip(WORDS, (*values, path_error(first, rounds(count))), strict=True))
+
+
+def write(conditions: dict[str, Any], rows: list[dict[str, float]], path: Path) -> None:
+    """Write PATH.md and PATH.json."""
+    lines = ["# Memory of a sequence over its frames", ""]
+    lines += [f"- {name}: {value}" for name, value in conditions.items()]
+    lines += ["", f"| {' | '.join(WORDS)} |", "|" + " ---: |" * len(WORDS)]
+    digits = ("g", ".0f", "g", "g", ".3f")
+    for row in rows:
+        values = (format(row[word], kind) for word, kind in zip(WORDS, digits, strict=True))
+        lines.append(f"| {' | '.join(values)} |")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    text = json.dumps({"conditions": conditions, "rows": rows}, indent=1, ensure_ascii=False)
+    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.sequences.memory", description=__doc__)
+    add = parser.add_argument
+    add("--counts", nargs="+", type=int, default=[250, 500, 1000, 2000], metavar="N", help="frames")
+    add("--preset", choices=get_args(Preset), default="fast")
+    add("--depth-of", choices=get_args(DepthOf), default="all")
+    add("--threads", type=int, default=2, metavar="N")
+    add("--here", action="store_true", help="in this process, which prints what one film took")
+    add(
+        "--output", default="sequences_memory", metavar="NAME", help="of the files in bench/results"
+    )
+    return parser.parse_args(arguments)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure and write; return 0."""
+    options = parse(arguments)
+    if options.here:
+        (count,) = options.counts
+        print(json.dumps(measure(count, options.preset, options.depth_of, options.threads)))
+        return 0
+    film(max(options.counts))
+    console, rows = Console(), []
+    module = [sys.executable, "-m", "bench.sequences.memory", "--here"]
+    same = [f"--{name}={getattr(options, name)}" for name in ("preset", "threads")]
+    same.append(f"--depth-of={options.depth_of}")
+    for count in options.counts:
+        command = [*module, f"--counts={count}", *same]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+        rows.append(json.loads(done.stdout.splitlines()[-1]))
+        console.print(rows[-1])
+    conditions = {
+        "command": "python -m bench.sequences.memory",
+        "preset": options.preset,
+        "depth of": options.depth_of,
+        "size": f"{HEIGHT}×{WIDTH} px",
+        "threads": options.threads,
+        **machine(),
+    }
+    write(conditions, rows, RESULTS / options.output)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

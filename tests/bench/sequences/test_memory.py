@@ -1,0 +1,37 @@
+"""Peak memory of a sequence: what is measured, and how it is told."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.sequences import memory
+
+
+@pytest.mark.slow
+def test_a_short_film_in_a_process_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "RESULTS", tmp_path)
+    monkeypatch.setattr(memory, "LOT", 12)
+    assert memory.main(["--counts", "12", "--depth-of", "none", "--output", "own"]) == 0
+    (row,) = json.loads((tmp_path / "own.json").read_text())["rows"]
+    assert row["frames"] == 12 and row["frames with a pose"] == 12 and row["pieces"] == 1
+    assert 50 < row["peak memory, MB"] < 4000 and row["ATE, %"] < 5
+
+
+def test_the_table_has_a_row_for_each_film(tmp_path):
+    rows = [dict(zip(memory.WORDS, (n, 300.4, 1, n, 0.01234), strict=True)) for n in (250, 500)]
+    memory.write({"preset": "fast"}, rows, tmp_path / "own")
+    text = (tmp_path / "own.md").read_text()
+    assert "- preset: fast" in text
+    assert "| 500 | 300 | 1 | 500 | 0.012 |" in text
+    assert json.loads((tmp_path / "own.json").read_text())["rows"] == rows
+
+
+def test_what_is_rendered_is_not_rendered_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "CACHE", tmp_path)
+    monkeypatch.setattr(memory, "LOT", 2)
+    folder, camera = memory.film(3)
+    assert sorted(file.name for file in folder.iterdir()) == [f"0000{k}.png" for k in range(4)]
+    assert camera.focal == 96
+    monkeypatch.setattr(memory.cv2, "imwrite", None)
+    np.testing.assert_array_equal(memory.film(4)[0], folder)

@@ -1,0 +1,118 @@
+"""Long sequences: paths found in parts, which are brought together."""
+
+import hashlib
+from itertools import pairwise
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from tests.one_thread import bits_on_one_thread, several_threads
+from tests.reconstruction.walks import CAMERA, centres, frames, residual
+from tisfm.reconstruction import parts, path, similarity_graph
+from tisfm.reconstruction.parts import focal_from_parts, parts_of
+from tisfm.reconstruction.path import PathFinder
+from tisfm.reconstruction.self_calibration import FocalEstimate
+
+WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
+
+
+def path_in_parts(images, most=10, overlap=5):
+    finder = PathFinder(CAMERA)
+    for image in images:
+        finder.add(image)
+    with (
+        mock.patch.object(path, "MOST", most),
+        mock.patch.object(parts, "MOST", most),
+        mock.patch.object(parts, "OVERLAP", overlap),
+        mock.patch.object(path, "models_of", side_effect=AssertionError),
+    ):
+        return finder.finish()
+
+
+def bits():
+    found = path_in_parts(frames(WALK))
+    poses = [pose.tobytes() for piece in found.pieces for pose in piece.poses.values()]
+    return hashlib.sha256(b"".join(poses)).hexdigest()
+
+
+@pytest.mark.parametrize("count", [1, 370, 371, 700, 701, 2000, 12345])
+def test_parts_overlap_and_are_no_larger_than_they_may(count):
+    spans = parts_of(count)
+    assert spans[0][0] == 0 and spans[-1][1] == count
+    assert all(end - begin <= parts.MOST for begin, end in spans)
+    shared = [end - begin for (_, end), (begin, _) in pairwise(spans)]
+    assert shared == [parts.OVERLAP] * (len(spans) - 1)
+    assert (len(spans) == 1) == (count <= parts.MOST)
+
+
+def test_a_path_in_parts_is_as_exact_as_one_at_once():
+    images = frames(WALK)
+    (piece,) = path_in_parts(images).pieces
+    assert sorted(piece.poses) == list(range(24))
+    assert residual(np.array([piece.poses[k][:3, 3] for k in range(24)]), centres(WALK)) < 0.005
+
+
+@pytest.mark.slow
+def test_a_round_trip_closes_across_parts():
+    way = WALK + WALK[::-1]
+    images = frames(WALK) + frames(WALK[::-1], noise=1.1)
+    edges = []
+
+    def placed(count, given):
+        edges.extend(given)
+        return similarity_graph.placed(count, given)
+
+    with mock.patch.object(parts, "placed", placed):
+        (piece,) = path_in_parts(images).pieces
+    found = np.array([piece.poses[k][:3, 3] for k in range(48)])
+    length = np.linalg.norm(np.diff(found, axis=0), axis=1).sum()
+    assert any(not edge.certain for edge in edges)  # a place that was seen again
+    assert np.linalg.norm(found[0] - found[-1]) < 0.006 * length
+    assert residual(found, centres(way)) < 0.005
+
+
+@pytest.mark.slow
+def test_two_scenes_are_two_pieces():
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in frames(WALK[:14], seed=5)]
+    found = path_in_parts(frames(WALK[:14]) + mirrored)
+    assert [list(piece.poses) for piece in found.pieces] == [list(range(14)), list(range(14, 28))]
+
+
+@pytest.mark.slow
+def test_a_part_without_a_beginning_of_its_own_continues_the_next():
+    turning = [(0, 0, 0.012 * k - 0.2) for k in range(16)]
+    going = [(0.02 * k, 0.04 * k, 0.01 * k - 0.02) for k in range(20)]
+    found = path_in_parts(frames(turning + going))
+    (piece,) = found.pieces
+    assert len(piece.poses) > 30
+    turned = [k for k in piece.poses if k < 16]
+    assert np.ptp([piece.poses[k][:3, 3] for k in turned], axis=0).max() < 0.1 * np.linalg.norm(
+        piece.poses[35][:3, 3] - piece.poses[16][:3, 3]
+    )
+
+
+@pytest.mark.slow
+def test_the_same_bits_twice():
+    assert bits() == bits()
+
+
+@several_threads
+@pytest.mark.slow
+def test_the_same_bits_on_one_thread():
+    assert bits_on_one_thread("tests.reconstruction.test_parts") == bits()
+
+
+def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
+    shares = {0: 0.2, 330: 0.1, 660: 0.01, 990: 0.001}  # deviation, by the first view of a part
+
+    def models_and_focal(views, *_, limit):
+        return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]], limit=limit)
+
+    monkeypatch.setattr(parts, "models_and_focal", models_and_focal)
+    views = list(range(4 * 330 + 40))
+    assert [begin for begin, _ in parts_of(len(views))] == list(shares)
+    found = focal_from_parts(views, {}, CAMERA, (240, 320), "focal", limit=0.3)
+    assert found.deviation == 5
+    found = focal_from_parts(views[:700], {}, CAMERA, (240, 320), "focal", limit=0.3)
+    assert found.deviation == 50  # no part shows it well

@@ -1,0 +1,42 @@
+"""What is kept of every frame, on disk."""
+
+import numpy as np
+import pytest
+
+from tisfm.reconstruction.shelf import Shelf
+from tisfm.reconstruction.tracks import Seen
+
+
+def seen_of(count, seed=0):
+    points = np.random.default_rng(seed).normal(size=(count, 2))
+    return Seen(points=points, tracks=np.arange(count) * 3)
+
+
+def assert_same(found, kept):
+    for one, other in zip(found.arrays(), kept.arrays(), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype
+
+
+def test_items_come_back_as_they_were_in_any_order():
+    shelf = Shelf(Seen.arrays, Seen.of_arrays)
+    kept = [seen_of(count, seed=count) for count in (5, 0, 17)]
+    for number, one in enumerate(kept):
+        shelf.append(one)
+        assert_same(shelf[number], one)
+    for number in (2, 0, 1, -1):
+        assert_same(shelf[number], kept[number])
+    for found, one in zip(shelf, kept, strict=True):
+        assert_same(found, one)
+
+
+def test_what_is_read_may_be_changed_and_the_shelf_stays():
+    shelf = Shelf(Seen.arrays, Seen.of_arrays)
+    shelf.append(seen_of(4))
+    shelf[0].points[:] = 0
+    assert_same(shelf[0], seen_of(4))
+
+
+def test_there_is_no_item_after_the_last():
+    with pytest.raises(IndexError):
+        Shelf(Seen.arrays, Seen.of_arrays)[0]

@@ -1,0 +1,75 @@
+"""Which of the poses that are given belongs to which frame: by times, or else by their order."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tisfm.checks import check_count
+from tisfm.outcome import Status
+from tisfm.trajectory import Trajectory
+from tisfm.trajectory.association import associate
+
+REACH = 0.5  # of the time from a frame to the next, in the median: no pose is farther away
+
+
+def poses_of_frames(
+    given: Trajectory, times: Sequence[float | None]
+) -> tuple[np.ndarray, dict[int, Status]]:
+    """Return a pose for each frame, NaN for none, and why frames have none.
+
+    If poses and all frames have times, each frame gets the pose nearest in time. If not, poses
+    belong to the frames in their order.
+
+    Parameters
+    ----------
+    given : Trajectory
+    times : sequence of float or None
+        When the frames were taken, s; None where that is not known.
+
+    Returns
+    -------
+    poses : (N, 4, 4) float64
+        Camera to world.
+    missing : dict of int to Status
+        Frames without a pose.
+
+    Raises
+    ------
+    ValueError
+        If poses belong to frames in their order, and are more or fewer; or if none is near in time.
+    """
+    told = "no pose is given for it"
+    if given.times is None or not has_times(times):
+        check_poses_count(given, len(times))
+        poses = given.poses
+    else:
+        known = np.array(times, np.float64)
+        reach = REACH * float(np.median(np.diff(known)))
+        frames, places = associate(known, given.times, farthest=reach)
+        if not len(frames):
+            raise ValueError(
+                f"no pose is within {reach:.3g} s of a frame: frames are from {known[0]:.3f} to "
+                f"{known[-1]:.3f} s, poses from {given.times[0]:.3f} to {given.times[-1]:.3f} s; "
+                "without times, as in KITTI's format, poses belong to frames in their order"
+            )
+        poses = np.full((len(known), 4, 4), np.nan)
+        poses[frames] = given.poses[places]
+        told = f"no pose is given within {reach:.3g} s of it"
+    missing = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
+    return poses, dict.fromkeys(missing, Status("unrelated", told))
+
+
+def has_times(times: Sequence[float | None]) -> bool:
+    """Return whether all of several frames have times, which increase."""
+    known = np.array([np.nan if time is None else time for time in times], np.float64)
+    return len(known) > 1 and bool((np.diff(known) > 0).all())
+
+
+def check_poses_count(given: Trajectory, count: int) -> None:
+    """Raise ValueError unless there are as many poses as frames."""
+    if given.times is not None and len(given.poses) != count:
+        raise ValueError(
+            f"poses are {len(given.poses)}, with times, but the {count} frames have no times to "
+            "find them by: expected one for each"
+        )
+    check_count(len(given.poses), count)

@@ -1,0 +1,66 @@
+"""What is kept of every frame, on disk: memory does not grow with it."""
+
+import math
+import os
+import tempfile
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+class Shelf(Sequence[T], Generic[T]):
+    """A sequence whose items lie in a temporary file, and are read when they are asked for.
+
+    Parameters
+    ----------
+    arrays_of : callable
+        Returns the arrays that an item is made of.
+    made_of : callable
+        Returns the item that is made of such arrays.
+    folder : path, optional
+        Where the file lies; by default in the system's folder for such files. It is deleted with
+        the shelf.
+    """
+
+    def __init__(
+        self,
+        arrays_of: Callable[[T], tuple[np.ndarray, ...]],
+        made_of: Callable[..., T],
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._arrays_of, self._made_of = arrays_of, made_of
+        self._file = tempfile.TemporaryFile(prefix="tisfm-", dir=folder)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+        self._end = 0
+        # Of each item: where it begins in the file, and what each of its arrays is.
+        self._items: list[tuple[int, tuple[tuple[str, tuple[int, ...]], ...]]] = []
+
+    def append(self, item: T) -> None:
+        """Add an item to the end."""
+        arrays = [np.ascontiguousarray(array) for array in self._arrays_of(item)]
+        self._file.seek(self._end)
+        for array in arrays:
+            self._file.write(array.tobytes())
+        what = tuple((array.dtype.str, array.shape) for array in arrays)
+        self._items.append((self._end, what))
+        self._end += sum(array.nbytes for array in arrays)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __getitem__(self, number: int) -> T:  # type: ignore[override]
+        begin, what = self._items[number]
+        self._file.seek(begin)
+        arrays = []
+        for kind, shape in what:
+            size = np.dtype(kind).itemsize * math.prod(shape)
+            content = bytearray(self._file.read(size))  # that arrays may be written to
+            arrays.append(np.frombuffer(content, kind).reshape(shape))
+        return self._made_of(*arrays)
+
+    def __iter__(self) -> Iterator[T]:
+        return (self[number] for number in range(len(self)))

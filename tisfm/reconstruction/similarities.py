@@ -1,0 +1,157 @@
+"""Similarities in space, (4, 4) matrices (s R, t; 0, 1), and how points lead to them."""
+
+import cv2
+import numpy as np
+
+TRIALS = 200  # of three points each
+TOLERATED = 0.05  # of its distance: by so much a point may be off
+ROUNDS = 5  # of the fit to those that agree
+
+
+def scale_of(similarity: np.ndarray) -> float:
+    """Return s."""
+    return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+
+
+def moved(similarity: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return where points, (N, 3), go to."""
+    return np.asarray(points @ similarity[:3, :3].T + similarity[:3, 3])
+
+
+def moved_pose(similarity: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return where a pose, (4, 4) camera to world, goes to."""
+    there = similarity @ pose
+    there[:3, :3] /= scale_of(similarity)
+    return np.asarray(there)
+
+
+def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the mean of poses, (N, 4, 4), which differ little, by weights, (N,)."""
+    mean = np.asarray(np.average(poses, axis=0, weights=weights))
+    u, _, vt = np.linalg.svd(mean[:3, :3])
+    mean[:3, :3] = u @ vt
+    return mean
+
+
+def step(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Return the similarity of the logarithm of a scale, a rotation vector and a translation."""
+    similarity = np.eye(4)
+    similarity[:3, :3] = np.exp(scale) * cv2.Rodrigues(turn)[0]
+    similarity[:3, 3] = shift
+    return similarity
+
+
+def fitted(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the similarity that brings other points, (N, 3), nearest to points.
+
+    Neither are more exact than the others: the scale is that of their spread, as Horn has it.
+
+    References
+    ----------
+    Horn, "Closed-form solution of absolute orientation using unit quaternions", JOSA A 4 (1987),
+    doi 10.1364/JOSAA.4.000629: sec. 2.D. The rotation is that of Umeyama, eq. 40–43,
+    doi 10.1109/34.88573.
+    """
+    share = (weights / weights.sum())[:, None]
+    centre, other = (share * points).sum(axis=0), (share * others).sum(axis=0)
+    left, right = points - centre, others - other
+    u, _, vt = np.linalg.svd((share * left).T @ right)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    spread = np.array([(share * one**2).sum() for one in (left, right)])
+    similarity = np.eye(4)
+    similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * (u * signs @ vt)
+    similarity[:3, 3] = centre - similarity[:3, :3] @ other
+    return similarity
+
+
+def agreed(
+    points: np.ndarray, others: np.ndarray, distances: np.ndarray, *, fewest: int, share: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the similarity from other points to points that most agree on, and which these are.
+
+    Parameters
+    ----------
+    points, others : (N, 3) float64
+    distances : (N,) float64
+        Of the points from where they are seen: the farther, the less exact.
+    fewest : int
+    share : float
+        None is returned where fewer agree, or a smaller share.
+
+    Returns
+    -------
+    similarity : (4, 4) float64
+    agree : (N,) bool
+    """
+    least = max(fewest, share * len(points))
+    if len(points) < max(3, least):
+        return None
+    random, best, most = np.random.default_rng(0), np.eye(4), 0
+    for _ in range(TRIALS):
+        three = random.choice(len(points), 3, replace=False)
+        found = fitted(points[three], others[three], np.ones(3))
+        count = int((misfit(found, points, others, distances) < TOLERATED).sum())
+        if count > most:
+            best, most = found, count
+    for _ in range(ROUNDS):
+        off = misfit(best, points, others, distances)
+        agree = off < TOLERATED
+        if agree.sum() < max(3, least):
+            return None
+        weights = _weights(off[agree]) / distances[agree] ** 2
+        best = fitted(points[agree], others[agree], weights)
+    return best, misfit(best, points, others, distances) < TOLERATED
+
+
+def refined(
+    similarity: np.ndarray,
+    points: tuple[np.ndarray, np.ndarray],
+    distances: np.ndarray,
+    poses: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Return a similarity that fits poses of the same views as well, by how well each fits.
+
+    The rotation is that of the poses alone, which is exact.
+
+    Parameters
+    ----------
+    similarity : (4, 4) float64
+        To begin with.
+    points : two (N, 3) float64
+        Points, and the others, which are brought to them.
+    distances : (N,) float64
+        Of the points from where they are seen.
+    poses : two (M, 4, 4) float64
+        Camera to world, as with the points and as with the others.
+    """
+    turns = np.tile(np.eye(4), (len(poses[0]), 1, 1))
+    turns[:, :3, :3] = poses[0][:, :3, :3] @ poses[1][:, :3, :3].mT
+    turn = mean_pose(turns, np.ones(len(turns)))[:3, :3]
+    here, there = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
+    away = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
+    count = len(distances)
+    for _ in range(ROUNDS):
+        off = misfit(similarity, here, there, away)
+        weights = np.concatenate([_weights(off[:count]), _weights(off[count:])]) / away**2
+        share = (weights / weights.sum())[:, None]
+        middle, other = (share * here).sum(axis=0), (share * there).sum(axis=0)
+        spread = [(share * one**2).sum() for one in (here - middle, there - other)]
+        similarity = np.eye(4)
+        similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * turn
+        similarity[:3, 3] = middle - similarity[:3, :3] @ other
+    return similarity
+
+
+def _weights(off: np.ndarray) -> np.ndarray:
+    """Return weights of what is off by so much, with some that is off by far more."""
+    usual = max(float(np.median(off)), 1e-9)
+    return np.asarray(1 / (usual**2 + (off / 2) ** 2))
+
+
+def misfit(
+    similarity: np.ndarray, points: np.ndarray, others: np.ndarray, distances: np.ndarray
+) -> np.ndarray:
+    """Return how far others come to points, (N,), as shares of distances."""
+    return np.asarray(
+        np.linalg.norm(moved(similarity, others) - points, axis=1) / np.maximum(distances, 1e-300)
+    )
