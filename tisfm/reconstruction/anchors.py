@@ -12,9 +12,9 @@ from tisfm.motion.matched_planes import noise_deviation
 from tisfm.reconstruction.window_planes import Window, WindowPlanes
 
 CLOSE = 5  # cells: the side of the square that counts; windows have 11
-# Standard deviations of D, cells: of an anchor that counts half, which is the usual error of planes
-# of rendered scenes; and of one that does not count any more: a sixth of those are wrong by a cell.
-HALF, MOST = 0.2, 0.4
+# Standard deviation of D, cells, of an anchor that counts half: of rendered scenes, planes that
+# should be so sure are off by 0.3, a tenth of them by a cell; surer ones by 0.1, and a fiftieth.
+HALF = 0.5
 NOISE_IN_SLOPES = 3 / 16  # variance of the slopes of noise of variance 1, by Sobel's mask
 
 
@@ -24,7 +24,7 @@ def anchors_of(window: Window, planes: WindowPlanes) -> np.ndarray:
     if planes.believed.any():
         depth = np.where(planes.believed, depth, np.median(depth[planes.believed]))
     deviation = deviation_of_match(window, depth.astype(np.float32))
-    weight = np.where(planes.believed & (deviation < MOST), 1 / (1 + (deviation / HALF) ** 2), 0)
+    weight = np.where(planes.believed, 1 / (1 + (deviation / HALF) ** 2), 0)
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
