@@ -20,7 +20,7 @@ from bench.kernels.traffic import VIEWS
 from bench.shared.problems import Problem
 from tisfm import reference
 from tisfm.kernels.rigid.patch_match import STEEPEST
-from tisfm.kernels.rigid.view_search import ViewSearch
+from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import UNSEEN
 
 BEST = 1  # frames that a cost is the mean of
@@ -43,7 +43,7 @@ class Views:
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return what they cost in the best of the frames."""
-        return reference.best_mean(self.costs(planes), BEST)
+        return reference.best_mean(self.costs(planes), BEST, absent=ABSENT)
 
 
 class ViewOperations(TaichiSide):

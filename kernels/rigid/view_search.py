@@ -31,6 +31,7 @@ from tisfm.kernels.rigid.patch_match import (
 )
 from tisfm.kernels.rigid.windows import (
     MOST_PIXELS,
+    NOWHERE,
     UNSEEN,
     mixed,
     packed,
@@ -39,6 +40,9 @@ from tisfm.kernels.rigid.windows import (
 )
 
 MOST_BEST = 4  # frames that take part in a mean
+# What a frame costs that does not show a hypothesis, where others do: as much as what is just
+# believed. So borders are matched in those frames that show them.
+ABSENT = 0.25
 
 _Plane = ti.types.vector(4, ti.f32)
 
@@ -312,16 +316,23 @@ def _cost_of_best(
 ):
     """Return the mean of 1 − c in the frames where it is least."""
     lowest = ti.Vector([UNSEEN] * MOST_BEST)  # in order
+    showing = 0
     for j in range(count):
         cost = cost_in(
             others, j, height, width, motions, cx, cy, focal, noise,
             weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
         )  # fmt: skip
+        if cost == NOWHERE:
+            cost = UNSEEN
+        else:
+            showing += 1
         for n in ti.static(range(MOST_BEST)):
             lower = ti.min(lowest[n], cost)
             cost = ti.max(lowest[n], cost)
             lowest[n] = lower
+    # A few frames that show it have to do where others do not.
     total = 0.0
     for n in ti.static(range(MOST_BEST)):
-        total += ti.select(n < best, lowest[n], 0.0)
+        cost = ti.select(n < showing, lowest[n], ti.select(showing > 0, ABSENT, NOWHERE))
+        total += ti.select(n < best, cost, 0.0)
     return total / ti.cast(best, ti.f32)

@@ -37,6 +37,7 @@ def costs_of_reference(key, others, planes):
 @pytest.mark.parametrize("best", [1, 2, 3])
 @pytest.mark.parametrize("size", [(1, 9), (13, 17), (24, 31)])
 def test_score_is_the_mean_of_the_best_frames(size, best):
+    from tisfm.kernels.rigid.view_search import ABSENT
     from tisfm.kernels.rigid.windows import UNSEEN
 
     key, *others = frames(size)
@@ -47,7 +48,7 @@ def test_score_is_the_mean_of_the_best_frames(size, best):
     seen = planes[..., 3] < UNSEEN
     np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
     # Where a pixel goes to the border of a frame, rounding decides whether it is seen.
-    off = np.abs(planes[..., 3] - reference.best_mean(expected, best))[seen]
+    off = np.abs(planes[..., 3] - reference.best_mean(expected, best, absent=ABSENT))[seen]
     assert (off < 1e-3).mean() > 0.98
     each = np.empty((len(others), *size), np.float32)
     search.costs(planes, each)
@@ -75,6 +76,8 @@ def test_a_cell_costs_what_its_first_pixel_does(stride):
 
 @pytest.mark.parametrize(("size", "draws"), [((1, 9), 0), ((13, 17), 2)])
 def test_improved_planes_are_those_of_the_reference(size, draws):
+    from tisfm.kernels.rigid.view_search import ABSENT
+
     key, *others = frames(size)
     search = search_in(key, others, MOTIONS)
     planes = drawn(size, largest=6.0)
@@ -83,7 +86,7 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
     search.improve(planes, draws=draws, spread=2.0, tilt=0.05, seed=3)
 
     def cost(found):
-        return reference.best_mean(costs_of_reference(key, others, found)[0], 2)
+        return reference.best_mean(costs_of_reference(key, others, found)[0], 2, absent=ABSENT)
 
     options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / CAMERA.focal, "bounds": (1e-3, 6.0)}
     for color in range(2):

@@ -162,7 +162,7 @@ class Reconstruction:
         frames: Iterable[int] | None = None,
         *,
         agreeing: int = 3,
-        max_relative_std: float = 0.05,
+        max_relative_std: float = 0.03,
         voxel: float | None = None,
         truncation: float | None = None,
     ) -> "Mesh":
@@ -172,8 +172,11 @@ class Reconstruction:
 
         Parameters
         ----------
-        frames, agreeing, max_relative_std
+        frames, agreeing
             As for `points`.
+        max_relative_std : float
+            Depth of a larger relative deviation is left out: of a room whose walls are bare, what
+            was carried far over them.
         voxel : float, optional
             Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
             half the median deviation of depth if that is more.

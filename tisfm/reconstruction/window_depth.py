@@ -23,7 +23,8 @@ from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.several_frames import add_along, as_constraint
 from tisfm.motion.carried_depth import SECOND_ORDER, texture_weight
 from tisfm.motion.problems import depth_problem
-from tisfm.reconstruction.window_planes import Window, WindowPlanes, costs_of, window_planes
+from tisfm.reconstruction.anchors import anchors_of
+from tisfm.reconstruction.window_planes import COST, Window, WindowPlanes, costs_of, window_planes
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
 from tisfm.solver.sampling import enlarged, spline_taps
@@ -42,18 +43,22 @@ CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
 FEWEST = 0.01  # of the cells: with fewer believed, nothing is carried
 # Weight of the constraints of a frame, where they count in full, against that of a matched cell;
 # and what is left of that cell's own weight there, since both come from the same images.
-DATA, LEFT = 8.0, 0.1
+DATA, LEFT = 6.0, 0.1
+# Where slopes turn, px per px, and how much edges of the image tell. Slopes turn sooner than for
+# pairs, since what is matched is surer: or those of a floor are smoothed into those of the walls.
+TURN, IMAGE_EDGES = 0.0009, 10.0
 TEXTURE = 1000.0  # times the variance of the noise: of a window whose constraints count half
 WARPS, ITERATIONS = 3, 1
 FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
 FURTHEST_SHARE = 0.01  # of the matched cells: those that are further are not counted
 # Of the standard deviation of D, cells: the least; a share of what constraints nearby are off by,
-# and of the most that counts of it; and what is added for every cell that D is carried.
-SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.08, 2.5, 0.08
+# and of the most that counts of it; and a share of D for every pixel that it is carried: slopes of
+# surfaces go with D, and with the pixels of the frame, not of its cells.
+SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.07, 2.5, np.float32(0.002)
 # And a share of how far matches nearby lie from D: less the closer that is to their own scatter.
-MOVED, SCATTER = 1.2, np.float32(0.2)
-# Of the pixels of rendered scenes 63 to 80 % then lie within one, of TartanAir 75 %, and of a
-# HoloLens, whose poses are not exact, 47 %.
+MOVED, SCATTER = 0.8, np.float32(0.2)
+# Of the pixels of rendered rooms 60 to 76 % then lie within one, of TartanAir 57 %, and of a
+# HoloLens, whose poses are not exact, 28 %; `tisfm.reconstruction.depths` compares keyframes.
 AROUND = (15, 15)  # cells: the window that these are averaged in
 
 
@@ -130,16 +135,16 @@ def window_depth(
         key, others, motions, camera, cells=CELLS[effort], key_mask=key_mask, masks=masks
     )
     planes = window_planes(window)
-    anchors = _anchors(planes)
-    if (anchors[0] > 0).sum() < max(1, FEWEST * window.counted.sum()):
+    anchors = anchors_of(window, planes)
+    planes = replace(planes, believed=anchors[0] > 0)
+    if planes.believed.sum() < max(1, FEWEST * window.counted.sum()):
         return None
     state = _Data(window, settings, anchors)
     for _ in range(WARPS):
         state.step()
     depth = state.depth()
-    known = anchors[1][anchors[0] > 0]
-    least = np.float32(np.quantile(known, FURTHEST_SHARE) / FURTHEST)
-    depth = np.maximum(depth, least)
+    least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
+    depth = np.maximum(depth, np.float32(least))
     deviation = _deviation(planes, depth, state.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     found = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
@@ -154,7 +159,13 @@ def second_order(level: int) -> SecondOrderSettings:
     That of pixels, as far as slopes are carried over as many px, against anchors that are fewer.
     """
     side = 2.0**level
-    return replace(SECOND_ORDER, alpha=SECOND_ORDER.alpha / side, beta=SECOND_ORDER.beta / side**3)
+    return replace(
+        SECOND_ORDER,
+        alpha=SECOND_ORDER.alpha / side,
+        beta=SECOND_ORDER.beta / side**3,
+        turn=TURN,
+        image_edges=IMAGE_EDGES,
+    )
 
 
 class _Data:
@@ -193,7 +204,7 @@ class _Data:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
-        seen = np.maximum(1 - costs_of(window, depth, slopes), 0) * textured
+        seen = np.maximum(1 - costs_of(window, depth, slopes) / np.float32(COST), 0) * textured
         self._linearise: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
             other = window.of_cells(1 + j)
@@ -240,17 +251,12 @@ class _Data:
         return sums[0], np.maximum((sums[0] * depth + 2 * sums[1]) * depth + sums[2], 0)
 
 
-def _anchors(planes: WindowPlanes) -> np.ndarray:
-    """Return weight and D* of every cell, (2, h, w) float32."""
-    target = np.where(planes.believed, planes.inverse_depth, 0)
-    return np.stack([planes.believed, target]).astype(np.float32)
-
-
 def _deviation(
     planes: WindowPlanes, depth: np.ndarray, residual: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Return the standard deviation of D, (h, w) float32, cells."""
     far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
+    far *= 2**planes.level
     precision, square = (cv2.blur(image, AROUND) for image in residual)
     square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MOST_OFF**2)
     believed = planes.believed.astype(np.float32)
@@ -258,7 +264,7 @@ def _deviation(
     moved = moved / np.maximum(cv2.blur(believed, AROUND), np.float32(1 / math.prod(AROUND)))
     moved = np.float32(MOVED) * moved**2 / (moved + SCATTER)
     deviation: np.ndarray = np.sqrt(
-        SUREST**2 + OFF**2 * square + moved**2 + (CARRYING * far) ** 2, dtype=np.float32
+        SUREST**2 + OFF**2 * square + moved**2 + (CARRYING * far * depth) ** 2, dtype=np.float32
     )
     return deviation
 

@@ -142,6 +142,11 @@ class Window:
         stride = 2 ** (self.level - self.finest)
         return height // stride, width // stride
 
+    @property
+    def best(self) -> int:
+        """How many frames a cost is the mean of: half of them, at most `MOST_BEST`."""
+        return min((len(self.motions) + 1) // 2, MOST_BEST)
+
     def camera_of(self, level: int) -> Camera:
         """Return the camera of a level."""
         return self.camera.scaled(0.5**level, *self.size) if level else self.camera
@@ -183,12 +188,11 @@ class Window:
                 _hide(levels, mask)
         camera = self.camera_of(level)
         scale = 0.5**level
-        count = len(frames) - 1
         return ViewSearch(
             frames[0],
             frames[1:],
             self.motions,
-            best=min((count + 1) // 2, MOST_BEST),
+            best=self.best,
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,

@@ -8,6 +8,7 @@ from tisfm.camera import Camera
 
 RADIUS, SIMILAR = 5, 20.0  # px; grey levels
 UNSEEN, NONE = 4.0, -1e30  # a cost and a D that no plane has
+NOWHERE = 1.0  # the cost of a plane that takes the pixel out of the frame
 ALIKE = 0.03  # px: planes that differ by less are not compared
 DISTANCES = (1, 3, 5, 7, 13, 21)  # px, to neighbours
 _EAST, _SOUTH = np.eye(3)[:2, :, None, None]
@@ -61,7 +62,7 @@ def window_cost(
     variance0, variance1 = square0 - mean0**2, square1 - mean1**2
     correlation = (product - mean0 * mean1) / np.sqrt((variance0 + noise) * (variance1 + noise))
     u, v = place[:2] / place[2]
-    return np.where(_inside(u, v), 1 - correlation, 1.0), variance0
+    return np.where(_inside(u, v), 1 - correlation, NOWHERE), variance0
 
 
 def plane_cost(
@@ -98,9 +99,16 @@ def plane_cost(
     return window_cost(levels0, levels1, place, east, south, noise=noise)
 
 
-def best_mean(costs: np.ndarray, best: int) -> np.ndarray:
-    """Return the mean of the least of several frames' costs, (M, …), so many of them."""
-    return np.sort(costs, axis=0)[:best].mean(axis=0)
+def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
+    """Return the mean of the least of several frames' costs, (M, …), so many of them.
+
+    Frames that do not show a hypothesis cost 1, or `absent` each if others do and these are fewer.
+    """
+    shown = costs != NOWHERE
+    some = np.where(shown.any(axis=0), absent, NOWHERE)
+    lowest = np.sort(np.where(shown, costs, np.inf), axis=0)[:best]
+    mean: np.ndarray = np.where(np.isfinite(lowest), lowest, some).mean(axis=0)
+    return mean
 
 
 def improved_planes(
