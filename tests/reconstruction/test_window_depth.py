@@ -41,12 +41,12 @@ def test_depth_of_rendered_scenes(kind, limit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
-def test_the_error_falls_with_frames(kind):
+@pytest.mark.parametrize(("kind", "share"), [("sideways", 0.55), ("forward+rotation", 0.5)])
+def test_the_error_falls_with_frames(kind, share):
     scene = views(kind, 240, 320, 8)
     errors = [scene.errors(found_in(scene.first(count))).mean() for count in (1, 2, 4, 8)]
     assert (np.diff(errors) < 0).all()
-    assert errors[-1] < 0.55 * errors[0]
+    assert errors[-1] < share * errors[0]
 
 
 def test_the_unit_is_that_of_the_motions():
@@ -87,7 +87,7 @@ def test_what_masks_hide_does_not_count():
     believed = scene.errors(found_in((key, spoilt, motions, camera)))
     inside = np.s_[:, 110:]
     errors = scene.errors(hidden)
-    assert errors[inside].mean() < 0.95 * believed[inside].mean()
+    assert errors[inside].mean() < min(0.95 * believed[inside].mean(), 0.7)
     assert errors[:, :90].mean() < 1.5 * clean[:, :90].mean()
     noise = key.copy()
     noise[:, 100:] = rng.uniform(0, 255, noise[:, 100:].shape)

@@ -43,7 +43,7 @@ CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
 FEWEST = 0.01  # of the cells: with fewer believed, nothing is carried
 # Weight of the constraints of a frame, where they count in full, against that of a matched cell;
 # and what is left of that cell's own weight there, since both come from the same images.
-DATA, LEFT = 6.0, 0.1
+DATA, LEFT = 8.0, 0.1
 # Where slopes turn, px per px, and how much edges of the image tell. Slopes turn sooner than for
 # pairs, since what is matched is surer: or those of a floor are smoothed into those of the walls.
 TURN, IMAGE_EDGES = 0.0009, 10.0
