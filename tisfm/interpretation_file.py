@@ -165,6 +165,8 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
 
 def _camera(about: Any) -> Camera:
     """Return the camera."""
+    if isinstance(about, dict):
+        about = {"readout": None} | about  # earlier versions knew of none
     _check_names("its camera", about, [part.name for part in fields(Camera)])
     try:
         return Camera(**about)

@@ -55,7 +55,7 @@ class Undistortion(Resampling):
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
         # Not left to the kernel: compiled for speed, it may take a comparison with NaN for true.
-        flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+        flow = np.nan_to_num(flow, nan=FAR)
         radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
         folded = radius > _fold(coefficients, float(radius.max()))
         super().__init__(flow, ~folded)

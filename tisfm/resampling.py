@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tisfm.solver.sampling import goes_to, sample
+from tisfm.solver.sampling import FAR, goes_to, sample
 from tisfm.visibility.occlusion import leaves_image
 
 
@@ -23,8 +23,8 @@ class Resampling:
     """
 
     def __init__(self, flow: np.ndarray, known: np.ndarray | None = None) -> None:
-        self._flow = flow
-        self.valid: np.ndarray = ~leaves_image(flow)
+        self._flow = np.clip(flow, -FAR, FAR)
+        self.valid: np.ndarray = ~leaves_image(self._flow)
         if known is not None:
             self.valid &= known
 

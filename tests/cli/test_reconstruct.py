@@ -97,6 +97,9 @@ def test_the_focal_length_is_found_and_handed_on(tisfm_run, film, place):
     [
         (("--camera", "lens.json", "--focal", "100"), "lens.json states the camera"),
         (("--camera", "lens.json", "--aspect", "1.1"), "lens.json states the camera"),
+        (("--camera", "lens.json", "--readout", "0"), "lens.json states the camera"),
+        (("--readout", "0.5"), "give --focal as well"),
+        (("--focal", "100", "--readout", "2"), "readout is 2: expected -1 to 1"),
         (("--camera", "none.json"), "none.json"),
         (("--camera", "f0.png"), "is not a camera"),
         (("--camera", "lens.json"), "of frames of 10×10 px, not of 240×180"),
@@ -217,7 +220,9 @@ def test_poses_with_times_of_frames_without_go_by_their_order(tisfm_run, film):
     )
     write_tum("fewer.txt", film.poses[:4], np.arange(4.0))
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "fewer.txt"))
-    assert_one_line(code, err, "poses are 4, with times, but the 9 frames have no times")
+    assert_one_line(
+        code, err, "poses are 4, with times, but the 9 frames have no times that increase"
+    )
 
 
 def test_the_unit_is_chosen(tisfm_run, film):

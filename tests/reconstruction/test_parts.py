@@ -10,6 +10,7 @@ import pytest
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.walks import CAMERA, centres, frames, residual
 from tisfm.reconstruction import parts, path, similarity_graph
+from tisfm.reconstruction.growing import SMALLEST
 from tisfm.reconstruction.parts import focal_from_parts, parts_of
 from tisfm.reconstruction.path import PathFinder
 from tisfm.reconstruction.self_calibration import FocalEstimate
@@ -51,6 +52,15 @@ def test_a_path_in_parts_is_as_exact_as_one_at_once():
     (piece,) = path_in_parts(images).pieces
     assert sorted(piece.poses) == list(range(24))
     assert residual(np.array([piece.poses[k][:3, 3] for k in range(24)]), centres(WALK)) < 0.005
+
+
+def test_parts_that_do_not_go_together_share_no_frame(monkeypatch):
+    monkeypatch.setattr(parts, "agreed", lambda *_, **__: None)
+    found = path_in_parts(frames(WALK)).pieces
+    assert len(found) > 1
+    placed = [frame for piece in found for frame in piece.poses]
+    assert len(placed) == len(set(placed))
+    assert all(len(piece.views) >= SMALLEST for piece in found)
 
 
 @pytest.mark.slow

@@ -111,6 +111,8 @@ def test_what_is_said_of_cropped_frames_is_of_whole_ones(tmp_path):
     result = reconstructed(None, crop=(0, 6, 160, 108), folder=tmp_path / "cropped")
     assert abs(result.calibration.readout - READOUT) < 0.1
     assert read_camera(tmp_path / "cropped").readout == result.calibration.readout
+    whole = reconstructed(None).calibration
+    assert 0.5 < result.calibration.readout_std / whole.readout_std < 2
 
 
 def test_cropped_rows_take_their_share_of_the_time():

@@ -41,6 +41,22 @@ def test_rates_of_a_steady_motion_are_its_twist():
         np.testing.assert_allclose(rate, TWIST, atol=1e-9)
 
 
+def test_rates_beside_a_long_gap_are_those_of_the_near_side():
+    """A camera that turns to and fro: over the gap, nobody knows how."""
+    poses = {k: pose_matrix((0, 0, 0, 0, 0.1 * (-1) ** k, 0)) for k in [*range(8), *range(27, 35)]}
+    rates = rates_of(poses, np.arange(40))
+    np.testing.assert_allclose(rates[7][4], 0.2, atol=1e-9)
+    np.testing.assert_allclose(rates[27][4], -0.2, atol=1e-9)
+
+
+def test_points_that_would_be_behind_stay():
+    rate = np.array([0, 0, -5.0, 0, 0, 0])  # nearer by more than the depth of either
+    points = np.array([[80.0, 0.0], [80.0, 120.0]])
+    moved = at_middle(points, np.array([2.0, 2.0]), -rate, 0.9, CAMERA, SHAPE)
+    np.testing.assert_array_equal(moved[1], points[1])
+    assert np.isfinite(moved).all() and moved[0, 1] > 0
+
+
 def test_a_frame_alone_has_no_rate():
     assert rates_of({4: np.eye(4)}, np.arange(5)) == {}
 
@@ -66,7 +82,9 @@ def test_points_go_to_where_the_middle_row_would_have_them(readout):
 def test_a_frame_is_made_as_its_middle_row_saw_it():
     """Of a plane before the camera, of a smooth pattern, no point of which is out of place."""
     depth, readout = 4.0, 0.8
-    rolling = Rolling(readout=readout, rates={3: TWIST}, inverse_depth={3: 1 / depth})
+    rolling = Rolling(
+        camera=CAMERA, readout=readout, rates={3: TWIST}, inverse_depth={3: 1 / depth}
+    )
     height, width = SHAPE
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
 
@@ -77,7 +95,7 @@ def test_a_frame_is_made_as_its_middle_row_saw_it():
     # What each pixel of the frame shows is on a surface that is plane for the middle row.
     middle = at_middle(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
     frame = pattern(*middle.T).reshape(SHAPE).astype(np.float32)
-    made = UnrolledFrame(rolling, 3, CAMERA, SHAPE)
+    made = UnrolledFrame(rolling, 3, SHAPE)
     found = made.apply(frame)
     off = np.abs(found - pattern(x, y))[made.valid]
     assert np.abs(frame - pattern(x, y)).mean() > 5
@@ -86,8 +104,8 @@ def test_a_frame_is_made_as_its_middle_row_saw_it():
 
 
 def test_a_frame_whose_rows_are_read_at_once_stays():
-    rolling = Rolling(readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3})
-    made = UnrolledFrame(rolling, 0, CAMERA, SHAPE)
+    rolling = Rolling(camera=CAMERA, readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3})
+    made = UnrolledFrame(rolling, 0, SHAPE)
     frame = cv2.randu(np.zeros(SHAPE, np.uint8), 0, 255)
     assert made.valid.all()
     np.testing.assert_array_equal(made.apply(frame), frame)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shutter import at_middle, rates_of, transported
 from tisfm.reconstruction.shutter_estimate import estimate_readout
 from tisfm.reconstruction.tracks import Seen

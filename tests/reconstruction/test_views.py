@@ -4,8 +4,8 @@ import numpy as np
 
 from tests.reconstruction.walks import CAMERA, frames
 from tisfm.reconstruction import loops
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.loops import Look, similar
-from tisfm.reconstruction.mapping import View
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.views import Views

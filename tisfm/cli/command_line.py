@@ -43,7 +43,7 @@ class CameraOptions:
     resampled first."""
     readout: float | None = None
     """How long a frame is read, row after row, as a share of the time from a frame to the next; 0
-    where all rows are read at once. By default it is found from a sequence. Pairs take it as 0."""
+    where all rows are read at once. By default reconstruct finds it. Pairs take it as 0."""
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""
@@ -53,12 +53,12 @@ class CameraOptions:
 
     def camera(self) -> Camera | Path:
         """Return the camera, with a focal length of 600 px if it is not given, or its file."""
-        stated = (self.focal, self.center, self.distortion)
+        stated = (self.focal, self.center, self.distortion, self.readout)
         if self.file is not None:
-            if stated != (None, None, None) or self.aspect != 1:
+            if any(value is not None for value in stated) or self.aspect != 1:
                 raise ValueError(
                     f"{self.file} states the camera: give neither --focal nor --center, "
-                    "--distortion or --aspect"
+                    "--distortion, --aspect or --readout"
                 )
             return self.file
         focal = self.focal if isinstance(self.focal, float) else 600.0

@@ -78,7 +78,9 @@ def together(views: Sequence[View]) -> View:
     inverse_depth, deviation : (H, W) float32
         The same. Keyframes are of overlapping sets of images: their mean is no surer than they are.
     """
-    depths, spreads = (np.nan_to_num(np.stack(each), posinf=0) for each in zip(*views, strict=True))
+    depths, spreads = map(np.stack, zip(*views, strict=True))
+    known = np.isfinite(depths) & np.isfinite(spreads)
+    depths, spreads = (np.where(known, each, np.float32(0)) for each in (depths, spreads))
     out, deviation = np.empty((2, *depths.shape[1:]), np.float32)
     merged(depths, spreads, out, deviation, alike=DISAGREE)
     return np.where(out > 0, out, np.nan), np.where(out > 0, deviation, np.nan)

@@ -100,7 +100,7 @@ class PreparedFrames:
     def unroll(self, rolling: Rolling) -> None:
         """Make frames anew as if all their rows had been read with the middle one."""
         for number in sorted(rolling.rates):
-            self._make_anew(number, UnrolledFrame(rolling, number, self.camera, self.shape))
+            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
         self.camera = replace(self.camera, readout=0.0)
 
     def _make_anew(self, number: int, map_: Resampling) -> None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.growing import SMALLEST
-from tisfm.reconstruction.mapping import Shared, View
+from tisfm.reconstruction.mapping import Shared
 from tisfm.reconstruction.sparse_points import TrackPoints
 
 Matches = Mapping[tuple[int, int], np.ndarray]

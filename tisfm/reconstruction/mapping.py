@@ -3,8 +3,7 @@
 One thread and fixed seeds: the same input gives the same bits.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,44 +12,18 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.database import (
+    CENTRE,
+    Directions,
+    View,
+    colmap_camera,
+    database_of,
+    pairs_of,
+)
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
 from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
 from tisfm.reconstruction.tracks import Seen
-
-CALIBRATED = 2  # of pycolmap's configurations of two views
-FEWEST_SHARED = 20  # tracks of two views
-# Of views in the order of their frames: those so far apart are compared by the tracks they share.
-APART = (1, 2, 3, 4, 6, 8, 12, 16)
-CENTRE = 0.5  # px: pycolmap's upper left pixel has its centre at (0.5, 0.5)
-
-
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """What a frame shows.
-
-    Attributes
-    ----------
-    frame : int
-    seen : Seen
-        Tracks.
-    detected : (M, 2) float64
-        Points that are matched by what they look like, px.
-    """
-
-    frame: int
-    seen: Seen
-    detected: np.ndarray
-
-    @classmethod
-    def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
-        """Return the view that has these arrays."""
-        points, tracks, detected = arrays
-        return cls(frame=int(frame.item()), seen=Seen.of_arrays(points, tracks), detected=detected)
-
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of."""
-        return np.array(self.frame), *self.seen.arrays(), self.detected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +73,7 @@ class Shared:
         """Return what views have in common; arguments are those of `models_of`."""
         kept = lasting([view.seen for view in views], max(shape))
         few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
-        return cls(views=few, pairs=_pairs(few, matches), shape=shape)
+        return cls(views=few, pairs=pairs_of(few, matches), shape=shape)
 
     def part(self, first: int, last: int) -> "Shared":
         """Return what the views from one up to another, that one left out, have in common."""
@@ -118,9 +91,9 @@ class Shared:
         Each has the focal length of the camera, or one of its own if that is to be found, and maybe
         a radial coefficient.
         """
-        known = _camera(camera, self.shape, calibrate)
-        directions = _Directions(self.views, self.pairs, camera, self.shape)
-        with self.database(known) as database:
+        known = colmap_camera(camera, self.shape, calibrate)
+        directions = Directions(self.views, self.pairs, camera, self.shape)
+        with database_of(self.views, self.pairs, known) as database:
             return grown(database, directions, len(self.views), calibrate)
 
     def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
@@ -130,7 +103,8 @@ class Shared:
             for number, view in enumerate(self.views, start=1)
             if view.frame in known
         }
-        with self.database(_camera(camera, self.shape)) as database:
+        known_camera = colmap_camera(camera, self.shape)
+        with database_of(self.views, self.pairs, known_camera) as database:
             return grown_from(database, matrices)
 
     def models(
@@ -143,17 +117,6 @@ class Shared:
     def model(self, reconstruction: Any) -> Model:
         """Return the model of one, with the points of the tracks that it was adjusted for."""
         return _model(reconstruction, self.views)
-
-    @contextmanager
-    def database(self, camera: Any) -> Iterator[Any]:
-        """Give pycolmap's database of it."""
-        database = pycolmap().Database.open(":memory:")
-        try:
-            _write_views(database, self.views, camera)
-            _write_pairs(database, self.pairs)
-            yield database
-        finally:
-            database.close()
 
 
 def models_of(
@@ -242,7 +205,7 @@ def models_again(
     number = {view.frame: k for k, view in enumerate(views, start=1)}
     left = set(number.values()) - {number[frame] for poses in known for frame in poses}
     found = []
-    with shared.database(_camera(camera, shape)) as database:
+    with database_of(shared.views, shared.pairs, colmap_camera(camera, shape)) as database:
         for poses in known:
             matrices = {number[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
             model = grown_from(database, matrices, fixed=False, left=left)
@@ -268,108 +231,11 @@ def pose_from_points(
     refinement.loss_function_scale = OUTLYING
     refinement.gradient_tolerance = 1e-4
     found = pycolmap().estimate_and_refine_absolute_pose(
-        seen.points[known] + CENTRE, world, _camera(camera, shape), estimation, refinement
+        seen.points[known] + CENTRE, world, colmap_camera(camera, shape), estimation, refinement
     )
     if found is None or found["num_inliers"] < max(FEWEST, LEAST_SEEN * len(known)):
         return None
     return _matrix(found["cam_from_world"])
-
-
-def _camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:
-    height, width = shape
-    cx, cy = camera.center_for(height, width)
-    focal, center = camera.focal, (cx + CENTRE, cy + CENTRE)
-    model, params = {
-        "nothing": ("PINHOLE", [focal, focal, *center]),
-        "focal": ("SIMPLE_PINHOLE", [focal, *center]),
-        "radial": ("SIMPLE_RADIAL", [focal, *center, 0.0]),
-    }[calibrate]
-    known = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
-    known.has_prior_focal_length = True  # or pairs to begin with are looked for without it
-    return known
-
-
-def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
-    database.write_camera(camera, use_camera_id=True)
-    rig = pycolmap().Rig(rig_id=1)
-    rig.add_ref_sensor(camera.sensor_id)
-    database.write_rig(rig, use_rig_id=True)
-    for number, view in enumerate(views, start=1):
-        image = pycolmap().Image(
-            name=str(view.frame), camera_id=1, image_id=number, frame_id=number
-        )
-        frame = pycolmap().Frame(frame_id=number, rig_id=1)
-        frame.add_data_id(image.data_id)
-        database.write_frame(frame, use_frame_id=True)
-        database.write_image(image, use_image_id=True)
-        points = np.vstack([view.seen.points, view.detected]) + CENTRE
-        database.write_keypoints(number, points.astype(np.float32))
-
-
-def _pairs(
-    views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
-) -> dict[tuple[int, int], np.ndarray]:
-    """Return, for pairs of indices of views, indices of points that are the same, (N, 2)."""
-    near = {(k, k + apart) for apart in APART for k in range(len(views) - apart)}
-    pairs = {}
-    for first, second in sorted(near | set(matches)):
-        both = np.empty((0, 2), np.intp)
-        if (first, second) in near:
-            both = _shared(views[first].seen, views[second].seen)
-        if (first, second) in matches:
-            begun = len(views[first].seen.points), len(views[second].seen.points)
-            both = np.vstack([both, matches[first, second] + begun])
-        if len(both) >= FEWEST:
-            pairs[first, second] = both.astype(np.int32)
-    return pairs
-
-
-def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
-    for (first, second), both in pairs.items():
-        pair = pycolmap().TwoViewGeometry()
-        pair.config = CALIBRATED
-        pair.inlier_matches = both.astype(np.uint32)
-        database.write_two_view_geometry(first + 1, second + 1, pair)
-
-
-class _Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
-    """Unit directions to the same points, for pairs of numbers of views; made when asked for.
-
-    Together they would be many times as large as the views.
-    """
-
-    def __init__(
-        self,
-        views: Sequence[View],
-        pairs: Mapping[tuple[int, int], np.ndarray],
-        camera: Camera,
-        shape: tuple[int, int],
-    ) -> None:
-        self._pairs, self._rays = pairs, list[np.ndarray]()
-        center = np.array(camera.center_for(*shape))
-        for view in views:
-            x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
-            ray = np.column_stack([x, np.ones(len(x))])
-            self._rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-
-    def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        first, second = numbers[0] - 1, numbers[1] - 1
-        both = self._pairs[first, second]
-        return self._rays[first][both[:, 0]], self._rays[second][both[:, 1]]
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        return ((first + 1, second + 1) for first, second in self._pairs)
-
-    def __len__(self) -> int:
-        return len(self._pairs)
-
-
-def _shared(first: Seen, second: Seen) -> np.ndarray:
-    """Return the indices in two views of the tracks that they share, (N, 2)."""
-    index0, index1 = first.shared(second)
-    if len(index0) < FEWEST_SHARED:
-        return np.empty((0, 2), np.intp)
-    return np.stack([index0, index1], axis=1)
 
 
 def _model(reconstruction: Any, views: Sequence[View]) -> Model:

@@ -12,9 +12,10 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.growing import SMALLEST
 from tisfm.reconstruction.grown_parts import GrownPart, Matches, PartGrower
-from tisfm.reconstruction.mapping import Model, View
+from tisfm.reconstruction.mapping import Model
 from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
 from tisfm.reconstruction.similarities import agreed, mean_pose, misfit, moved_pose, refined
 from tisfm.reconstruction.similarity_graph import Edge, placed
@@ -98,17 +99,21 @@ def models_in_parts(
     begins = np.cumsum([0, *(len(part.groups) for part in parts)]).tolist()
     edges = [*_inside(parts, begins), *_joints(parts, begins, views)]
     edges += sorted(_loops(parts, begins, matches), key=lambda edge: -edge.worth)
-    models = []
+    whole = []
     for place in placed(begins[-1], edges):
         inside = [number for number, begin in enumerate(begins[:-1]) if begin in place]
         poses = _merged(
             [parts[k] for k in inside],
             [[place[node] for node in range(*begins[k : k + 2])] for k in inside],
         )
-        if len(poses) >= SMALLEST:
-            by_frame = {views[view].frame: pose for view, pose in sorted(poses.items())}
-            points = triangulated(seen, by_frame, camera, shape)
-            models.append(Model(poses=by_frame, points=points))
+        whole.append({views[view].frame: pose for view, pose in sorted(poses.items())})
+    models, taken = [], set[int]()
+    # Parts that do not go together both have the views where they overlap: the larger keeps them.
+    for poses in sorted(whole, key=lambda one: (-len(one), min(one))):
+        own = {frame: pose for frame, pose in poses.items() if frame not in taken}
+        if len(own) >= SMALLEST:
+            taken.update(own)
+            models.append(Model(poses=own, points=triangulated(seen, own, camera, shape)))
     return sorted(models, key=lambda one: (-len(one.poses), min(one.poses)))
 
 

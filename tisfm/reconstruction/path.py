@@ -9,14 +9,9 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.growing import FEWEST, SMALLEST
-from tisfm.reconstruction.mapping import (
-    Model,
-    View,
-    models_again,
-    models_of,
-    pose_from_points,
-)
+from tisfm.reconstruction.mapping import Model, models_again, models_of, pose_from_points
 from tisfm.reconstruction.parts import MOST, focal_from_parts, models_in_parts
 from tisfm.reconstruction.self_calibration import (
     WORTHLESS,
@@ -29,6 +24,7 @@ from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling
 from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.unrolled_way import unrolled_way
+from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.views import Views
 from tisfm.reconstruction.way import Piece, Way
 from tisfm.settings import Settings
@@ -167,11 +163,17 @@ class PathFinder:
             anew = self._way(found.views, found.seen, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
                 anew = near(found.views, found.seen, anew.pieces)
-            if anew.explained > found.explained:
+            if anew.explained > found.explained and _is_of_use(anew.focal):
                 found = anew
         if found.focal is None:
             found = replace(found, camera=way.camera, focal=way.focal)
-        return found, rolling
+        # Frames that have got a pose only now.
+        late = Unrolling(
+            way.seen, found.pieces, instants, rolling.readout, 0.0, rolling.camera, self._shape
+        ).rolling
+        rates = {**late.rates, **rolling.rates}
+        usual = {**late.inverse_depth, **rolling.inverse_depth}
+        return found, replace(rolling, rates=rates, inverse_depth=usual)
 
     def _way(
         self,
@@ -226,6 +228,11 @@ class PathFinder:
             focal=focal,
             explained=sum(model.explained for model in models),
         )
+
+
+def _is_of_use(focal: FocalEstimate | None) -> bool:
+    """Return whether a focal length was not sought, or what was found says more than a guess."""
+    return focal is None or focal.is_of_use
 
 
 def _straight(tracks: Sequence[Seen], lens: Camera, shape: tuple[int, int]) -> Sequence[Seen]:

@@ -196,10 +196,15 @@ class Run:
             taken = replace(taken, distortion=path.camera.distortion or taken.distortion)
         self._frames.take(path.camera)
         if path.rolling is not None:
-            part = self._source.camera_after(replace(taken, readout=1.0), shape).readout or 1.0
-            taken = replace(taken, readout=max(-1.0, min(path.rolling.readout / part, 1.0)))
+            readout = path.rolling.readout / self._share_of_rows()
+            taken = replace(taken, readout=max(-1.0, min(readout, 1.0)))
             self._frames.unroll(path.rolling)
         self._taken = taken, shape
+
+    def _share_of_rows(self) -> float:
+        """Return the share of a frame's rows that is left of it, where it is cropped."""
+        taken, shape = self._taken
+        return self._source.camera_after(replace(taken, readout=1.0), shape).readout or 1.0
 
     def _given_path(
         self,
@@ -236,8 +241,9 @@ class Run:
             path.focal, self._guess, self._frames.camera, sought=self._calibrate != "nothing"
         )
         if path.rolling is not None and path.rolling.deviation:  # it was not given
+            deviation = path.rolling.deviation / self._share_of_rows()
             readout = self._taken[0].readout or 0.0
-            found = replace(found, readout=readout, readout_std=path.rolling.deviation)
+            found = replace(found, readout=readout, readout_std=deviation)
         if not found.seen:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
         return found

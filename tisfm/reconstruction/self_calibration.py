@@ -18,8 +18,9 @@ from tisfm.camera import LONGEST, SHORTEST, Camera
 from tisfm.focal_guess import FocalGuess
 from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.growing import robust
-from tisfm.reconstruction.mapping import Model, Shared, View, models_of
+from tisfm.reconstruction.mapping import Model, Shared, models_of
 from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with

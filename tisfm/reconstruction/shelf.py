@@ -1,7 +1,6 @@
 """What is kept of every frame, on disk: memory does not grow with it."""
 
 import math
-import os
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Sequence
@@ -15,25 +14,23 @@ T = TypeVar("T")
 class Shelf(Sequence[T], Generic[T]):
     """A sequence whose items lie in a temporary file, and are read when they are asked for.
 
+    The file is in the folder that `tempfile.gettempdir` names, and deleted with the shelf.
+
     Parameters
     ----------
     arrays_of : callable
         Returns the arrays that an item is made of.
     made_of : callable
         Returns the item that is made of such arrays.
-    folder : path, optional
-        Where the file lies; by default in the system's folder for such files. It is deleted with
-        the shelf.
     """
 
     def __init__(
         self,
         arrays_of: Callable[[T], tuple[np.ndarray, ...]],
         made_of: Callable[..., T],
-        folder: str | os.PathLike[str] | None = None,
     ) -> None:
         self._arrays_of, self._made_of = arrays_of, made_of
-        self._file = tempfile.TemporaryFile(prefix="tisfm-", dir=folder)  # noqa: SIM115
+        self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
         weakref.finalize(self, self._file.close)
         self._end = 0
         # Of each item: where it begins in the file, and what each of its arrays is.

@@ -16,6 +16,8 @@ from tisfm.camera import Camera
 from tisfm.resampling import Resampling
 from tisfm.rigid import rigid_twist
 
+BEHIND = 1e-6  # Z of points that a frame sees
+LONGEST = 2.0  # times the usual time between frames: over a longer one, nobody knows how it moved
 NODES = 33  # along the longer side, between which the way of pixels is interpolated
 STEPS = 4  # of the search for the row that a pixel was read in
 
@@ -26,6 +28,8 @@ class Rolling:
 
     Attributes
     ----------
+    camera : Camera
+        The pinhole that rates were found with.
     readout : float
         The share of the interval that passes from the first row to the last; negative where the
         last is read first, 0 where all are read at once.
@@ -37,6 +41,7 @@ class Rolling:
         By frame: the usual one of what it shows, 1/unit of the rates.
     """
 
+    camera: Camera
     readout: float
     deviation: float = 0.0
     rates: Mapping[int, np.ndarray] = field(default_factory=dict)
@@ -56,15 +61,18 @@ def rates_of(
         When each frame was taken, in intervals.
     """
     frames = sorted(poses)
+    times = {frame: instants[after] - instants[frame] for frame, after in pairwise(frames)}
+    longest = LONGEST * float(np.median(list(times.values()))) if times else 0.0
     ways = {
-        frame: _twist(poses[frame], poses[after]) / (instants[after] - instants[frame])
+        frame: _twist(poses[frame], poses[after]) / times[frame]
         for frame, after in pairwise(frames)
     }
     rates = {}
     for number, frame in enumerate(frames):
-        near = [ways[k] for k in frames[max(0, number - 1) : number + 1] if k in ways]
-        if near:
-            rates[frame] = np.mean(near, axis=0)
+        near = [k for k in frames[max(0, number - 1) : number + 1] if k in ways]
+        short = [k for k in near if times[k] <= longest] or near
+        if short:
+            rates[frame] = np.mean([ways[k] for k in short], axis=0)
     return rates
 
 
@@ -77,6 +85,8 @@ def at_middle(
     shape: tuple[int, int],
 ) -> np.ndarray:
     """Return where points of a frame would be if all rows were read with the middle one, (N, 2).
+
+    Points that would be behind the camera stay where they are.
 
     Parameters
     ----------
@@ -96,7 +106,10 @@ def at_middle(
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
     late = _late(points[:, 1], readout, shape)
     moved = transported(ray * np.asarray(depth)[:, None], rate, -late)
-    return moved[:, :2] / moved[:, 2:] * camera.focal + center
+    ahead = moved[:, 2] > BEHIND
+    found = np.array(points, np.float64)
+    found[ahead] = moved[ahead, :2] / moved[ahead, 2:] * camera.focal + center
+    return found
 
 
 def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -129,16 +142,12 @@ class UnrolledFrame(Resampling):
     rolling : Rolling
     frame : int
         One that has a rate.
-    camera : Camera
-        A pinhole.
     shape : (int, int)
         Height and width, px.
     """
 
-    def __init__(
-        self, rolling: Rolling, frame: int, camera: Camera, shape: tuple[int, int]
-    ) -> None:
-        height, width = shape
+    def __init__(self, rolling: Rolling, frame: int, shape: tuple[int, int]) -> None:
+        camera, (height, width) = rolling.camera, shape
         center = np.array(camera.center_for(*shape))
         spacing = max(shape) / (NODES - 1)
         columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
@@ -150,7 +159,7 @@ class UnrolledFrame(Resampling):
         for _ in range(STEPS):
             late = _late(there[:, 1], rolling.readout, shape)
             moved = transported(ray * depth, rolling.rates[frame], late)
-            there = moved[:, :2] / np.maximum(moved[:, 2:], 1e-6) * camera.focal + center
+            there = moved[:, :2] / np.maximum(moved[:, 2:], BEHIND) * camera.focal + center
         nodes = (there - wanted).reshape(rows, columns, 2).astype(np.float32)
         at_x = np.linspace(0, columns - 1, width, dtype=np.float32)
         at_y = np.linspace(0, rows - 1, height, dtype=np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shutter import transported
 
 FEWEST_VIEWS = 3  # that see a point

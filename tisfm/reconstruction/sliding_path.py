@@ -7,7 +7,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
-from tisfm.reconstruction.mapping import View, continued, models_of
+from tisfm.reconstruction.database import View
+from tisfm.reconstruction.mapping import continued, models_of
 from tisfm.reconstruction.path import TRACKING, why_lost, with_others
 from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
 from tisfm.reconstruction.tracks import Seen, Tracker

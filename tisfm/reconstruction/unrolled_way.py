@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.self_calibration import straight
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling, rates_of
@@ -63,14 +63,14 @@ def unrolled_way(
     for number in range(ROUNDS if readout is None else KNOWN_ROUNDS):
         if readout is None:
             estimate = _estimate(found, views, matches, instants, camera, shape, begun=value)
-            if estimate is None or (not number and not _is_seen(estimate)):
+            if estimate is None or not _is_seen(estimate):
                 break
             before, change = change, estimate.readout - value
             if number and abs(change) < SAME:
                 break
             hidden = min(max(change / before, 0.0), HIDDEN) if before else 0.0
             value, last = _taken(value + change / (1 - hidden)), value
-            deviation = estimate.deviation
+            deviation = float(f"{estimate.deviation:.3g}")
             if number and value == last:  # it is as much as it can be
                 break
         unrolling = Unrolling(way.seen, found.pieces, instants, value, deviation, camera, shape)
@@ -85,7 +85,9 @@ def unrolled_way(
 
 
 def _is_seen(estimate: ReadoutEstimate) -> bool:
-    return abs(estimate.readout) > SEEN * estimate.deviation
+    """Return whether a readout differs from 0, and is none that no camera has."""
+    least = SEEN * estimate.deviation
+    return least < abs(estimate.readout) < MOST + least
 
 
 def _taken(readout: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling, at_middle, rates_of
 from tisfm.reconstruction.sparse_points import located
@@ -61,7 +61,11 @@ class Unrolling:
                     rates[frame], usual[frame] = rate, 1 / float(np.median(depth[known]))
                     self._depths[frame] = depth, known
         self.rolling = Rolling(
-            readout=readout, deviation=deviation, rates=rates, inverse_depth=usual
+            camera=camera,
+            readout=readout,
+            deviation=deviation,
+            rates=rates,
+            inverse_depth=usual,
         )
 
     def tracks(self, frame: int) -> Seen:

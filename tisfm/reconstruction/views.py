@@ -5,8 +5,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.sparse_matches import Described, alike, described
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.loops import Look, similar
-from tisfm.reconstruction.mapping import View
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import Seen, share_of, smaller
 

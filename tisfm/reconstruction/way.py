@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping import View
+from tisfm.reconstruction.database import View
 from tisfm.reconstruction.self_calibration import FocalEstimate
 from tisfm.reconstruction.tracks import Seen
 
