@@ -1,0 +1,201 @@
+"""How far the image motion is from anything that the camera's motion explains, over several frames.
+
+At two frames a thing that moves along epipolar lines looks like another depth. Over several its
+depth would have to change, or the lines turn. So what tells it is summed up along the image motion.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.egomotion import CameraMotion, TooFewPixelsError, camera_motion
+from tisfm.reconstruction.objects.image_motion import ImageMotion, at_places, places_of
+
+AWAY = (1, 3)  # frames, before and after, that a frame is compared with
+# Deviation of the image motion: that of the fit, and of as much as this share of the longer side.
+LEAST_DEVIATION = 1.5e-4
+NEUTRAL = 3.0  # deviations: what is as far from the camera's motion says nothing
+AT_REST, MOVING = -1.0, 3.0  # the most that a frame may say
+DOUBT = 0.3  # frames: as much speaks for a pixel at rest before anything is seen
+LASTING = 0.8  # of what a frame says is left for the next
+WINDOW = 5  # px, over which images are compared
+# Grey levels, beside those that are missed anyway: a place that misses as many more is wrong. And
+# what the image motion says anyway.
+CLEAR, LEAST_SHOWN = 4.0, 0.05
+# Depths at rest that are tried: up to this many times what is usual, every so many px, at least and
+# at most so many.
+BEYOND, TRIED_EVERY, TRIED = 3.0, 2.0, (8, 32)
+NEAREST = 0.05  # of the unit of depth: nothing is nearer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What frames say of whether a pixel follows the camera's motion.
+
+    Attributes
+    ----------
+    moving : (H, W) float32
+        Sum of what frames say: positive if it moves on its own.
+    weight : (H, W) float32
+        How many frames say something, at most 1 each.
+    """
+
+    moving: np.ndarray
+    weight: np.ndarray
+
+    def mean(self) -> np.ndarray:
+        """Return what a frame says on average, (H, W) float32: where none does, it is at rest."""
+        return (self.moving + np.float32(DOUBT * AT_REST)) / (self.weight + np.float32(DOUBT))
+
+
+def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = None) -> Evidence:
+    """Return what a frame's motion to others says.
+
+    One rigid motion is fitted to all of the image motion from the frame to another, where the way
+    back agrees. Distances from where points at rest may go are compared with that of the others.
+
+    Parameters
+    ----------
+    motion : ImageMotion
+    frame : int
+    ignored : (H, W) bool, optional
+        What takes no part in the fits: what is known to move.
+    """
+    shape, camera = motion.grey(frame).shape, motion.camera()
+    total, weight = (np.zeros(shape, np.float32) for _ in range(2))
+    start, grey = places_of(shape), motion.grey(frame)
+    for led in motion.led(frame, max(AWAY)):
+        if led.steps not in AWAY:
+            continue
+        flow = led.places - start
+        trust = np.float32(led.found)
+        if ignored is not None:
+            trust[ignored] = 0
+        try:
+            fitted = camera_motion(flow, trust, camera)
+        except TooFewPixelsError:
+            continue
+        usual = fitted.residual + LEAST_DEVIATION * max(shape) * led.steps**0.5
+        at_rest = _AtRest(fitted, camera, shape)
+        inverse_depth = at_rest.nearest(led.places)
+        far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
+        says = np.clip((far / NEUTRAL) ** 2 - 1, AT_REST, MOVING)
+        resting = inverse_depth[led.found & (says < 0)]
+        shown = _shown(grey, motion.grey(led.frame), led.places, at_rest, resting)
+        seen = np.where(says > 0, shown, 1)
+        seen *= led.found
+        total += seen * says
+        weight += seen
+    comparisons = 2 * len(AWAY)
+    return Evidence(moving=total / comparisons, weight=weight / comparisons)
+
+
+def accumulated(motion: ImageMotion, evidence: list[Evidence]) -> list[Evidence]:
+    """Return what frames say together with those before and after, along the image motion."""
+    before = _one_way(motion, evidence, 1)
+    after = _one_way(motion, evidence, -1)
+    return [
+        Evidence(
+            moving=one.moving + two.moving - own.moving, weight=one.weight + two.weight - own.weight
+        )
+        for one, two, own in zip(before, after, evidence, strict=True)
+    ]
+
+
+def _one_way(motion: ImageMotion, evidence: list[Evidence], way: int) -> list[Evidence]:
+    """Return what frames say together with those before, or, way −1, with those after."""
+    found: list[Evidence] = []
+    order = range(len(evidence))[::way]
+    for frame in order:
+        own = evidence[frame]
+        if found:
+            led = next(
+                led for led in motion.led(frame, 1) if led.frame == frame - way
+            )
+            kept = np.float32(LASTING) * led.found
+            own = Evidence(
+                moving=own.moving + kept * at_places(found[-1].moving, led.places),
+                weight=own.weight + kept * at_places(found[-1].weight, led.places),
+            )
+        found.append(own)
+    return found[::way]
+
+
+class _AtRest:
+    """Where points at rest go, under one motion of the camera, by their inverse depth.
+
+    Parameters
+    ----------
+    motion : CameraMotion
+    camera : Camera
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+
+    def __init__(self, motion: CameraMotion, camera: Camera, shape: tuple[int, ...]) -> None:
+        self._focal = np.float32(camera.focal)
+        self._center = np.array(camera.center_for(*shape[:2]), np.float32)
+        start = (places_of(shape) - self._center) / self._focal
+        rays = cv2.merge([*cv2.split(start), np.ones(shape[:2], np.float32)])
+        self._turned = cv2.transform(rays, motion.rotation.astype(np.float32))
+        self._translation = motion.translation.astype(np.float32)
+
+    def places(self, inverse_depth: np.ndarray | float) -> np.ndarray:
+        """Return the places, (H, W, 2) float32, of points of inverse depths in 1/‖t‖."""
+        moved = [
+            turned + np.float32(inverse_depth) * part
+            for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
+        ]
+        scale = self._focal / np.maximum(moved[2], np.float32(NEAREST))
+        x, y = self._center
+        return cv2.merge([moved[0] * scale + x, moved[1] * scale + y])
+
+    def nearest(self, places: np.ndarray) -> np.ndarray:
+        """Return the inverse depth, (H, W) float32, of what comes nearest to places."""
+        target = (places - self._center) / self._focal
+        along, ahead = self._translation[:2], self._translation[2]
+        turned, inverse_depth = self._turned, np.zeros(target.shape[:2], np.float32)
+        for _ in range(2):  # the second one weighs as the first has found
+            depth = np.maximum(turned[..., 2] + inverse_depth * ahead, np.float32(NEAREST))
+            missed = (target * turned[..., 2:] - turned[..., :2]) / depth[..., None]
+            slope = (target * ahead - along) / depth[..., None]
+            steep = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
+            inverse_depth = np.maximum(-(missed * slope).sum(axis=-1) / steep, np.float32(0))
+        return inverse_depth
+
+
+def _shown(
+    grey: np.ndarray, other: np.ndarray, led: np.ndarray, at_rest: _AtRest, usual: np.ndarray
+) -> np.ndarray:
+    """Return how far the images show that a pixel goes where it is led, and not where it rests.
+
+    Where frames are bare, any place looks alike, and the image motion may be anything; where it is
+    wrong, some depth at rest looks as well or better.
+
+    Parameters
+    ----------
+    grey, other : (H, W) float32
+        The frame, and that in which the places lie.
+    led : (H, W, 2) float32
+        Where the image motion leads.
+    at_rest : _AtRest
+    usual : (N,) float32
+        Inverse depths of points at rest.
+
+    Returns
+    -------
+    (H, W) float32
+        From `LEAST_SHOWN` to 1.
+    """
+    window = (WINDOW, WINDOW)
+    missed = cv2.blur(np.abs(at_places(other, led) - grey), window)
+    furthest = float(np.quantile(usual, 0.99)) * BEYOND if len(usual) else 0.0
+    reach = np.linalg.norm(at_rest.places(furthest) - at_rest.places(0.0), axis=-1)
+    count = int(np.clip(np.median(reach) / TRIED_EVERY, *TRIED))
+    least = cv2.blur(np.abs(at_places(other, at_rest.places(at_rest.nearest(led))) - grey), window)
+    for inverse_depth in np.linspace(0, furthest, count):
+        places = at_rest.places(float(inverse_depth))
+        least = np.minimum(least, cv2.blur(np.abs(at_places(other, places) - grey), window))
+    return np.clip((least - missed) / (CLEAR + missed), LEAST_SHOWN, 1)
