@@ -3,10 +3,12 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
 
+from tisfm.camera import Camera
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.adjustment import Star, star_of
 from tisfm.reconstruction.compared_depth import (
@@ -16,7 +18,6 @@ from tisfm.reconstruction.compared_depth import (
     together,
     unsure_where_apart,
 )
-from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.neighbours import choose_neighbours
 from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.reconstruction.sparse_points import depths_of
@@ -55,12 +56,25 @@ class FrameDepth:
     deviation: np.ndarray
 
 
+class Frames(Protocol):
+    """Frames as depth is found from them; `PreparedFrames` are such."""
+
+    camera: Camera
+    shape: tuple[int, int]
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return a frame, (H, W) float32."""
+
+    def counted(self, number: int) -> np.ndarray | None:
+        """Return where it counts, (H, W) bool; None where all of it does."""
+
+
 class PieceDepths:
     """Depth of the frames of a piece, one after the other.
 
     Parameters
     ----------
-    frames : PreparedFrames
+    frames : Frames
     piece : Piece
     seen : sequence of Seen
         Tracks of every frame.
@@ -82,7 +96,7 @@ class PieceDepths:
 
     def __init__(
         self,
-        frames: PreparedFrames,
+        frames: Frames,
         piece: Piece,
         seen: Sequence[Seen],
         settings: Settings,

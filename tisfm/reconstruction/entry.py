@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -66,8 +66,10 @@ def reconstruct(
         is found. Where poses are given, and no camera, the focal length is guessed from the first
         image file or the size of the frames.
     settings : Settings, optional
-        By default the preset ``"balanced"`` with ``motion="camera"``, the only motion there is for
-        sequences.
+        By default the preset ``"balanced"`` with ``motion="camera"``: what moves on its own takes
+        part in nothing, as far as it does not fit the rest. With ``motion="objects"`` it is found
+        first, labelled in every frame, and left out of path and depth; each thing gets a path and
+        a depth of its own, as far as its motion shows them. Rows count as read at once then.
     poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
         alone is found then, in their unit. Where a trajectory and all frames have times, each frame
@@ -103,7 +105,8 @@ def reconstruct(
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
-        settings ask for another motion; if poses are not (N, 4, 4), rigid, and as many as frames,
+        settings ask for ``motion="field"``, or for ``"objects"`` with a readout or
+        ``calibrate="radial"``; if poses are not (N, 4, 4), rigid, and as many as frames,
         or none is near to a frame in time.
     """
     settings = checked_settings(settings)
@@ -139,6 +142,8 @@ def reconstruct(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
+    if settings.motion == "objects":
+        _check_for_objects(camera, calibrate)
     if folder is not None:
         _refuse_inside(frames.files, Path(folder))
     runtime.start()
@@ -168,6 +173,20 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
 
 
+def _check_for_objects(camera: Camera | None, calibrate: Calibrate) -> None:
+    """Refuse what would move pixels after things have been labelled."""
+    if calibrate == "radial":
+        raise ValueError(
+            'calibrate is "radial" and motion "objects": find the lens with motion="camera" first, '
+            "and give that camera"
+        )
+    if camera is not None and camera.readout:
+        raise ValueError(
+            f'the camera has a readout of {camera.readout:g} and motion is "objects", which takes '
+            "rows as read at once: leave the readout out"
+        )
+
+
 def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:
     """Return what is found from the frames: by default the focal length, unless it is known."""
     if calibrate is None:
@@ -177,16 +196,19 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
     return calibrate
 
 
-def checked_settings(settings: Settings | None) -> Settings:
+def checked_settings(
+    settings: Settings | None, motions: Collection[str] = ("camera", "objects")
+) -> Settings:
     """Return settings that serve for sequences; by default the preset balanced."""
     if settings is None:
         return Settings.preset("balanced", motion="camera")
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is {settings!r}: expected a tisfm.Settings")
-    if settings.motion != "camera":
+    if settings.motion not in motions:
+        names = " or ".join(f'motion="{motion}"' for motion in motions)
         raise ValueError(
-            f'motion is "{settings.motion}": a sequence is reconstructed with motion="camera", as '
-            'in Settings.preset("fast", motion="camera")'
+            f'motion is "{settings.motion}": a sequence is reconstructed with {names}, as in '
+            'Settings.preset("fast", motion="camera")'
         )
     return settings
 

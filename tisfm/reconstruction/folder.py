@@ -8,6 +8,7 @@ import json
 import math
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,20 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.label_png import read_label_png, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
+from tisfm.reconstruction.objects.moving_object import MovingObject
 from tisfm.settings import Settings
 
 FORMAT = 1
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
+MASKS, OBJECTS = "masks", "objects.json"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
-_PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA)
+_PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
@@ -82,6 +86,42 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
             raise FormatError(f"{path} has {values.shape} {values.dtype}: expected {shape} float16")
     inverse_depth, deviation = (values.astype(np.float32) * scale for values in found)
     return inverse_depth, deviation
+
+
+def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
+    """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
+    (folder / MASKS).mkdir(exist_ok=True)
+    write_label_png(_mask_path(folder, number), labels)
+
+
+def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return which thing each pixel of a frame belongs to, (H, W) uint8: 0 if there are none."""
+    path = _mask_path(folder, number)
+    if not (folder / MASKS).is_dir():
+        return np.zeros(shape, np.uint8)
+    labels = read_label_png(path)
+    if labels.shape != shape:
+        raise FormatError(f"{path} is {labels.shape}: expected {shape}")
+    return labels
+
+
+def _mask_path(folder: Path, number: int) -> Path:
+    return folder / MASKS / f"{number:06d}.png"
+
+
+def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
+    """Write what is known of things that move on their own, as JSON."""
+    about = {"format": FORMAT, "objects": [thing.as_json() for thing in objects]}
+    with atomic_write(folder / OBJECTS) as file:
+        file.write(json.dumps(about, allow_nan=False).encode())
+
+
+def _read_objects(folder: Path) -> tuple[MovingObject, ...]:
+    """Return what `write_objects` wrote; nothing if it wrote nothing."""
+    if not (folder / OBJECTS).exists():
+        return ()
+    about = json.loads((folder / OBJECTS).read_text(encoding="utf-8"))
+    return tuple(MovingObject.of_json(thing) for thing in about["objects"])
 
 
 def depth_path(folder: Path, number: int) -> Path:
@@ -153,6 +193,8 @@ def write_record(folder: Path, result: Any) -> None:
         "keyframes": list(result.keyframes),
         "skipped": [list(item) for item in result.skipped],
     }
+    if result.settings.motion == "objects":
+        write_objects(folder, result.objects)
     with atomic_write(folder / RECORD) as file:
         file.write(json.dumps(about, indent=1).encode())
     (folder / BEGUN).unlink(missing_ok=True)
@@ -213,6 +255,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             calibration=_read_calibration(about.get("calibration")),
             settings=Settings(**settings),
             version=str(about["version"]),
+            objects=_read_objects(path),
         )
     except (ValueError, KeyError, TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
@@ -236,7 +279,10 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
         return
     path = begin(target)
     shutil.rmtree(path / CACHE)
-    for name in (DEPTH, PICTURES):
+    for name in (DEPTH, PICTURES, MASKS):
+        if not (source / name).is_dir():
+            continue
+        (path / name).mkdir(exist_ok=True)
         for file in sorted((source / name).iterdir()):
             shutil.copyfile(file, path / name / file.name)
     if (source / CAMERA).exists():  # earlier versions wrote none

@@ -117,6 +117,21 @@ class PreparedFrames:
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), map_.apply(picture))
 
+    def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return a frame as the tracker takes it, as `add` does."""
+        counted = self.counted(number)
+        whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
+        return whole, None if counted is None else ~counted
+
+    def ignore(self, number: int, ignored: np.ndarray) -> None:
+        """Ignore more pixels of a frame, (H, W) bool."""
+        if not ignored.any():
+            return
+        if number in self._masked:
+            ignored = ignored | np.load(self._mask_path(number))
+        np.save(self._mask_path(number), ignored)
+        self._masked.add(number)
+
     def forget(self, number: int) -> None:
         """Delete a frame; numbers of the others stay."""
         self._held.pop(number, None)

@@ -22,7 +22,7 @@ from tisfm.reconstruction.self_calibration import (
 )
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.shutter import Rolling
-from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.reconstruction.tracks import CELLS, Seen, Tracker
 from tisfm.reconstruction.unrolled_way import unrolled_way
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.views import Views
@@ -74,6 +74,8 @@ class PathFinder:
         Of the focal length: with a larger deviation, the guess stays.
     readout : float or None
         Of the shutter, as in `tisfm.Camera`; None if it is found.
+    cells : int
+        As for `tisfm.reconstruction.tracks.Tracker`.
     """
 
     def __init__(
@@ -83,10 +85,11 @@ class PathFinder:
         *,
         limit: float = WORTHLESS,
         readout: float | None = None,
+        cells: int = CELLS,
     ) -> None:
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._readout = readout
-        self._tracker = Tracker(camera, TRACKING)
+        self._tracker = Tracker(camera, TRACKING, cells)
         self._seen = Shelf(Seen.arrays, Seen.of_arrays)
         self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None

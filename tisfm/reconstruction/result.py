@@ -14,6 +14,7 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.calibration import GIVEN, Calibration
+from tisfm.reconstruction.objects.moving_object import MovingObject
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ class Reconstruction:
         Where it lies.
     version : str
         Of tisfm.
+    objects : tuple of MovingObject
+        Things that move on their own, with ``motion="objects"``, in order of their labels.
     """
 
     poses: np.ndarray = field(repr=False)
@@ -75,6 +78,7 @@ class Reconstruction:
     shape: tuple[int, int]
     folder: Path
     version: str
+    objects: tuple[MovingObject, ...] = ()
     _temporary: TemporaryDirectory | None = field(repr=False, default=None)
 
     def __len__(self) -> int:
@@ -112,6 +116,15 @@ class Reconstruction:
         depth = np.full_like(inverse, np.nan)
         np.divide(1, inverse, out=depth, where=inverse > 0)
         return depth
+
+    def labels(self, frame: int) -> np.ndarray:
+        """Return which thing each pixel of a frame belongs to, (H, W) uint8.
+
+        0 is what is at rest; other numbers are the ids of `objects`.
+        """
+        from tisfm.reconstruction.folder import read_labels
+
+        return read_labels(self.folder, self._number(frame), self.shape)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the frame without distortion, (H, W) or (H, W, 3) RGB uint8."""
@@ -236,8 +249,9 @@ class Reconstruction:
             raise ValueError(f"frames {first} and {second} are of one place: give two others")
         factor, poses = distance / moved, self.poses.copy()
         poses[self.piece == piece, :3, 3] *= factor
+        objects = tuple(thing.rescaled(factor, self.piece == piece) for thing in self.objects)
         unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
-        return replace(self, poses=poses, unit=unit)
+        return replace(self, poses=poses, unit=unit, objects=objects)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Copy everything to a folder, which is complete once it has a ``reconstruction.json``.

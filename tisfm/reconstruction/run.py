@@ -14,9 +14,20 @@ from tisfm.camera_file import write_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
-from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
+from tisfm.reconstruction.folder import (
+    CACHE,
+    PICTURES,
+    depth_path,
+    read_depth,
+    read_labels,
+    write_depth,
+    write_labels,
+    write_record,
+)
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.given_poses import poses_of_frames
+from tisfm.reconstruction.objects.moving_object import MovingObject, seen_objects
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
@@ -127,6 +138,7 @@ class Run:
             shape=self._frames.shape,
             folder=self._folder,
             version=__version__,
+            objects=self._objects(poses, piece),
         )
         write_record(self._folder, result)
         return result
@@ -138,6 +150,7 @@ class Run:
         indices: list[int] = []
         finder: PathFinder | None = None
         tracker: Tracker | None = None
+        labels: SequenceLabels | None = None
         seen = Shelf(Seen.arrays, Seen.of_arrays)
         total = _count(self._source)
         with closing(self._source.frames()) as frames:
@@ -158,11 +171,17 @@ class Run:
                         self._frames.camera,
                         self._calibrate,
                         limit=limit,
-                        readout=self._frames.camera.readout,
+                        readout=0.0
+                        if self._settings.motion == "objects"
+                        else self._frames.camera.readout,
                     )
                     tracker = Tracker(self._frames.camera, TRACKING)
+                    if self._settings.motion == "objects":
+                        labels = SequenceLabels(self._frames.camera)
                 grey, ignored = self._frames.add(frame)
-                if self._given is None and finder is not None:
+                if labels is not None:
+                    labels.add(grey)
+                elif self._given is None and finder is not None:
                     finder.add(grey, ignored)
                 elif tracker is not None:
                     seen.append(tracker.go_on(grey, ignored))
@@ -179,6 +198,14 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
+        if labels is not None:
+            self._label(labels)
+            for number in range(len(names)):
+                grey, ignored = self._frames.tracked(number)
+                if self._given is None:
+                    finder.add(grey, ignored)
+                elif tracker is not None:
+                    seen.append(tracker.go_on(grey, ignored))
         instants = _instants(indices, times)
         if self._given is None:
             path = finder.finish(instants)
@@ -187,6 +214,57 @@ class Run:
         self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
+
+    def _label(self, labels: SequenceLabels) -> None:
+        """Write the labels of every frame; what moves on its own counts no more."""
+        for number, labelled in enumerate(labels.found()):
+            counted = self._frames.counted(number)
+            if counted is not None:
+                labelled[~counted] = 0
+            write_labels(self._folder, number, labelled)
+            self._frames.ignore(number, labelled > 0)
+
+    def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
+        """Return the things that move on their own; their depth is written into that of frames."""
+        if self._settings.motion != "objects":
+            return ()
+        from tisfm.reconstruction.objects.own_path import own_path, placed
+
+        folder, shape = self._folder, self._frames.shape
+
+        def labelled(frame: int) -> np.ndarray:
+            return read_labels(folder, frame, shape)
+
+        def at_rest(frame: int) -> np.ndarray:
+            return read_depth(folder, frame, shape)[0]
+
+        known = piece[piece >= 0]
+        largest = int(np.bincount(known).argmax()) if len(known) else 0
+        world = np.where((piece == largest)[:, None, None], poses, np.nan)
+        found = []
+        for thing in seen_objects(len(poses), labelled):
+            own = own_path(
+                thing,
+                self._frames,
+                labelled,
+                self._settings,
+                with_depth=self._depth_of != "none",
+            )
+            if isinstance(own, str):
+                found.append(replace(thing, message=own))
+                continue
+            thing, scale = placed(thing, own, world, at_rest, labelled)
+            found.append(thing)
+            for depth in own.depths:
+                frame = own.frames[depth.frame]
+                if piece[frame] != largest or not depth_path(folder, frame).exists():
+                    continue
+                mine = (labelled(frame) == thing.id) & np.isfinite(depth.inverse_depth)
+                inverse_depth, deviation = read_depth(folder, frame, shape)
+                inverse_depth[mine] = depth.inverse_depth[mine] / scale
+                deviation[mine] = depth.deviation[mine] / scale
+                write_depth(folder, frame, inverse_depth, deviation)
+        return tuple(found)
 
     def _take_camera(self, path: CameraPath) -> None:
         """Take what was found of the camera; frames are made anew where it asks for that."""

@@ -69,7 +69,7 @@ def reconstruct_stream(
         settings ask for another motion; while iterating if it ends after one frame, or if a frame
         cannot be read: after the frames before it.
     """
-    settings = checked_settings(settings)
+    settings = checked_settings(settings, ("camera",))
     calibrate = checked_calibrate(calibrate, is_known=camera is not None)
     if calibrate == "radial":
         raise ValueError(

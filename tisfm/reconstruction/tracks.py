@@ -12,7 +12,7 @@ from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
 FLOW_PIXELS = 2**16  # at least, of the level that the image motion is found on
-CELLS = 32  # along the longer side: a point is begun in every cell that has none
+CELLS = 32  # along the longer side, unless told otherwise: each has a point begun that has none
 APART = 0.6  # of a cell: of tracks that have come into one square of this side, the oldest goes on
 STRUCTURE = 5  # px: the window in which a point is to stand out
 STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
@@ -67,10 +67,12 @@ class Tracker:
         A pinhole, of the frames.
     settings : Settings
         Of the image motion.
+    cells : int
+        Along the longer side: a point is begun in every cell that has none.
     """
 
-    def __init__(self, camera: Camera, settings: Settings) -> None:
-        self._camera, self._settings = camera, settings
+    def __init__(self, camera: Camera, settings: Settings, cells: int = CELLS) -> None:
+        self._camera, self._settings, self._cells = camera, settings, cells
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
         self._seen = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
@@ -90,12 +92,12 @@ class Tracker:
         if self._grey is not None and self._small is not None:
             points, kept = carried(self._grey, grey, points, self._flow(self._small, small))
             points, tracks = points[kept], tracks[kept]
-            kept = spread(points, APART * _cell(grey))
+            kept = spread(points, APART * _cell(grey, self._cells))
             points, tracks = points[kept], tracks[kept]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
             points, tracks = points[~ignored[y, x]], tracks[~ignored[y, x]]
-        begun = seeds(grey, points, ignored)
+        begun = seeds(grey, points, ignored, self._cells)
         numbers = np.arange(self._count, self._count + len(begun))
         self._count += len(begun)
         self._grey, self._small = grey, small
@@ -180,7 +182,9 @@ def _sought(
     return found.astype(np.float64), seen[:, 0] > 0
 
 
-def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> np.ndarray:
+def seeds(
+    grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None, cells: int = CELLS
+) -> np.ndarray:
     """Return the points that stand out most in each cell without a point, (N, 2) float64.
 
     Parameters
@@ -189,13 +193,15 @@ def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> n
     points : (M, 2) float64
         Those that are there already.
     ignored : (H, W) bool, or None
+    cells : int
+        Along the longer side.
 
     References
     ----------
     Shi and Tomasi, "Good features to track", CVPR 1994, doi 10.1109/CVPR.1994.323794.
     """
     height, width = grey.shape
-    cell = _cell(grey)
+    cell = _cell(grey, cells)
     rows, columns = height // cell, width // cell
     if not rows * columns:
         return np.empty((0, 2))
@@ -217,9 +223,9 @@ def seeds(grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None) -> n
     return np.stack([column * cell + x, row * cell + y], axis=1).astype(np.float64)
 
 
-def _cell(grey: np.ndarray) -> int:
+def _cell(grey: np.ndarray, cells: int) -> int:
     """Return the side of the cells that points are begun in, px."""
-    return max(BORDER, round(max(grey.shape) / CELLS))
+    return max(BORDER, round(max(grey.shape) / cells))
 
 
 def spread(points: np.ndarray, side: float) -> np.ndarray:

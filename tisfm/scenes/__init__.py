@@ -15,7 +15,6 @@ May import: of the top level `camera`, `checks` and `rigid`.
 
 from tisfm.rigid import rigid_motion
 
-from .bodies import BodiesFilm, bodies_film
 from .geometry import Box, Plane
 from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
@@ -24,7 +23,6 @@ from .texture import Patch, Texture
 
 __all__ = [
     "STATIC_KINDS",
-    "BodiesFilm",
     "Box",
     "Film",
     "Patch",
@@ -33,7 +31,6 @@ __all__ = [
     "SyntheticPair",
     "Texture",
     "bare_patches",
-    "bodies_film",
     "rigid_motion",
     "room",
     "room_film",

@@ -172,11 +172,6 @@ class Scene:
         ValueError
             If the pose is no rigid motion, or some ray meets no object.
         """
-        frame, depth, _ = self._seen(pose, samples)
-        return frame, depth
-
-    def _seen(self, pose: ArrayLike, samples: int) -> tuple[NDArray, Floats, NDArray[np.int32]]:
-        """Return what `seen_from` does, and the labels, (H, W) int32."""
         whole(1, samples=samples)
         matrix = finite(pose, (4, 4), "pose")
         turn = matrix[:3, :3].T
@@ -184,12 +179,8 @@ class Scene:
             raise ValueError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
         motion = rigid_twist(turn, -turn @ matrix[:3, 3])
         views = [View(item, motion) for item in self.objects]
-        bands = [(depth, labels) for _, depth, labels in self._bands(views, np.zeros((1, 2)))]
-        depth, labels = (
-            np.concatenate(part).reshape(self.height, self.width)
-            for part in zip(*bands, strict=True)
-        )
-        return self._frame(views, samples), depth, labels
+        depth = [depth for _, depth, _ in self._bands(views, np.zeros((1, 2)))]
+        return self._frame(views, samples), np.concatenate(depth).reshape(self.height, self.width)
 
     def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
         """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""

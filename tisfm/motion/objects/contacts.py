@@ -38,7 +38,7 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
         return estimate
     scales = np.ones(len(motions))
     for label in range(1, len(motions)):
-        scale = _contact(estimate.inverse_depth, labels, hidden, label)
+        scale = contact_scale(estimate.inverse_depth, labels, hidden, label)
         if scale is not None and motions[label, :3].any():
             scales[label] = scale
     twists = motions.copy()
@@ -52,10 +52,22 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
     )
 
 
-def _contact(
+def contact_scale(
     inverse_depth: np.ndarray, labels: np.ndarray, hidden: np.ndarray, label: int
 ) -> float | None:
-    """Return the background's inverse depth over the object's where they touch, or None."""
+    """Return the background's inverse depth over an object's where they touch; None if nowhere.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        Of the object where it is labelled, in its own unit, and of the background elsewhere.
+    labels : (H, W) int array
+        0 for the background.
+    hidden : (H, W) bool
+        Where depth is not to be read.
+    label : int
+        Of the object.
+    """
     height = len(labels)
     mine = labels == label
     columns = np.flatnonzero(mine.any(axis=0))

@@ -4,6 +4,7 @@ At two frames a thing that moves along epipolar lines looks like another depth. 
 depth would have to change, or the lines turn. So what tells it is summed up along the image motion.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import CameraMotion, TooFewPixelsError, camera_motion
 from tisfm.reconstruction.objects.image_motion import ImageMotion, at_places, places_of
+from tisfm.reconstruction.shelf import Shelf
 
 AWAY = (1, 3)  # frames, before and after, that a frame is compared with
 # Deviation of the image motion: that of the fit, and of as much as this share of the longer side.
@@ -44,6 +46,15 @@ class Evidence:
 
     moving: np.ndarray
     weight: np.ndarray
+
+    @classmethod
+    def of_arrays(cls, moving: np.ndarray, weight: np.ndarray) -> "Evidence":
+        """Return what has these arrays."""
+        return cls(moving=moving.astype(np.float32), weight=weight.astype(np.float32))
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of, with 11 significant bits."""
+        return self.moving.astype(np.float16), self.weight.astype(np.float16)
 
     def mean(self) -> np.ndarray:
         """Return what a frame says on average, (H, W) float32: where none does, it is at rest."""
@@ -92,35 +103,39 @@ def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = No
     return Evidence(moving=total / comparisons, weight=weight / comparisons)
 
 
-def accumulated(motion: ImageMotion, evidence: list[Evidence]) -> list[Evidence]:
+def accumulated(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
     """Return what frames say together with those before and after, along the image motion."""
-    before = _one_way(motion, evidence, 1)
-    after = _one_way(motion, evidence, -1)
-    return [
-        Evidence(
-            moving=one.moving + two.moving - own.moving, weight=one.weight + two.weight - own.weight
-        )
-        for one, two, own in zip(before, after, evidence, strict=True)
-    ]
-
-
-def _one_way(motion: ImageMotion, evidence: list[Evidence], way: int) -> list[Evidence]:
-    """Return what frames say together with those before, or, way −1, with those after."""
-    found: list[Evidence] = []
-    order = range(len(evidence))[::way]
-    for frame in order:
-        own = evidence[frame]
-        if found:
-            led = next(
-                led for led in motion.led(frame, 1) if led.frame == frame - way
+    before, after = _one_way(motion, evidence, 1), _one_way(motion, evidence, -1)
+    found = Shelf(Evidence.arrays, Evidence.of_arrays)
+    for frame, own in enumerate(evidence):
+        one, two = before[frame], after[len(evidence) - 1 - frame]
+        found.append(
+            Evidence(
+                moving=one.moving + two.moving - own.moving,
+                weight=one.weight + two.weight - own.weight,
             )
+        )
+    return found
+
+
+def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> Shelf[Evidence]:
+    """Return what frames say together with those before, or, way −1, with those after.
+
+    In the order in which they were taken, or the opposite one.
+    """
+    found, last = Shelf(Evidence.arrays, Evidence.of_arrays), None
+    for frame in range(len(evidence))[::way]:
+        own = evidence[frame]
+        if last is not None:
+            led = next(led for led in motion.led(frame, 1) if led.frame == frame - way)
             kept = np.float32(LASTING) * led.found
             own = Evidence(
-                moving=own.moving + kept * at_places(found[-1].moving, led.places),
-                weight=own.weight + kept * at_places(found[-1].weight, led.places),
+                moving=own.moving + kept * at_places(last.moving, led.places),
+                weight=own.weight + kept * at_places(last.weight, led.places),
             )
         found.append(own)
-    return found[::way]
+        last = own
+    return found
 
 
 class _AtRest:

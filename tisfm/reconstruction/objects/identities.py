@@ -9,35 +9,30 @@ import numpy as np
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.layers import nearest_known
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.objects.evidence import DOUBT, Evidence
+from tisfm.reconstruction.objects.borders import bordered
+from tisfm.reconstruction.objects.evidence import Evidence
 from tisfm.reconstruction.objects.image_motion import (
     ImageMotion,
     at_places,
     places_of,
     returning,
 )
+from tisfm.reconstruction.objects.moving_parts import moving_parts
+from tisfm.reconstruction.objects.smooth_motion import FEWEST, Moves, Terms
+from tisfm.reconstruction.shelf import Shelf
 
-# Of mean evidence: where the boundary lies; of a core, which a thing has to have, with so many
-# frames that say something; and the share of the smallest thing that is core.
-BOUNDARY, CORE, CORE_WEIGHT, CORE_SHARE = -0.3, 0.3, 1.5, 0.25
-SURE = 4.0  # frames that say something: more have no more say in the boundary
-SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh in the boundary: those of sure evidence, and others
 CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
 HIDDEN = 15  # frames that a thing may be hidden
 ALIKE = 0.6  # of 1: the overlap of histograms of the same thing, at least
 BINS = 16  # of grey levels
-FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
 GROWING = 0.1  # of a thing's size: how far it may reach beyond where it was
-STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first
-LEAST_USUAL = 0.2  # px: of what a smooth motion misses, the deviation is at least that
+HALF, LITTLE = 0.5, 0.15  # of a thing is seen: less shows an affine motion, or a velocity, at most
 OTHERWISE = 4.0  # deviations: what moves otherwise than a thing is another one
 CLEARLY = 0.5  # of what a motion of others misses: a motion of its own misses less
+FURTHEST, TOLERATED = 1e3, 0.5  # px; and of the least distance, what another one may be off by
 MOST, OTHER_THAN_CARRIED = 16.0, 2.0  # of costs: of a motion, and of another label than before
+SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is known, and others
 MOST_THINGS = 255
-# Px that a boundary may move; of surfaces that do not count for where they go; grey levels that
-# are missed anyway, beside the median of what is missed.
-REACH, RIM, MISSED = 10, 5, 2.0
-OTHERWISE_LABELLED = 2.0
 LASTING = 4  # frames, at least, of a thing
 # Of the frames with two things: where they touch in as many, they are parts of one, if they go
 # together, or anyway.
@@ -81,8 +76,8 @@ class _Thing:
     motions: dict[int, np.ndarray] = field(default_factory=dict)
 
     def center(self) -> np.ndarray:
-        """Return the centre of where it was seen last, (x, y) px."""
-        rows, columns = np.nonzero(self.mask)
+        """Return the centre of where it was last, with what others hid of it, (x, y) px."""
+        rows, columns = np.nonzero(self.whole)
         return np.array([columns.mean(), rows.mean()])
 
 
@@ -101,18 +96,20 @@ class Identities:
         self._things: dict[int, _Thing] = {}
         self._touching: dict[tuple[int, int], int] = {}
 
-    def labels(self) -> list[np.ndarray]:
-        """Return the labels of every frame, (H, W) uint8, in the size of the image motion's.
+    def labels(self) -> Iterator[np.ndarray]:
+        """Yield the labels of every frame, (H, W) uint8, in the size of the image motion's.
 
         They are 0 for what is at rest, and else from 1 on, in the order in which things appear.
         """
-        found: list[np.ndarray] = []
+        found: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
+        before = None
         for frame in range(len(self._motion)):
             parts = list(moving_parts(self._motion.grey(frame), self._evidence[frame]))
-            before = found[-1] if found else None
-            found.append(self._labelled(frame, parts, before))
+            before = self._labelled(frame, parts, before)
+            found.append(before)
         table = self._lasting()
-        return [table[labels] for labels in found]
+        for labels in found:
+            yield table[labels]
 
     def _labelled(
         self, frame: int, parts: Sequence[tuple[np.ndarray, bool]], before: np.ndarray | None
@@ -120,7 +117,7 @@ class Identities:
         """Return the labels of a frame, (H, W) int32, of which the parts are given that move."""
         labels = np.zeros(self._motion.grey(frame).shape, np.int32)
         carried = np.zeros_like(labels) if before is None else self._carried(frame, before)
-        moves = _Moves(self._motion, frame)
+        moves = Moves(self._motion, frame)
         for part, _ in parts:
             counts = np.bincount(carried[part], minlength=1)
             counts[0] = 0
@@ -143,41 +140,51 @@ class Identities:
         known: list[int],
         labels: np.ndarray,
         carried: np.ndarray,
-        moves: "_Moves",
+        moves: Moves,
     ) -> None:
         """Let motions decide which of several things a pixel of a part belongs to.
 
         What moves otherwise than all of them is a thing that was hidden, or another one.
         """
-        missed = {}
+        far: dict[int, np.ndarray] = {}  # px
+        unlike = np.full(part.shape, np.inf, np.float32)  # deviations of what is nearest
+        usual = np.inf
         for number in known:
-            mine = part & (carried == number) if (carried[part] == number).any() else part
-            mine = mine if mine.sum() >= FEWEST else part & (labels == number)
             thing = self._things[number]
-            usual = thing.velocity if thing.seen == frame - 1 else None
-            missed[number] = moves.beside(mine, usual)
-            if thing.seen == frame - 1:
-                missed[number][~self._reach(thing)] = np.sqrt(MOST)
-        rest = part & (np.min([*missed.values()], axis=0) > OTHERWISE)
-        rest = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+            followed = thing.seen == frame - 1
+            mine = part & (carried == number)
+            mine = mine if mine.sum() >= FEWEST else part & (labels == number)
+            share = mine.sum() / max(1, thing.whole.sum()) if followed else 1.0
+            terms: Terms = 6 if share >= HALF else 3 if share >= LITTLE else 1
+            velocity = thing.velocity if followed else None
+            far[number], deviation = moves.beside(mine, velocity, terms=terms)
+            usual = min(usual, deviation)
+            unlike = np.minimum(unlike, far[number] / deviation)
+            if followed:
+                far[number][~self._reach(thing)] = np.inf
+        rest = part & (unlike > OTHERWISE)
+        rest = cv2.morphologyEx(np.uint8(rest), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         count, numbered, statistics, _ = cv2.connectedComponentsWithStats(rest, connectivity=4)
         for k in range(1, count):
             piece = numbered == k
             if statistics[k, cv2.CC_STAT_AREA] < self._smallest(part):
                 continue
-            own = moves.beside(piece)
-            if np.median(own[piece]) > CLEARLY * np.median(missed_by(missed, piece)):
+            own, _ = moves.beside(piece)
+            nearest = np.min([one[piece] for one in far.values()], axis=0)
+            if np.median(own[piece]) > CLEARLY * np.median(nearest):
                 continue
-            there = np.where(piece, 0, labels)
-            thing = self._again(frame, piece, there, np.where(piece, 0, carried))
-            number = thing or self._begun(frame)
-            labels[piece], missed[number] = number, own
-        if len(missed) < 2:
+            there, gone = np.where(piece, 0, labels), np.where(piece, 0, carried)
+            number = self._again(frame, piece, there, gone) or self._begun(frame)
+            labels[piece], far[number] = number, own
+        if len(far) < 2:
             return
         top, left, height, width = _box(part)
         window = np.s_[top : top + height, left : left + width]
-        costs = np.stack([np.minimum(one[window] ** 2, MOST) for one in missed.values()])
-        numbers = np.array(list(missed))
+        distance = np.stack([np.minimum(one[window], FURTHEST) for one in far.values()])
+        nearest = distance.min(axis=0)
+        tolerated = usual**2 + (TOLERATED * nearest) ** 2  # where none fits, it takes a clear win
+        costs = np.minimum((distance**2 - nearest**2) / tolerated, MOST)
+        numbers = np.array(list(far))
         costs += OTHER_THAN_CARRIED * (labels[window] != numbers[:, None, None])
         weight = np.where(moves.known[window] & part[window], SEEN, UNSEEN).astype(np.float32)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
@@ -189,16 +196,14 @@ class Identities:
         """Return where a thing is in the frame after it was seen, or may be, (H, W) bool."""
         x, y = thing.velocity
         shifted = cv2.warpAffine(
-            np.uint8(thing.whole), np.float64([[1, 0, x], [0, 1, y]]), thing.whole.shape[::-1]
+            np.uint8(thing.whole), np.array([[1, 0, x], [0, 1, y]]), thing.whole.shape[::-1]
         )
         if not grown:
             return shifted > 0
         side = 1 + 2 * round(GROWING * thing.whole.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
-    def _again(
-        self, frame: int, part: np.ndarray, labels: np.ndarray, carried: np.ndarray
-    ) -> int:
+    def _again(self, frame: int, part: np.ndarray, labels: np.ndarray, carried: np.ndarray) -> int:
         """Return the thing that a part is which was hidden; 0 if it is none."""
         there = set(np.unique(labels)) | set(np.unique(carried))
         rows, columns = np.nonzero(part)
@@ -209,7 +214,7 @@ class Identities:
             away = frame - thing.seen
             if thing.id in there or not 0 < away <= HIDDEN + 1:
                 continue
-            size = np.sqrt(max(part.sum(), thing.mask.sum()))
+            size = np.sqrt(max(part.sum(), thing.whole.sum()))
             expected = thing.center() + away * thing.velocity
             far = np.linalg.norm(center - expected) / (size * (1 + 0.1 * away))
             alike = float(np.sqrt(look * thing.look).sum())
@@ -221,7 +226,12 @@ class Identities:
         number = 1 + max(self._things, default=0)
         nowhere = np.zeros(self._motion.grey(frame).shape, bool)
         self._things[number] = _Thing(
-            id=number, seen=frame, mask=nowhere, whole=nowhere, velocity=np.zeros(2), look=np.zeros(BINS)
+            id=number,
+            seen=frame,
+            mask=nowhere,
+            whole=nowhere,
+            velocity=np.zeros(2),
+            look=np.zeros(BINS),
         )
         return number
 
@@ -230,7 +240,7 @@ class Identities:
         frame: int,
         labels: np.ndarray,
         parts: Sequence[tuple[np.ndarray, bool]],
-        moves: "_Moves",
+        moves: Moves,
     ) -> None:
         """Note where things are, and which of them touch."""
         flow = moves.flow
@@ -239,15 +249,17 @@ class Identities:
             beside = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
             is_whole = not (beside & (labels > 0) & ~mask).any()
             kept = self._reach(thing, grown=False) if thing.seen == frame - 1 else mask
-            thing.whole = mask if is_whole else kept | mask
+            known_well = is_whole or mask.sum() >= HALF * kept.sum()
+            thing.whole = mask if is_whole else kept | mask if known_well else kept
             thing.seen, thing.mask = frame, mask
             thing.pixels += int(mask.sum())
-            thing.velocity = np.median(flow[mask], axis=0).astype(np.float64)
-            thing.look = self._look(frame, mask)
+            moved = np.median(flow[mask], axis=0).astype(np.float64)
+            if known_well:
+                thing.velocity, thing.look = moved, self._look(frame, mask)
             around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
             around &= labels == 0
             rest = np.median(flow[around], axis=0) if around.any() else np.zeros(2)
-            thing.motions[frame] = thing.velocity - rest
+            thing.motions[frame] = moved - rest
         moving = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for part, core in parts:
             for number in np.unique(labels[part & (labels > 0)]):
@@ -275,9 +287,9 @@ class Identities:
             if whole[thing] != thing:
                 continue
             same = np.flatnonzero(whole == thing)
-            frames = {frame for k in same for frame in self._things[k].motions}
+            frames = {frame for k in same for frame in self._things[int(k)].motions}
             lasting = min(LASTING, len(self._motion))
-            core = sum(self._things[k].core for k in same)
+            core = sum(self._things[int(k)].core for k in same)
             if len(frames) >= lasting and core >= lasting - 1 and number < MOST_THINGS:
                 number += 1
                 table[same] = number
@@ -303,9 +315,11 @@ class Identities:
         return bool(np.median(apart) < GOING_TOGETHER * np.median(fast))
 
     def _carried(self, frame: int, before: np.ndarray) -> np.ndarray:
-        """Return the labels of the frame before where the image motion carries them, 0 elsewhere."""
+        """Return the labels of the frame before where the image motion carries them, or else 0."""
         backward = self._motion.backward(frame)
-        carried = at_places(before.astype(np.float32), places_of(before.shape) + backward, nearest=True)
+        carried = at_places(
+            before.astype(np.float32), places_of(before.shape) + backward, nearest=True
+        )
         returns = returning(backward, self._motion.forward(frame - 1)) > 0
         return np.where(returns, carried.astype(np.int32), 0)
 
@@ -318,143 +332,7 @@ class Identities:
         return smallest_object(image.size)
 
 
-def moving_parts(grey: np.ndarray, evidence: Evidence) -> Iterator[tuple[np.ndarray, bool]]:
-    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
-    mean = evidence.mean()
-    costs = np.stack([2 * np.clip(mean - BOUNDARY, 0, 3), 4 * np.clip(BOUNDARY - mean, 0, 1)])
-    weight = SEEN * np.clip((evidence.weight + DOUBT) / SURE, UNSEEN, 1)
-    moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(
-        moving.astype(np.uint8), connectivity=4
-    )
-    core = (mean > CORE) & (evidence.weight > CORE_WEIGHT)
-    cores = np.bincount(parts[core], minlength=count)
-    smallest = smallest_object(grey.size)
-    for part in range(1, count):
-        if statistics[part, cv2.CC_STAT_AREA] >= smallest:
-            yield parts == part, bool(cores[part] >= CORE_SHARE * smallest)
-
-
-def bordered(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
-    """Return labels with boundaries where the frames before and after show them, (H, W) int32.
-
-    What lies on either side of a boundary goes on beyond it. A pixel belongs to what the frame
-    after or the one before shows it to go with: behind a thing that goes on, one of them does.
-    """
-    numbers = np.unique(labels)
-    if len(numbers) < 2:
-        return labels
-    grey, places = motion.grey(frame), places_of(labels.shape)
-    window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
-    near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
-    band = near.sum(axis=0) > 1
-    missed = np.full((len(numbers), *labels.shape), np.inf, np.float32)
-    for led in motion.led(frame, 1):
-        flow, other = led.places - places, motion.grey(led.frame)
-        for index, number in enumerate(numbers):
-            mine = labels == number
-            core = cv2.erode(np.uint8(mine), np.ones((RIM, RIM), np.uint8)) > 0
-            source = core if core.sum() >= FEWEST else mine
-            gone = _going_on(flow, source)
-            off = np.abs(at_places(other, places + gone) - grey)
-            x, y = np.moveaxis(places + gone, -1, 0)
-            outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
-            off = np.where(outside, np.inf, cv2.blur(off, (3, 3)))
-            missed[index] = np.minimum(missed[index], off)
-    own = np.take_along_axis(missed, np.searchsorted(numbers, labels)[None], axis=0)[0]
-    usual = MISSED + 1.5 * float(np.median(own[np.isfinite(own)]))
-    costs = np.minimum((missed / usual) ** 2, MOST)
-    costs += OTHERWISE_LABELLED * (labels != numbers[:, None, None])
-    costs[~near] = 2 * MOST
-    weight = np.where(band, SEEN, 1).astype(np.float32)
-    found = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
-    return np.where(band, found, labels).astype(np.int32)
-
-
-def _going_on(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return a flow, (H, W, 2), as it is within a mask, and as at the nearest pixel of it beyond."""
-    _, nearest = cv2.distanceTransformWithLabels(
-        np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
-    table[nearest[mask]] = flow[mask]
-    beyond = cv2.blur(table[nearest], (RIM, RIM))
-    return np.where(mask[..., None], flow, beyond)
-
-
-class _Moves:
-    """How the pixels of a frame move to the frames after and before.
-
-    Attributes
-    ----------
-    flow : (H, W, 2) float32
-        To the frame after, or away from that before if it is the last one.
-    known : (H, W) bool
-        Where one of the frames shows the pixel.
-    """
-
-    def __init__(self, motion: ImageMotion, frame: int) -> None:
-        self._ways = [
-            (led.places - places_of(led.found.shape), led.found) for led in motion.led(frame, 1)
-        ]
-        self._later = frame + 1 < len(motion)
-        self.known = np.any([found for _, found in self._ways], axis=0)
-        self.flow = self._ways[0][0] if self._later else -self._ways[0][0]
-
-    def beside(self, mask: np.ndarray, usual_velocity: np.ndarray | None = None) -> np.ndarray:
-        """Return how far pixels move otherwise than what is in a mask, in deviations of that.
-
-        0 where it is not known. The velocity is that of most of it, px/frame, if that is known.
-        """
-        total, count = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
-        for way, (flow, found) in enumerate(self._ways):
-            inside = mask & found
-            if inside.sum() < FEWEST:
-                continue
-            sign = 1 if self._later and way == 0 else -1
-            start = None if usual_velocity is None else sign * usual_velocity
-            missed = np.linalg.norm(flow - _smooth_motion(flow, inside, start), axis=-1)
-            usual = max(1.48 * float(np.median(missed[inside])), LEAST_USUAL)
-            total += np.where(found, missed / usual, 0)
-            count += found
-        return total / np.maximum(count, 1)
-
-
-def missed_by(missed: dict[int, np.ndarray], piece: np.ndarray) -> np.ndarray:
-    """Return how far the pixels of a piece are from the nearest of several motions."""
-    return np.asarray(np.min([one[piece] for one in missed.values()], axis=0))
-
-
 def _box(mask: np.ndarray) -> tuple[int, int, int, int]:
     """Return the top, left, height and width of what is around a mask."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return top, left, height, width
-
-
-def _smooth_motion(
-    flow: np.ndarray, mask: np.ndarray, start: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the quadratic motion, (H, W, 2), that fits a flow within a mask, robustly.
-
-    Of few pixels it is affine. What moves as `start` does, (2,) px/frame, counts most at first.
-    """
-    rows, columns = np.nonzero(mask)
-    middle = np.array([np.median(columns), np.median(rows)])
-    size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
-    x, y = np.moveaxis((places_of(flow.shape) - middle) / size, -1, 0).clip(-2, 2)
-    terms = [np.ones_like(x), x, y]
-    if len(rows) >= FEWEST_QUADRATIC:
-        terms += [x * x, x * y, y * y]
-    stacked = np.stack(terms, axis=-1)
-    every = max(1, len(rows) // 4000)
-    inside, moved = stacked[mask][::every], flow[mask][::every].astype(np.float64)
-    weight = np.ones(len(moved))
-    if start is not None:
-        weight = 1 / (1 + (np.linalg.norm(moved - start, axis=1) / STARTING) ** 2) ** 2
-    for _ in range(5):
-        weighted = inside * weight[:, None]
-        gram = weighted.T @ inside + 1e-6 * len(moved) * np.eye(inside.shape[1])
-        fitted = np.linalg.solve(gram, weighted.T @ moved)
-        missed = np.linalg.norm(inside @ fitted - moved, axis=1)
-        weight = 1 / (1 + (missed / max(1.48 * np.median(missed), 0.05)) ** 2)
-    return np.float32(stacked @ fitted)

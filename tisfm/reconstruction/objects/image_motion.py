@@ -174,7 +174,7 @@ def places_of(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def at_places(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
-    """Return an image, (H, W[, C]), at places, (h, w, 2) px: bilinearly, or of the nearest pixel."""
-    places = np.ascontiguousarray(places, np.float32)
+    """Return an image, (H, W[, C]), at places, (h, w, 2) px, bilinearly or of nearest pixels."""
+    x, y = cv2.split(np.ascontiguousarray(places, np.float32))
     how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    return cv2.remap(image, places, None, how, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE)

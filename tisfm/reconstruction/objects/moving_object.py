@@ -1,0 +1,109 @@
+"""A thing that moves on its own in a sequence, as a result has it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+ScaleFrom = Literal["contact", "around", "none"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovingObject:
+    """A thing that moves on its own: where it is seen, and, if that was found, its path.
+
+    Attributes
+    ----------
+    id : int
+        Its label, from 1 on.
+    frames : tuple of int
+        Those that it is labelled in.
+    boxes : (n, 4) int32
+        Left, top, width and height of what is labelled in each of them, px.
+    poses : (n, 4, 4) float64
+        Object to world in each of them; NaN where that is not known. The origin is in the middle
+        of the object, axes are those of the camera in the first frame with a pose.
+    extent : (3,) float64
+        Its lengths along its axes, in the unit of the poses; NaN if it has none.
+    scale_from : {"contact", "around", "none"}
+        What its size is from, which motion alone does not show: where it stands on what is at
+        rest; or, roughly, the depth of what is around it. ``"none"`` if it has no poses.
+    message : str
+        Why it has no poses, or few.
+    """
+
+    id: int
+    frames: tuple[int, ...]
+    boxes: np.ndarray = field(repr=False)
+    poses: np.ndarray = field(repr=False)
+    extent: np.ndarray
+    scale_from: ScaleFrom = "none"
+    message: str = ""
+
+    def rescaled(self, factor: float, rescaled: np.ndarray) -> "MovingObject":
+        """Return the same where the unit of the poses of some frames, (N,) bool, is changed."""
+        mine = rescaled[list(self.frames)]
+        poses = self.poses.copy()
+        poses[mine, :3, 3] *= factor
+        known = np.isfinite(poses).all(axis=(1, 2))
+        extent = self.extent * (factor if (mine & known).any() else 1.0)
+        return replace(self, poses=poses, extent=extent)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``objects.json`` says of it; None stands for what is not known."""
+        return {
+            "id": self.id,
+            "frames": list(self.frames),
+            "boxes": self.boxes.tolist(),
+            "poses": [pose.tolist() if np.isfinite(pose).all() else None for pose in self.poses],
+            "extent": self.extent.tolist() if np.isfinite(self.extent).all() else None,
+            "scale_from": self.scale_from,
+            "message": self.message,
+        }
+
+    @classmethod
+    def of_json(cls, about: dict[str, Any]) -> "MovingObject":
+        """Return what `as_json` told of.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If it is something else.
+        """
+        count = len(about["frames"])
+        nowhere = np.full((4, 4), np.nan)
+        poses = [nowhere if pose is None else pose for pose in about["poses"]]
+        extent = [np.nan] * 3 if about["extent"] is None else about["extent"]
+        return cls(
+            id=int(about["id"]),
+            frames=tuple(map(int, about["frames"])),
+            boxes=np.array(about["boxes"], np.int32).reshape(count, 4),
+            poses=np.array(poses, np.float64).reshape(count, 4, 4),
+            extent=np.array(extent, np.float64).reshape(3),
+            scale_from=about["scale_from"],
+            message=str(about["message"]),
+        )
+
+
+def seen_objects(count: int, labelled: Callable[[int], np.ndarray]) -> list[MovingObject]:
+    """Return the things of so many frames, whose labels, (H, W), are asked for, without paths."""
+    frames: dict[int, list[int]] = {}
+    boxes: dict[int, list[tuple[int, ...]]] = {}
+    for frame in range(count):
+        labels = labelled(frame)
+        for number in np.unique(labels[labels > 0]):
+            frames.setdefault(int(number), []).append(frame)
+            box = cv2.boundingRect(np.uint8(labels == number))
+            boxes.setdefault(int(number), []).append(tuple(box))
+    return [
+        MovingObject(
+            id=number,
+            frames=tuple(frames[number]),
+            boxes=np.array(boxes[number], np.int32),
+            poses=np.full((len(frames[number]), 4, 4), np.nan),
+            extent=np.full(3, np.nan),
+        )
+        for number in sorted(frames)
+    ]

@@ -1,0 +1,65 @@
+"""Labels of what moves on its own, for every frame of a sequence."""
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.objects.evidence import Evidence, accumulated, evidence_of
+from tisfm.reconstruction.objects.identities import Identities
+from tisfm.reconstruction.objects.image_motion import ImageMotion
+from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.shelf import Shelf
+
+
+class SequenceLabels:
+    """Takes the frames of a sequence one after the other, and finds what moves on its own in them.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames. A guess of its focal length serves.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._motion = ImageMotion(camera, TRACKING)
+        self._shape = (0, 0)
+
+    def add(self, grey: np.ndarray) -> None:
+        """Take the next frame, (H, W) uint8."""
+        self._shape = grey.shape
+        self._motion.add(grey)
+
+    def found(self) -> Iterator[np.ndarray]:
+        """Yield the labels of every frame, (H, W) uint8: 0 at rest, and else the thing's number."""
+        evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        for frame in range(len(self._motion)):
+            evidence.append(evidence_of(self._motion, frame))
+        together = accumulated(self._motion, evidence)
+        for labelled in Identities(self._motion, together).labels():
+            yield enlarged_labels(labelled, self._motion.share, self._shape)
+
+
+def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
+    """Return labels, (h, w), of frames that are made smaller, as those of the frames, (H, W) uint8.
+
+    Parameters
+    ----------
+    labels : (h, w) array
+    share : float
+        Px of theirs to a px of the frames.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    if share == 1:
+        return labels.astype(np.uint8)
+    height, width = shape
+    size = round(labels.shape[1] / share), round(labels.shape[0] / share)
+    best, found = np.full((height, width), 0.5, np.float32), np.zeros((height, width), np.uint8)
+    for number in np.unique(labels[labels > 0]):
+        mine = cv2.resize(np.float32(labels == number), size, interpolation=cv2.INTER_CUBIC)
+        mine = mine[:height, :width]
+        found[mine > best] = number
+        best = np.maximum(best, mine)
+    return found
