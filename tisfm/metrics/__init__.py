@@ -1,4 +1,4 @@
-"""Errors of flow, depth, occlusion, pose, path and deviation against the truth.
+"""Errors of flow, depth, occlusion, pose, path, labels and deviation against the truth.
 
 They are those that the usual benchmarks define. Pixels whose truth is unknown never count: those
 where it is not finite or above 1e9 in magnitude, the Middlebury convention. Masked arrays are
@@ -18,6 +18,8 @@ from tisfm.metrics.flow import (
     flow_errors,
     outlier_rate,
 )
+from tisfm.metrics.labels import LabelScores, ThingScores, label_scores
+from tisfm.metrics.object_path import ObjectPathErrors, object_path_errors
 from tisfm.metrics.occlusion import OcclusionScores, occlusion_scores
 from tisfm.metrics.pose import PoseErrors, pose_errors
 from tisfm.metrics.trajectory import (
@@ -35,10 +37,13 @@ __all__ = [
     "DepthErrors",
     "Drift",
     "FlowErrors",
+    "LabelScores",
+    "ObjectPathErrors",
     "OcclusionScores",
     "PoseErrors",
     "RelativeErrors",
     "Similarity",
+    "ThingScores",
     "absolute_errors",
     "align",
     "angular_error",
@@ -50,7 +55,9 @@ __all__ = [
     "endpoint_error_map",
     "flicker",
     "flow_errors",
+    "label_scores",
     "limited_error",
+    "object_path_errors",
     "occlusion_scores",
     "outlier_rate",
     "path_length",

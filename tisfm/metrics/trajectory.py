@@ -87,7 +87,7 @@ def path_length(truth: ArrayLike) -> float:
     truth : array_like, shape (N, 4, 4)
         Camera to world; NaN where there is no pose.
     """
-    poses = _poses(truth, "truth")
+    poses = whole_poses(truth, "truth")
     return float(_travelled(poses[_posed(poses)])[-1]) if _posed(poses).any() else 0.0
 
 
@@ -165,7 +165,7 @@ def relative_errors(
         pairs=len(left),
         step=step,
         translation=_root_mean_square(left[:, :3, 3]),
-        rotation=float(np.sqrt(np.square(_angles(left)).mean())),
+        rotation=float(np.sqrt(np.square(rotation_angles(left)).mean())),
     )
 
 
@@ -233,7 +233,7 @@ def drift(
         left = _left_over(found, true, known[first], known[last], scale)
         divisor = along[last] - along[first] if measured else np.full(len(last), length)
         translations.append(np.linalg.norm(left[:, :3, 3], axis=1) / divisor)
-        rotations.append(_angles(left) / divisor)
+        rotations.append(rotation_angles(left) / divisor)
     if not sum(map(len, rotations)):
         return None
     return Drift(
@@ -257,7 +257,7 @@ def _left_over(
     return np.linalg.solve(true_motion, motion)
 
 
-def _angles(motions: NDArray) -> NDArray[np.float64]:
+def rotation_angles(motions: NDArray) -> NDArray[np.float64]:
     """Return the angles of rotations in the upper left of (K, 4, 4), degrees."""
     # Twice the sine and the cosine: an arc cosine would lose small angles to rounding.
     axis = np.stack([motions[:, i, j] - motions[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))])
@@ -272,7 +272,7 @@ def _travelled(poses: NDArray) -> NDArray[np.float64]:
 
 
 def _both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
-    found, true = _poses(poses, "poses"), _poses(truth, "truth")
+    found, true = whole_poses(poses, "poses"), whole_poses(truth, "truth")
     if found.shape != true.shape:
         raise ValueError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
     if not (_posed(found) & _posed(true)).any():
@@ -283,7 +283,8 @@ def _both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
     return found, true
 
 
-def _poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
+def whole_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return poses, (N, 4, 4) float64; raise ValueError unless they are such."""
     array = unmasked(values, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise ValueError(f"{name} are {array.shape}: expected (N, 4, 4)")

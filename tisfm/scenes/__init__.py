@@ -15,6 +15,7 @@ May import: of the top level `camera`, `checks` and `rigid`.
 
 from tisfm.rigid import rigid_motion
 
+from .bodies import BodiesFilm, bodies_film, bodies_path
 from .geometry import Box, Plane
 from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
@@ -23,6 +24,7 @@ from .texture import Patch, Texture
 
 __all__ = [
     "STATIC_KINDS",
+    "BodiesFilm",
     "Box",
     "Film",
     "Patch",
@@ -31,6 +33,8 @@ __all__ = [
     "SyntheticPair",
     "Texture",
     "bare_patches",
+    "bodies_film",
+    "bodies_path",
     "rigid_motion",
     "room",
     "room_film",

@@ -172,6 +172,13 @@ class Scene:
         ValueError
             If the pose is no rigid motion, or some ray meets no object.
         """
+        frame, depth, _ = self.seen_with_labels(pose, samples=samples)
+        return frame, depth
+
+    def seen_with_labels(
+        self, pose: ArrayLike, *, samples: int = 3
+    ) -> tuple[NDArray, Floats, NDArray[np.int32]]:
+        """Cast the rays of one view, as `seen_from` does; return the labels, (H, W), as well."""
         whole(1, samples=samples)
         matrix = finite(pose, (4, 4), "pose")
         turn = matrix[:3, :3].T
@@ -179,8 +186,12 @@ class Scene:
             raise ValueError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
         motion = rigid_twist(turn, -turn @ matrix[:3, 3])
         views = [View(item, motion) for item in self.objects]
-        depth = [depth for _, depth, _ in self._bands(views, np.zeros((1, 2)))]
-        return self._frame(views, samples), np.concatenate(depth).reshape(self.height, self.width)
+        bands = [(depth, labels) for _, depth, labels in self._bands(views, np.zeros((1, 2)))]
+        depth, labels = (
+            np.concatenate(part).reshape(self.height, self.width)
+            for part in zip(*bands, strict=True)
+        )
+        return self._frame(views, samples), depth, labels
 
     def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
         """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""

@@ -21,7 +21,7 @@ _FLOOR, _CEILING = 1.5, -1.15  # m below the camera
 _AHEAD, _RIGHT, _LEFT, _BEHIND = 3.5, 2.3, -2.6, -2.5  # m from the camera to the walls
 _TILE, _JOINT = 0.33, 0.006  # m
 _TILES = 64  # a side: beyond, they repeat
-_FOCAL = 0.6  # of the width
+FOCAL = 0.6  # of the width
 # Without detail the finest wave has this length, px, in a picture of this width, px.
 _FINEST, _WIDTH = 4.0, 320
 _ROWS = 2  # that are rendered as if they were read at once
@@ -124,19 +124,16 @@ def room(
     ValueError
         If an option is impossible.
     """
-    whole(1, height=height, width=width)
+    _check_picture(height, width, noise, blur)
     check_dtype(dtype)
-    for name, value in (("noise", noise), ("blur", blur)):
-        if not 0 <= value < math.inf:
-            raise ValueError(f"{name} is {value!r}: expected a number of at least 0")
     motion = -finite(camera_motion, (6,), "camera_motion")
-    camera = Camera(focal=_FOCAL * width if focal is None else focal)
+    camera = Camera(focal=FOCAL * width if focal is None else focal)
     objects: list[Plane | Box] = [*_shell(motion, width, seed), *_things(motion, width, seed)]
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     pair = scene.render(samples=samples, dtype="float32")
     random = np.random.default_rng(seed)
     frame0, frame1 = (
-        _taken(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
+        taken(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
     )
     return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _BARE)
 
@@ -193,16 +190,9 @@ def room_film(
     ValueError
         If an option is impossible, or a pose is no rigid motion or outside of the room.
     """
-    whole(1, height=height, width=width)
-    path = np.asarray(poses, np.float64)
-    if path.ndim != 3 or len(path) == 0:
-        raise ValueError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
-    camera = Camera(focal=_FOCAL * width if focal is None else focal)
-    still = np.zeros(6)
-    objects: list[Plane | Box] = [
-        *_shell(still, width, seed, textured=textured),
-        *_things(still, width, seed),
-    ]
+    path = check_film(poses, height, width, noise, blur)
+    camera = Camera(focal=FOCAL * width if focal is None else focal)
+    objects = room_at_rest(width, seed, textured=textured)
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     random = np.random.default_rng(seed)
     if not -1 <= readout <= 1:
@@ -213,8 +203,32 @@ def room_film(
         frame, depth[k] = scene.seen_from(pose, samples=samples)
         if readout:
             frame = _read_in_turn(scene, path, k, readout, samples)
-        frames[k] = _taken(frame, random, noise, blur, "uint8")
+        frames[k] = taken(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
+
+
+def check_film(
+    poses: ArrayLike, height: int, width: int, noise: float, blur: float = 0.0
+) -> Floats:
+    """Return the path of a film's camera, (N, 4, 4) float64; raise ValueError for bad options."""
+    _check_picture(height, width, noise, blur)
+    path = np.asarray(poses, np.float64)
+    if path.ndim != 3 or path.shape[1:] != (4, 4) or len(path) == 0:
+        raise ValueError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
+    return path
+
+
+def room_at_rest(width: int, seed: int, *, textured: bool) -> list[Plane | Box]:
+    """Return all there is in the room, for pictures of a width, px."""
+    still = np.zeros(6)
+    return [*_shell(still, width, seed, textured=textured), *_things(still, width, seed)]
+
+
+def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
+    whole(1, height=height, width=width)
+    for name, value in (("noise", noise), ("blur", blur)):
+        if not 0 <= value < math.inf:
+            raise ValueError(f"{name} is {value!r}: expected a number of at least 0")
 
 
 def _read_in_turn(scene: Scene, path: Floats, number: int, readout: float, samples: int) -> NDArray:
@@ -247,7 +261,7 @@ def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
 
     def wall(number: int, mean: float, point: Place, normal: Place) -> Plane:
         if textured:
-            wavelength, detail, contrast = _wavelength(3.0), _detail(width), 40.0
+            wavelength, detail, contrast = wavelength_at(3.0), detail_for(width), 40.0
         else:  # waves of some metres, and hardly any shorter ones: how light falls on it
             wavelength, detail, contrast = 0.7, 0, 11.0
         paint = Texture(
@@ -261,8 +275,8 @@ def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
         return Plane(texture=paint, point=_AXES @ point, normal=_AXES @ normal, motion=motion)
 
     tiles = _Tiles(
-        wavelength=_wavelength(2.5),
-        detail=_detail(width),
+        wavelength=wavelength_at(2.5),
+        detail=detail_for(width),
         mean=118,
         contrast=7,
         seed=seed + _BARE,
@@ -290,8 +304,8 @@ def _things(motion: Floats, width: int, seed: int) -> list[Box]:
 
     def paint(mean: float, contrast: float) -> Texture:
         return Texture(
-            wavelength=_wavelength(3.5),
-            detail=_detail(width),
+            wavelength=wavelength_at(3.5),
+            detail=detail_for(width),
             mean=mean,
             contrast=contrast,
             seed=seed + _BARE + 1 + len(things),
@@ -339,16 +353,17 @@ def _things(motion: Floats, width: int, seed: int) -> list[Box]:
     return things
 
 
-def _wavelength(depth: float) -> float:
+def wavelength_at(depth: float) -> float:
     """Return the finest wave without detail at a depth, m; the same at every size."""
-    return _FINEST * depth / _WIDTH / _FOCAL
+    return _FINEST * depth / _WIDTH / FOCAL
 
 
-def _detail(width: int) -> int:
+def detail_for(width: int) -> int:
+    """Return how many octaves of shorter waves a picture of a width, px, shows."""
     return max(0, round(math.log2(width / _WIDTH)))
 
 
-def _taken(
+def taken(
     frame: NDArray, random: np.random.Generator, noise: float, blur: float, dtype: str
 ) -> NDArray:
     """Return a frame, (H, W) float32, as a camera takes it: blurred and noisy, or as it is."""

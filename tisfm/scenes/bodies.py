@@ -1,0 +1,215 @@
+"""A ready scene with moving bodies: boxes that fly through the room, in front of each other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.camera import Camera
+from tisfm.checks import Floats, whole
+from tisfm.rigid import pose_matrix
+
+from .geometry import Box
+from .render import Scene
+from .room import FOCAL, Film, check_film, detail_for, room_at_rest, taken, wavelength_at
+from .texture import Texture
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodiesFilm(Film):
+    """Frames of moving bodies in a room at rest, with exact truth; K bodies.
+
+    Attributes
+    ----------
+    frames, depth, poses, camera
+        As in `Film`.
+    labels : (N, H, W) uint8
+        What is seen at the pixel's centre: 0 for the room, 1 to K for a body.
+    body_poses : (K, N, 4, 4) float64
+        Body to world; a body's axes are along its edges, from its centre.
+    body_sizes : (K, 3) float64
+        Edge lengths along the body's axes, m.
+    """
+
+    labels: NDArray[np.uint8]
+    body_poses: Floats
+    body_sizes: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Flight:
+    """The path of a body: it swings along each axis of the world, and turns all the while.
+
+    Attributes
+    ----------
+    size : edge lengths, m
+    middle, reach : middle of the path and how far it swings to both sides, (3,), m
+    period, start : frames of a swing forth and back along each axis, and where it starts, in frames
+        before the middle; (3,)
+    spin : how it turns about its axis right, down and ahead, rad/frame
+    mean : grey level of its paint
+    """
+
+    size: tuple[float, float, float]
+    middle: tuple[float, float, float]
+    reach: tuple[float, float, float]
+    period: tuple[float, float, float]
+    start: tuple[float, float, float]
+    spin: tuple[float, float, float]
+    mean: float
+
+    def pose(self, number: float) -> Floats:
+        """Return body to world, (4, 4), at a frame's number."""
+        swing = np.sin(2 * np.pi * (number - np.array(self.start)) / np.array(self.period))
+        pose = pose_matrix(np.array([0, 0, 0, *self.spin]) * number)
+        pose[:3, 3] = np.array(self.middle) + np.array(self.reach) * swing
+        return pose
+
+
+_FLIGHTS = (
+    # From the left to the right, and back.
+    _Flight(
+        size=(0.6, 0.5, 0.4),
+        middle=(-0.1, 0.1, 2.15),
+        reach=(1.05, 0.08, 0.05),
+        period=(130, 70, 90),
+        start=(23, 0, 10),
+        spin=(0.006, 0.03, 0.004),
+        mean=92,
+    ),
+    # From the right to the left behind the first, and back.
+    _Flight(
+        size=(0.6, 0.5, 0.42),
+        middle=(-0.34, 0.17, 2.93),
+        reach=(-0.83, 0.05, 0.03),
+        period=(110, 80, 60),
+        start=(22, 30, 0),
+        spin=(-0.01, -0.035, 0.006),
+        mean=168,
+    ),
+    # Up and down before both.
+    _Flight(
+        size=(0.41, 0.4, 0.38),
+        middle=(0.38, 0.08, 1.45),
+        reach=(0.25, 0.38, 0.05),
+        period=(80, 48, 100),
+        start=(8, 11, 30),
+        spin=(0.02, 0.025, -0.012),
+        mean=132,
+    ),
+)
+
+
+def bodies_film(
+    poses: ArrayLike,
+    height: int = 240,
+    width: int = 320,
+    *,
+    bodies: int = 3,
+    seed: int = 0,
+    focal: float | None = None,
+    textured: bool = True,
+    noise: float = 1.5,
+    samples: int = 2,
+) -> BodiesFilm:
+    """Render the room with boxes that fly through it and turn, from a path of the camera.
+
+    The boxes are of about half a metre, and swing from one side of the image to the other. From
+    `bodies_path`, all are seen in the first frames; each moves by 1.5 to 9 px a frame against the
+    room at the default size; and within 40 frames the third hides the first, which hides the
+    second, for some frames.
+
+    Parameters
+    ----------
+    poses : array_like, shape (N, 4, 4)
+        Camera to world, in m; the identity is where `room` has frame 0.
+    height, width : int
+        Size of the frames, px.
+    bodies : int, default 3
+        How many boxes fly, up to 3. With fewer, the others stay the same; with none, the film is
+        the one of the room at rest.
+    seed : int, default 0
+        Pattern of the textures and of the noise; paths are always the same.
+    focal : float, optional
+        Focal length, px; by default 0.6 of the width.
+    textured : bool, default True
+        Whether walls and ceiling are papered with a pattern, rather than bare.
+    noise : float, default 1.5
+        Standard deviation, grey levels, of the noise, independent at every pixel of every frame.
+    samples : int, default 2
+        Rays per pixel side, as in `Scene.render`.
+
+    Returns
+    -------
+    BodiesFilm
+        Frames and truth.
+
+    Raises
+    ------
+    ValueError
+        If an option is impossible, or a pose is no rigid motion or outside of the room.
+    """
+    path = check_film(poses, height, width, noise)
+    whole(0, bodies=bodies)
+    if bodies > len(_FLIGHTS):
+        raise ValueError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
+    camera = Camera(focal=FOCAL * width if focal is None else focal)
+    flights = _FLIGHTS[:bodies]
+    at_rest = room_at_rest(width, seed, textured=textured)
+    paints = [_paint(flight, width, seed, number) for number, flight in enumerate(flights)]
+    body_poses = np.array(
+        [[flight.pose(number) for number in range(len(path))] for flight in flights]
+    ).reshape(bodies, len(path), 4, 4)
+    frames = np.empty((len(path), height, width), np.uint8)
+    depth = np.empty((len(path), height, width), np.float32)
+    labels = np.empty((len(path), height, width), np.uint8)
+    random = np.random.default_rng(seed)
+    for k, pose in enumerate(path):
+        boxes = [
+            Box(texture=paint, center=place[:3, 3], size=flight.size, axes=place[:3, :3])
+            for flight, paint, place in zip(flights, paints, body_poses[:, k], strict=True)
+        ]
+        scene = Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
+        frame, depth[k], seen = scene.seen_with_labels(pose, samples=samples)
+        frames[k] = taken(frame, random, noise, 0.0, "uint8")
+        labels[k] = np.maximum(seen - len(at_rest) + 1, 0)
+    return BodiesFilm(
+        frames=frames,
+        depth=depth,
+        poses=path,
+        camera=camera,
+        labels=labels,
+        body_poses=body_poses,
+        body_sizes=np.array([flight.size for flight in flights]).reshape(bodies, 3),
+    )
+
+
+def bodies_path(count: int = 40) -> Floats:
+    """Return poses, (count, 4, 4), of a camera that sees the bodies of `bodies_film` fly.
+
+    It goes aside and forward, and turns a little, for 40 frames; then back, and so on.
+
+    Parameters
+    ----------
+    count : int, default 40
+        How many frames.
+
+    Raises
+    ------
+    ValueError
+        If `count` is not a positive whole number.
+    """
+    whole(1, count=count)
+    at = 40 * np.abs((np.arange(count) / 40 + 1) % 2 - 1)
+    return np.array([pose_matrix((0.022 * k, 0, 0.006 * k, 0, -0.003 * k, 0)) for k in at])
+
+
+def _paint(flight: _Flight, width: int, seed: int, number: int) -> Texture:
+    return Texture(
+        wavelength=wavelength_at(flight.middle[2]),
+        octaves=4,
+        detail=detail_for(width),
+        mean=flight.mean,
+        contrast=42.0,
+        seed=seed + 100 + number,
+    )
