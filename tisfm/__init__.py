@@ -11,6 +11,7 @@ from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
 from tisfm.reconstruction.entry import reconstruct
+from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.streamed_frame import StreamedFrame
 from tisfm.reconstruction.streaming import reconstruct_stream
@@ -21,6 +22,7 @@ from tisfm.version import __version__
 __all__ = [
     "Camera",
     "Interpretation",
+    "MovingObject",
     "Reconstruction",
     "Settings",
     "StreamedFrame",

@@ -291,6 +291,9 @@ class Reconstruct:
     Those of TUM go by their times where frames have times, else by their order."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
     """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    motion: Literal["camera", "objects"] = "camera"
+    """What moves on its own is left out where it does not fit ('camera'); or found, labelled in
+    masks/ and objects.json, and given a path and a depth of its own ('objects')."""
     depth_of: DepthOf = "all"
     """The frames that depth is found of: all, keyframes alone, or none, for the path alone."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
@@ -320,7 +323,7 @@ class Reconstruct:
             self.output,
             camera=self._camera(),
             calibrate="nothing" if self.camera.focal == "guess" else self.calibrate,
-            settings=Settings.preset(self.preset, motion="camera"),
+            settings=Settings.preset(self.preset, motion=self.motion),
             frames=self.frames,
             poses=self.poses,
             mask=self.mask,

@@ -177,6 +177,11 @@ def _tell(result: Reconstruction, output: Path) -> None:
         f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
         f"Results in {output}."
     )
+    for thing in result.objects:
+        known = int(np.isfinite(thing.poses[:, 0, 0]).sum())
+        told = f"object {thing.id}: labelled in {len(thing.frames)} frames"
+        told += f", with a pose in {known}" if known else ""
+        tell(told + (f"; {thing.message}" if thing.message else ""))
     about = result.calibration
     if about.message:
         tell(f"focal length: {about.message}" if about.seen else about.message)

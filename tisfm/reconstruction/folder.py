@@ -24,7 +24,7 @@ from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
-from tisfm.reconstruction.objects.moving_object import MovingObject
+from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.settings import Settings
 
 FORMAT = 1

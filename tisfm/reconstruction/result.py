@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.calibration import GIVEN, Calibration
-from tisfm.reconstruction.objects.moving_object import MovingObject
+from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:

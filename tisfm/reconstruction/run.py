@@ -26,12 +26,12 @@ from tisfm.reconstruction.folder import (
 )
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.given_poses import poses_of_frames
-from tisfm.reconstruction.objects.moving_object import MovingObject, seen_objects
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
+from tisfm.reconstruction.moving_object import MovingObject, seen_objects
 from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
+from tisfm.reconstruction.sequence_labels import SequenceLabels
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.sparse_points import depths_of, triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker
@@ -228,7 +228,7 @@ class Run:
         """Return the things that move on their own; their depth is written into that of frames."""
         if self._settings.motion != "objects":
             return ()
-        from tisfm.reconstruction.objects.own_path import own_path, placed
+        from tisfm.reconstruction.own_path import own_path, placed
 
         folder, shape = self._folder, self._frames.shape
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.objects.evidence import Evidence, accumulated, evidence_of
-from tisfm.reconstruction.objects.identities import Identities
-from tisfm.reconstruction.objects.image_motion import ImageMotion
+from tisfm.reconstruction.evidence import Evidence, accumulated, evidence_of
+from tisfm.reconstruction.identities import Identities
+from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.shelf import Shelf
 

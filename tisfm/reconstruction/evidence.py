@@ -12,7 +12,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import CameraMotion, TooFewPixelsError, camera_motion
-from tisfm.reconstruction.objects.image_motion import ImageMotion, at_places, places_of
+from tisfm.reconstruction.image_motion import ImageMotion, at_places, places_of
 from tisfm.reconstruction.shelf import Shelf
 
 AWAY = (1, 3)  # frames, before and after, that a frame is compared with

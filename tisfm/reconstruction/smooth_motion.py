@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from tisfm.reconstruction.objects.image_motion import ImageMotion, places_of
+from tisfm.reconstruction.image_motion import ImageMotion, places_of
 
 FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
 STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.objects.image_motion import ImageMotion, at_places, places_of
+from tisfm.reconstruction.image_motion import ImageMotion, at_places, places_of
 
 REACH = 10  # px that a boundary may move
 RIM, FEWEST = 5, 30  # px at a boundary whose motion is not relied on, across; pixels that are left

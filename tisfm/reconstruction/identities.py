@@ -9,17 +9,17 @@ import numpy as np
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.layers import nearest_known
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.objects.borders import bordered
-from tisfm.reconstruction.objects.evidence import Evidence
-from tisfm.reconstruction.objects.image_motion import (
+from tisfm.reconstruction.borders import bordered
+from tisfm.reconstruction.evidence import Evidence
+from tisfm.reconstruction.image_motion import (
     ImageMotion,
     at_places,
     places_of,
     returning,
 )
-from tisfm.reconstruction.objects.moving_parts import moving_parts
-from tisfm.reconstruction.objects.smooth_motion import FEWEST, Moves, Terms
+from tisfm.reconstruction.moving_parts import moving_parts
 from tisfm.reconstruction.shelf import Shelf
+from tisfm.reconstruction.smooth_motion import FEWEST, Moves, Terms
 
 CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
 HIDDEN = 15  # frames that a thing may be hidden
@@ -162,9 +162,9 @@ class Identities:
             unlike = np.minimum(unlike, far[number] / deviation)
             if followed:
                 far[number][~self._reach(thing)] = np.inf
-        rest = part & (unlike > OTHERWISE)
-        rest = cv2.morphologyEx(np.uint8(rest), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        count, numbered, statistics, _ = cv2.connectedComponentsWithStats(rest, connectivity=4)
+        rest = np.uint8(part & (unlike > OTHERWISE))
+        opened = cv2.morphologyEx(rest, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+        count, numbered, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         for k in range(1, count):
             piece = numbered == k
             if statistics[k, cv2.CC_STAT_AREA] < self._smallest(part):

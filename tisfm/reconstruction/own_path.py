@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.motion.objects.contacts import contact_scale
 from tisfm.reconstruction.depths import FrameDepth, PieceDepths, effort_of
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.objects.moving_object import MovingObject, ScaleFrom
+from tisfm.reconstruction.moving_object import MovingObject, ScaleFrom
 from tisfm.reconstruction.path import PathFinder
 from tisfm.reconstruction.tracks import CELLS, Seen
 from tisfm.reconstruction.way import Piece

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.objects.evidence import DOUBT, Evidence
+from tisfm.reconstruction.evidence import DOUBT, Evidence
 
 # Of mean evidence: where the boundary lies; of a core, which a thing has to have, with so many
 # frames that say something; and the share of the smallest thing that is core.

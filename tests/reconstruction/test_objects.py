@@ -1,0 +1,192 @@
+"""Things that move on their own in a sequence."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import path_error
+from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
+from tisfm.scenes import bodies_film, bodies_path
+
+OBJECTS = tisfm.Settings.preset("fast", motion="objects")
+DATA = Path(__file__).parents[3] / "shared" / "data"
+
+
+@cache
+def film(bodies=3, count=16):
+    """Return a film of bodies."""
+    return bodies_film(bodies_path(count), 240, 320, bodies=bodies)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Return what is found in the film."""
+    return tisfm.reconstruct(
+        list(film().frames),
+        camera=film().camera,
+        settings=OBJECTS,
+        depth_of="keyframes",
+        folder=tmp_path_factory.mktemp("objects") / "result",
+    )
+
+
+def iou(labels, true):
+    """Return the intersection over union of two masks."""
+    return (labels & true).sum() / max(1, (labels | true).sum())
+
+
+def test_bodies_keep_a_label_of_their_own(found):
+    labels = np.stack([found.labels(k) for k in range(len(found))])
+    ids = []
+    for body in (1, 3):
+        true = film().labels == body
+        scores = {
+            t.id: np.mean([iou(a == t.id, b) for a, b in zip(labels, true, strict=True)])
+            for t in found.objects
+        }
+        best = max(scores, key=scores.get)
+        assert scores[best] > 0.85
+        ids.append(best)
+    assert len(set(ids)) == 2
+    at_rest = [iou(a == 0, b == 0) for a, b in zip(labels, film().labels, strict=True)]
+    assert np.mean(at_rest) > 0.95
+
+
+def test_the_path_is_as_good_as_without_bodies(found):
+    still = film(bodies=0)
+    alone = tisfm.reconstruct(
+        list(still.frames), camera=still.camera, depth_of="none", settings=OBJECTS
+    )
+    assert alone.objects == ()
+    assert not any(alone.labels(k).any() for k in range(len(alone)))
+    error = path_error(found.poses, film().poses)
+    assert error < max(1.2 * path_error(alone.poses, still.poses), 0.002)
+
+
+def test_depth_of_the_room_is_not_disturbed(found):
+    for frame in found.keyframes:
+        depth, sure = found.depth(frame), np.isfinite(found.inverse_depth_std(frame))
+        at_rest = (film().labels[frame] == 0) & (found.labels(frame) == 0) & sure
+        true = film().depth[frame]
+        scale = np.median(true[at_rest] / depth[at_rest])
+        assert np.abs(scale * depth / true - 1)[at_rest].mean() < 0.03
+
+
+def test_boxes_and_files_say_the_same_as_labels(found):
+    about = json.loads((found.folder / "objects.json").read_text())
+    assert [thing["id"] for thing in about["objects"]] == [t.id for t in found.objects]
+    for thing in found.objects:
+        for frame, box in zip(thing.frames, thing.boxes, strict=True):
+            mask = np.uint8(found.labels(frame) == thing.id)
+            assert tuple(box) == cv2.boundingRect(mask)
+        assert thing.poses.shape == (len(thing.frames), 4, 4)
+    others = set(range(len(found)))
+    for thing in found.objects:
+        for frame in others - set(thing.frames):
+            assert not (found.labels(frame) == thing.id).any()
+
+
+def test_a_result_is_loaded_as_it_was_saved(found, tmp_path):
+    found.save(tmp_path / "copy")
+    again = tisfm.Reconstruction.load(tmp_path / "copy")
+    np.testing.assert_array_equal(again.labels(3), found.labels(3))
+    for one, two in zip(again.objects, found.objects, strict=True):
+        assert (one.id, one.frames, one.scale_from) == (two.id, two.frames, two.scale_from)
+        np.testing.assert_array_equal(one.poses, two.poses)
+        np.testing.assert_array_equal(one.extent, two.extent)
+
+
+def test_rescaling_takes_things_along(found):
+    first, last = 0, len(found) - 1
+    moved = np.linalg.norm(found.poses[last, :3, 3] - found.poses[first, :3, 3])
+    twice = found.rescaled(first, last, 2 * moved)
+    for one, two in zip(found.objects, twice.objects, strict=True):
+        np.testing.assert_allclose(two.poses[:, :3, 3], 2 * one.poses[:, :3, 3])
+        known = np.isfinite(one.poses).all()
+        np.testing.assert_allclose(two.extent, (2 if known else 1) * one.extent)
+
+
+def test_a_result_without_objects_has_no_labels():
+    frames = film(bodies=0).frames[:6]
+    result = tisfm.reconstruct(list(frames), camera=film().camera, depth_of="none")
+    assert result.objects == ()
+    assert not result.labels(0).any()
+    assert not (result.folder / "masks").exists()
+
+
+def test_what_cannot_be_combined_is_refused():
+    frames = list(film().frames[:4])
+    with pytest.raises(ValueError, match="radial"):
+        tisfm.reconstruct(frames, settings=OBJECTS, calibrate="radial")
+    rolling = tisfm.Camera(focal=200.0, readout=0.5)
+    with pytest.raises(ValueError, match="readout"):
+        tisfm.reconstruct(frames, settings=OBJECTS, camera=rolling)
+    with pytest.raises(ValueError, match="motion"):
+        tisfm.reconstruct(frames, settings=tisfm.Settings.preset("fast"))
+    with pytest.raises(ValueError, match="motion"):
+        next(tisfm.reconstruct_stream(iter(frames), settings=OBJECTS))
+
+
+def test_what_is_ignored_is_no_thing():
+    mask = np.full(film().frames.shape[1:], 255, np.uint8)
+    mask[:, :160] = 0
+    result = tisfm.reconstruct(
+        list(film().frames[:8]),
+        camera=film().camera,
+        settings=OBJECTS,
+        mask=mask,
+        depth_of="none",
+    )
+    assert not any(result.labels(k)[:, :160].any() for k in range(len(result)))
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (41, 61)])
+def test_labels_are_enlarged_to_the_size_of_frames(shape):
+    small = np.zeros(((shape[0] + 1) // 2, (shape[1] + 1) // 2), np.uint8)
+    small[5:12, 6:20] = 3
+    large = enlarged_labels(small, 0.5, shape)
+    assert large.shape == shape
+    assert (large[11:23, 13:39] == 3).all()
+    assert not large[:9].any()
+    np.testing.assert_array_equal(enlarged_labels(small, 1.0, small.shape), small)
+
+
+def test_json_of_a_thing_comes_back():
+    poses = np.stack([np.eye(4), np.full((4, 4), np.nan)])
+    thing = MovingObject(
+        id=2,
+        frames=(3, 4),
+        boxes=np.array([[1, 2, 3, 4], [1, 2, 3, 5]], np.int32),
+        poses=poses,
+        extent=np.array([1.0, 2, 3]),
+        scale_from="contact",
+    )
+    again = MovingObject.of_json(json.loads(json.dumps(thing.as_json(), allow_nan=False)))
+    np.testing.assert_array_equal(again.poses, poses)
+    np.testing.assert_array_equal(again.boxes, thing.boxes)
+    assert (again.id, again.frames, again.scale_from) == (2, (3, 4), "contact")
+
+
+@pytest.mark.parametrize(("clip", "least"), [("camel", 0.7), ("car-roundabout", 0.8)])
+def test_clips_of_one_thing_that_moves(clip, least):
+    folder = DATA / "davis" / clip
+    if not folder.exists():
+        pytest.skip(f"{folder} is not there")
+    pictures = sorted((folder / "images").iterdir())[:30]
+    masks = sorted((folder / "masks").iterdir())[:30]
+    frames = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in pictures]
+    finder = SequenceLabels(tisfm.Camera(focal=1.2 * frames[0].shape[1]))
+    for frame in frames:
+        finder.add(frame)
+    labels = list(finder.found())
+    true = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127 for path in masks]
+    scores = [
+        np.mean([iou(a == k, b) for a, b in zip(labels, true, strict=True)]) for k in range(1, 4)
+    ]
+    assert max(scores) > least
