@@ -69,7 +69,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}
             | {"--give-poses", "--no-give-poses", "--max-depth"}
-            | {"--sequence", "--no-sequence", "--result"}
+            | {"--sequence", "--no-sequence", "--objects", "--no-objects", "--result"}
             | {"--arch", "--no-joint-edges", "--no-align-scales", "--help"}
             | {"--" + name.replace("_", "-") for name in vars(Settings())},
         ),

@@ -186,6 +186,10 @@ class Eval:
     depth, in one scale for all frames, are compared. DIR receives NAME.tum, the path of
     the largest piece, NAME-piece2.tum of the next one, and eval.json.
 
+    With --objects, the masks of moving things that a reconstruction saved are compared with the
+    true ones of a sequence, as those of DAVIS: the intersection over union of each thing, and how
+    often it got another label.
+
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
     (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
     NAME_depth_error.png (recovered beside true depth, and the relative error), or both, as there
@@ -210,9 +214,12 @@ class Eval:
     """True depth beyond it does not count, in the unit of the dataset. By default all counts."""
     sequence: bool = False
     """Reconstruct whole sequences instead of pairs, and compare their paths and depth."""
+    objects: bool = False
+    """Compare masks of moving things: FOLDER holds the true ones, by itself or in masks/. With
+    --result."""
     result: Annotated[Path | None, arg(metavar="PATH")] = None
     """Compare this with one sequence instead: a trajectory in TUM's or KITTI's format, of whatever
-    program, or a folder of tisfm.Reconstruction.save. With --sequence."""
+    program, or a folder of tisfm.Reconstruction.save. With --sequence; a folder with --objects."""
     preset: Preset = "balanced"
     """Settings to start from; the settings below show its values, and change them."""
     arch: Arch | None = None
@@ -225,12 +232,17 @@ class Eval:
     def __call__(self) -> int:
         """Run the command and return the exit code."""
         from tisfm.cli.commands import evaluate
+        from tisfm.cli.moving_things import evaluate_objects
         from tisfm.cli.sequences import evaluate_sequences
 
         if not self.folders:
             raise ValueError(
                 "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
             )
+        if self.sequence and self.objects:
+            raise ValueError("sequence and objects are both asked for: give one of them")
+        if self.objects:
+            return evaluate_objects(self.folders, self.output, result=self.result, step=self.step)
         if self.sequence:
             return evaluate_sequences(
                 self.folders,

@@ -4,6 +4,7 @@ Here: pairs and whole sequences of datasets evaluated, the means of their errors
 May import: all of `tisfm` but `tisfm.cli`.
 """
 
+from tisfm.evaluation.masks import compare_masks
 from tisfm.evaluation.pairs import Evaluation, evaluate
 from tisfm.evaluation.record import PairEvaluation
 from tisfm.evaluation.sequence_depth import SequenceDepthErrors
@@ -15,6 +16,7 @@ __all__ = [
     "PieceErrors",
     "SequenceDepthErrors",
     "SequenceEvaluation",
+    "compare_masks",
     "compare_sequence",
     "evaluate",
 ]
