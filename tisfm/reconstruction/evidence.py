@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import CameraMotion, TooFewPixelsError, camera_motion
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.reconstruction.image_motion import ImageMotion, at_places, places_of
 from tisfm.reconstruction.shelf import Shelf
 
@@ -89,13 +89,13 @@ def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = No
         except TooFewPixelsError:
             continue
         usual = fitted.residual + LEAST_DEVIATION * max(shape) * led.steps**0.5
-        at_rest = _AtRest(fitted, camera, shape)
+        at_rest = AtRest(fitted.rotation, fitted.translation, camera, shape)
         inverse_depth = at_rest.nearest(led.places)
         far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
         says = np.clip((far / NEUTRAL) ** 2 - 1, AT_REST, MOVING)
         resting = inverse_depth[led.found & (says < 0)]
-        shown = _shown(grey, motion.grey(led.frame), led.places, at_rest, resting)
-        seen = np.where(says > 0, shown, 1)
+        clear = shown(grey, motion.grey(led.frame), led.places, at_rest, resting)
+        seen = np.where(says > 0, clear, 1)
         seen *= led.found
         total += seen * says
         weight += seen
@@ -138,27 +138,34 @@ def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> She
     return found
 
 
-class _AtRest:
+class AtRest:
     """Where points at rest go, under one motion of the camera, by their inverse depth.
 
     Parameters
     ----------
-    motion : CameraMotion
+    rotation, translation : (3, 3) and (3,) array
+        From a frame to another, P₁ = R P₀ + t.
     camera : Camera
     shape : (int, int)
         Height and width of the frames, px.
     """
 
-    def __init__(self, motion: CameraMotion, camera: Camera, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        rotation: np.ndarray,
+        translation: np.ndarray,
+        camera: Camera,
+        shape: tuple[int, ...],
+    ) -> None:
         self._focal = np.float32(camera.focal)
         self._center = np.array(camera.center_for(*shape[:2]), np.float32)
         start = (places_of(shape) - self._center) / self._focal
         rays = cv2.merge([*cv2.split(start), np.ones(shape[:2], np.float32)])
-        self._turned = cv2.transform(rays, motion.rotation.astype(np.float32))
-        self._translation = motion.translation.astype(np.float32)
+        self._turned = cv2.transform(rays, rotation.astype(np.float32))
+        self._translation = translation.astype(np.float32)
 
     def places(self, inverse_depth: np.ndarray | float) -> np.ndarray:
-        """Return the places, (H, W, 2) float32, of points of inverse depths in 1/‖t‖."""
+        """Return the places, (H, W, 2) float32, of points of inverse depths, in the unit of t."""
         moved = [
             turned + np.float32(inverse_depth) * part
             for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
@@ -166,6 +173,27 @@ class _AtRest:
         scale = self._focal / np.maximum(moved[2], np.float32(NEAREST))
         x, y = self._center
         return cv2.merge([moved[0] * scale + x, moved[1] * scale + y])
+
+    def slope_and_missed(
+        self, inverse_depth: np.ndarray, places: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return how places change with inverse depth, and what is missing to others, px.
+
+        (H, W, 2) float32 each.
+        """
+        x, y, ahead = (
+            turned + inverse_depth * part
+            for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
+        )
+        scale = self._focal / np.maximum(ahead, np.float32(NEAREST))
+        along_x, along_y, along = self._translation
+        at_x, at_y = x * scale, y * scale
+        slope = [
+            scale * along_x - at_x * scale / self._focal * along,
+            scale * along_y - at_y * scale / self._focal * along,
+        ]
+        missed = places - self._center - cv2.merge([at_x, at_y])
+        return cv2.merge(slope), missed
 
     def nearest(self, places: np.ndarray) -> np.ndarray:
         """Return the inverse depth, (H, W) float32, of what comes nearest to places."""
@@ -181,8 +209,8 @@ class _AtRest:
         return inverse_depth
 
 
-def _shown(
-    grey: np.ndarray, other: np.ndarray, led: np.ndarray, at_rest: _AtRest, usual: np.ndarray
+def shown(
+    grey: np.ndarray, other: np.ndarray, led: np.ndarray, at_rest: AtRest, usual: np.ndarray
 ) -> np.ndarray:
     """Return how far the images show that a pixel goes where it is led, and not where it rests.
 
@@ -195,7 +223,7 @@ def _shown(
         The frame, and that in which the places lie.
     led : (H, W, 2) float32
         Where the image motion leads.
-    at_rest : _AtRest
+    at_rest : AtRest
     usual : (N,) float32
         Inverse depths of points at rest.
 

@@ -49,6 +49,7 @@ class PreparedFrames:
         self._taken, self._cache, self._pictures = camera, cache, pictures
         self._held: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
+        self._aside: set[int] = set()
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare a frame and keep it; return it as the tracker takes it.
@@ -123,21 +124,34 @@ class PreparedFrames:
         whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
         return whole, None if counted is None else ~counted
 
-    def ignore(self, number: int, ignored: np.ndarray) -> None:
-        """Ignore more pixels of a frame, (H, W) bool."""
-        if not ignored.any():
-            return
-        if number in self._masked:
-            ignored = ignored | np.load(self._mask_path(number))
-        np.save(self._mask_path(number), ignored)
-        self._masked.add(number)
+    def set_aside(self, number: int, moving: np.ndarray) -> None:
+        """Let what moves on its own in a frame, (H, W) bool, count no more, and all else again."""
+        self._aside.discard(number)
+        if moving.any():
+            np.save(self._aside_path(number), np.packbits(moving, axis=1))
+            self._aside.add(number)
+
+    def aside(self, number: int) -> np.ndarray:
+        """Return what was set aside of a frame, (H, W) bool."""
+        if number not in self._aside:
+            return np.zeros(self.shape, bool)
+        packed = np.load(self._aside_path(number))
+        return np.unpackbits(packed, axis=1, count=self.shape[1]).astype(bool)
+
+    def ignored(self, number: int) -> np.ndarray | None:
+        """Return what is masked in a frame, (H, W) bool; None for nothing."""
+        if number not in self._masked:
+            return None
+        ignored: np.ndarray = np.load(self._mask_path(number))
+        return ignored
 
     def forget(self, number: int) -> None:
         """Delete a frame; numbers of the others stay."""
         self._held.pop(number, None)
         self._masked.discard(number)
-        for path in (self._grey_path(number), self._mask_path(number), self._picture_path(number)):
-            path.unlink(missing_ok=True)
+        self._aside.discard(number)
+        for path_of in (self._grey_path, self._mask_path, self._aside_path, self._picture_path):
+            path_of(number).unlink(missing_ok=True)
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
@@ -151,16 +165,20 @@ class PreparedFrames:
 
     def counted(self, number: int) -> np.ndarray | None:
         """Return where a frame counts, (H, W) bool; None where all of it does."""
-        if number not in self._masked:
-            return None
-        counted: np.ndarray = ~np.load(self._mask_path(number))
-        return counted
+        ignored = self.ignored(number)
+        if number in self._aside:
+            aside = self.aside(number)
+            ignored = aside if ignored is None else ignored | aside
+        return None if ignored is None else ~ignored
 
     def _grey_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}.npy"
 
     def _mask_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}_ignored.npy"
+
+    def _aside_path(self, number: int) -> Path:
+        return self._cache / f"{number:06d}_aside.npy"
 
     def _picture_path(self, number: int) -> Path:
         return self._pictures / f"{number:06d}.jpg"

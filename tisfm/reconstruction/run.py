@@ -165,16 +165,7 @@ class Run:
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    stated = self._guess is not None and self._guess.origin == "exif"
-                    limit = OF_EXIF if stated else WORTHLESS
-                    finder = PathFinder(
-                        self._frames.camera,
-                        self._calibrate,
-                        limit=limit,
-                        readout=0.0
-                        if self._settings.motion == "objects"
-                        else self._frames.camera.readout,
-                    )
+                    finder = self._finder()
                     tracker = Tracker(self._frames.camera, TRACKING)
                     if self._settings.motion == "objects":
                         labels = SequenceLabels(self._frames.camera)
@@ -198,16 +189,10 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
-        if labels is not None:
-            self._label(labels)
-            for number in range(len(names)):
-                grey, ignored = self._frames.tracked(number)
-                if self._given is None:
-                    finder.add(grey, ignored)
-                elif tracker is not None:
-                    seen.append(tracker.go_on(grey, ignored))
         instants = _instants(indices, times)
-        if self._given is None:
+        if labels is not None:
+            path = self._path_among_things(labels, len(names), times, instants)
+        elif self._given is None:
             path = finder.finish(instants)
         else:
             path = self._given_path(seen, self._given, times, instants)
@@ -215,14 +200,69 @@ class Run:
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
-    def _label(self, labels: SequenceLabels) -> None:
-        """Write the labels of every frame; what moves on its own counts no more."""
-        for number, labelled in enumerate(labels.found()):
-            counted = self._frames.counted(number)
-            if counted is not None:
-                labelled[~counted] = 0
+    def _finder(self) -> PathFinder:
+        """Return what finds the path of the frames."""
+        stated = self._guess is not None and self._guess.origin == "exif"
+        together = self._settings.motion == "objects"  # rows count as read at once
+        return PathFinder(
+            self._frames.camera,
+            self._calibrate,
+            limit=OF_EXIF if stated else WORTHLESS,
+            readout=0.0 if together else self._frames.camera.readout,
+        )
+
+    def _path_among_things(
+        self,
+        labels: SequenceLabels,
+        count: int,
+        times: Sequence[float | None],
+        instants: np.ndarray,
+    ) -> CameraPath:
+        """Label what moves on its own, and return the path that is left; write the labels.
+
+        The first labels need no path. Under that which they leave, many frames say more.
+        """
+        self._label(labels.found())
+        path = self._path_of_what_counts(count, times, instants)
+        poses: list[np.ndarray | None] = [None] * count
+        if path.pieces:
+            largest = max(path.pieces, key=lambda piece: len(piece.poses))
+            for frame, pose in largest.poses.items():
+                poses[frame] = pose
+        if self._label(labels.found(poses, path.camera.pinhole())):
+            path = self._path_of_what_counts(count, times, instants)
+        return path
+
+    def _path_of_what_counts(
+        self, count: int, times: Sequence[float | None], instants: np.ndarray
+    ) -> CameraPath:
+        """Return the path that frames show which have been read."""
+        if self._given is None:
+            finder = self._finder()
+            for number in range(count):
+                finder.add(*self._frames.tracked(number))
+            return finder.finish(instants)
+        tracker = Tracker(self._frames.camera, TRACKING)
+        seen = Shelf(Seen.arrays, Seen.of_arrays)
+        for number in range(count):
+            seen.append(tracker.go_on(*self._frames.tracked(number)))
+        return self._given_path(seen, self._given, times, instants)
+
+    def _label(self, labels: Iterable[np.ndarray]) -> bool:
+        """Write the labels of every frame, and return whether they are others than before.
+
+        What moves on its own counts no more.
+        """
+        changed = False
+        for number, labelled in enumerate(labels):
+            ignored = self._frames.ignored(number)
+            if ignored is not None:
+                labelled[ignored] = 0
+            before = self._frames.aside(number)
+            changed |= not np.array_equal(before, labelled > 0)
             write_labels(self._folder, number, labelled)
-            self._frames.ignore(number, labelled > 0)
+            self._frames.set_aside(number, labelled > 0)
+        return changed
 
     def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
         """Return the things that move on their own; their depth is written into that of frames."""

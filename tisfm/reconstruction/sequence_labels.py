@@ -9,7 +9,9 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.evidence import Evidence, accumulated, evidence_of
 from tisfm.reconstruction.identities import Identities
 from tisfm.reconstruction.image_motion import ImageMotion
+from tisfm.reconstruction.moving_parts import BOUNDARY
 from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.path_evidence import path_evidence
 from tisfm.reconstruction.shelf import Shelf
 
 
@@ -25,20 +27,47 @@ class SequenceLabels:
     def __init__(self, camera: Camera) -> None:
         self._motion = ImageMotion(camera, TRACKING)
         self._shape = (0, 0)
+        self._evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        self._together: Sequence[Evidence] = ()
 
     def add(self, grey: np.ndarray) -> None:
         """Take the next frame, (H, W) uint8."""
         self._shape = grey.shape
         self._motion.add(grey)
 
-    def found(self) -> Iterator[np.ndarray]:
-        """Yield the labels of every frame, (H, W) uint8: 0 at rest, and else the thing's number."""
-        evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
-        for frame in range(len(self._motion)):
-            evidence.append(evidence_of(self._motion, frame))
-        together = accumulated(self._motion, evidence)
-        for labelled in Identities(self._motion, together).labels():
+    def found(
+        self, poses: Sequence[np.ndarray | None] | None = None, camera: Camera | None = None
+    ) -> Iterator[np.ndarray]:
+        """Yield the labels of every frame, (H, W) uint8: 0 at rest, and else the thing's number.
+
+        Parameters
+        ----------
+        poses : sequence of (4, 4) array or None, optional
+            Camera to world, where the path is known: what many frames say under it counts as well.
+            None for frames without one.
+        camera : Camera, optional
+            A pinhole, of the frames, that the path was found with.
+        """
+        if poses is not None and camera is not None:
+            self._add_path(poses, camera)
+        elif not len(self._evidence):
+            for frame in range(len(self._motion)):
+                self._evidence.append(evidence_of(self._motion, frame))
+        self._together = accumulated(self._motion, self._evidence)
+        for labelled in Identities(self._motion, self._together).labels():
             yield enlarged_labels(labelled, self._motion.share, self._shape)
+
+    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> None:
+        """Let the path say what it can."""
+        small = camera.scaled(self._motion.share, *self._motion.grey(0).shape)
+        both = Shelf(Evidence.arrays, Evidence.of_arrays)
+        for frame, own in enumerate(self._evidence):
+            moving = self._together[frame].mean() > BOUNDARY
+            more = path_evidence(self._motion, frame, poses, small, moving)
+            if more is not None:
+                own = Evidence(moving=own.moving + more.moving, weight=own.weight + more.weight)
+            both.append(own)
+        self._evidence = both
 
 
 def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
