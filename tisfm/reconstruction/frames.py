@@ -11,8 +11,8 @@ from tisfm.formats import atomic_write
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.folder import read_picture
-from tisfm.reconstruction.shutter import Rolling, UnrolledFrame
 from tisfm.resampling import Resampling
+from tisfm.shutter import Rolling, UnrolledFrame
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
 

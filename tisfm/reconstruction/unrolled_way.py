@@ -8,11 +8,11 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.self_calibration import straight
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.shutter import Rolling, rates_of
 from tisfm.reconstruction.shutter_estimate import ReadoutEstimate, estimate_readout
 from tisfm.reconstruction.tracks import Seen
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.way import Piece, Way
+from tisfm.shutter import Rolling, rates_of
 
 SEEN = 4.0  # deviations from 0: of a readout that is taken
 MOST = 1.0  # interval: a frame has been read when the next one begins

@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.shutter import Rolling, at_middle, rates_of
 from tisfm.reconstruction.sparse_points import located
 from tisfm.reconstruction.tracks import Seen
 from tisfm.reconstruction.way import Piece
+from tisfm.shutter import Rolling, at_middle, rates_of
 
 NEAR = 3  # tracks around a point, whose median depth it is taken to have
 
