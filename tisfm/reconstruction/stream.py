@@ -10,10 +10,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.adjustment import adjusted
-from tisfm.reconstruction.calibration import GIVEN, Calibrate
+from tisfm.reconstruction.calibration import GIVEN, Calibrate, calibration_in
 from tisfm.reconstruction.depths import REACH, FrameDepth, PieceDepths, effort_of, unit_of
 from tisfm.reconstruction.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.frames import PreparedFrames
@@ -36,8 +37,8 @@ class Stream:
     Parameters
     ----------
     source : FrameSource
-    camera : Camera or None
-        Of the frames as they come; None for a guess.
+    camera : Camera, Path or None
+        Of the frames as they come, or its file; None for a guess.
     calibrate : {"nothing", "focal"}
         What of it is found from the frames, with the first path.
     settings : Settings
@@ -48,7 +49,7 @@ class Stream:
     def __init__(
         self,
         source: FrameSource,
-        camera: Camera | None,
+        camera: Camera | Path | None,
         calibrate: Calibrate,
         settings: Settings,
         delay: int,
@@ -56,6 +57,7 @@ class Stream:
         self._source, self._camera, self._settings = source, camera, settings
         self._calibrate, self._calibration = calibrate, GIVEN
         self._guess: FocalGuess | None = None
+        self._stated = GIVEN
         self._delay, self._effort = delay, effort_of(settings)
         self._folder = Path()
         self._frames: PreparedFrames
@@ -101,8 +103,13 @@ class Stream:
 
     def _add(self, frame: SourceFrame, number: int) -> None:
         if number == 0:
-            camera = self._camera
-            if camera is None:
+            if isinstance(self._camera, Path):
+                height, width = frame.full or frame.image.shape[:2]
+                camera = read_camera(self._camera, (height, width))
+                self._stated = calibration_in(self._camera, camera.focal)
+            elif self._camera is not None:
+                camera = self._camera
+            else:
                 self._guess = guess_focal(
                     self._source.first_file or frame.full or frame.image.shape
                 )
@@ -155,6 +162,7 @@ class Stream:
             self._guess,
             self._path.camera,
             sought=self._calibrate != "nothing",
+            stated=self._stated,
         )
         if not found.seen and found != self._calibration:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)

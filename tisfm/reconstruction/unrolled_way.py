@@ -85,9 +85,12 @@ def unrolled_way(
 
 
 def _is_seen(estimate: ReadoutEstimate) -> bool:
-    """Return whether a readout differs from 0, and is none that no camera has."""
+    """Return whether a readout differs from 0, and is none that no camera has.
+
+    Of a deviation by which none that a camera has would differ from 0, nothing is believed.
+    """
     least = SEEN * estimate.deviation
-    return least < abs(estimate.readout) < MOST + least
+    return least < MOST and least < abs(estimate.readout) < MOST + least
 
 
 def _taken(readout: float) -> float:
