@@ -48,8 +48,25 @@ class Rolling:
     inverse_depth: Mapping[int, float] = field(default_factory=dict)
 
 
+def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.ndarray:
+    """Return when frames were taken, (N,), in intervals between frames of the source.
+
+    Parameters
+    ----------
+    indices : sequence of int
+        Their numbers in the source, which grow.
+    times : sequence of float or None
+        s; where some are not known, or do not grow, frames are taken to be evenly spaced.
+    """
+    number = np.array(indices, np.float64)
+    known = np.array([time for time in times if time is not None])
+    if len(known) < len(times) or (np.diff(known) <= 0).any() or len(known) < 2:
+        return number
+    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
+
+
 def rates_of(
-    poses: Mapping[int, np.ndarray], instants: Sequence[float] | np.ndarray
+    poses: Mapping[int, np.ndarray], instants: Mapping[int, float] | Sequence[float] | np.ndarray
 ) -> dict[int, np.ndarray]:
     """Return the twist of what is before the camera at every frame, (6,) float64, by interval.
 
@@ -57,7 +74,7 @@ def rates_of(
     ----------
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
-    instants : sequence of float
+    instants : sequence of float, or mapping
         When each frame was taken, in intervals.
     """
     frames = sorted(poses)

@@ -27,6 +27,7 @@ from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
+from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
@@ -180,7 +181,7 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
-        instants = _instants(indices, times)
+        instants = instants_of(indices, times)
         if self._given is None:
             path = finder.finish(instants)
         else:
@@ -319,15 +320,6 @@ def begins_piece(status: Status) -> Status:
     told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
     told += "its own"
     return Status(str(status), f"{status.message}; {told}" if status.message else told)
-
-
-def _instants(indices: list[int], times: list[float | None]) -> np.ndarray:
-    """Return when frames were taken, in intervals between frames of the source."""
-    number = np.array(indices, np.float64)
-    known = np.array([time for time in times if time is not None])
-    if len(known) < len(times) or (np.diff(known) <= 0).any():
-        return number
-    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
 
 
 def _count(source: FrameSource) -> int | None:

@@ -22,11 +22,11 @@ class Unrolling:
 
     Parameters
     ----------
-    seen : sequence of Seen
+    seen : sequence of Seen, or mapping
         Tracks of every frame, as the camera sees them.
     pieces : sequence of Piece
         A frame is in one of them at most.
-    instants : (N,) array
+    instants : (N,) array, or mapping
         When each frame was taken, in intervals.
     readout, deviation : float
         As in `Rolling`.
@@ -42,9 +42,9 @@ class Unrolling:
 
     def __init__(
         self,
-        seen: Sequence[Seen],
+        seen: Sequence[Seen] | Mapping[int, Seen],
         pieces: Sequence[Piece],
-        instants: np.ndarray,
+        instants: np.ndarray | Mapping[int, float],
         readout: float,
         deviation: float,
         camera: Camera,
