@@ -203,8 +203,11 @@ def test_what_the_file_states_is_better_than_what_is_hardly_seen(tmp_path):
         Image.fromarray(frame).save(tmp_path / f"{k:02d}.jpg", quality=98, exif=exif)
     with pytest.warns(GuessedFocalWarning, match="26 mm"):
         result = tisfm.reconstruct(tmp_path, settings=FAST, depth_of="none")
-    assert result.calibration.origin == "guessed"
-    assert result.camera.focal == pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
+    stated = pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
+    assert result.calibration.origin == "guessed" and result.camera.focal == stated
+    with pytest.warns(GuessedFocalWarning, match="26 mm"):
+        first = next(tisfm.reconstruct_stream(tmp_path, settings=FAST))
+    assert first.calibration.origin == "guessed" and first.camera.focal == stated
 
 
 def test_no_path_leaves_the_guess():

@@ -42,9 +42,11 @@ def reconstruct_stream(
     Parameters
     ----------
     source, camera, calibrate, settings, mask, step, start, stop, size, crop
-        As for `tisfm.reconstruct`, but that a camera's readout is taken to be 0; or ``"webcam"``,
-        ``"webcam:1"``, … for a camera, whose frames are dropped while others are worked on. A focal
-        length that is found is found with the first path, and stays.
+        As for `tisfm.reconstruct`; or ``"webcam"``, ``"webcam:1"``, … for a camera, whose frames
+        are dropped while others are worked on. A focal length and a readout that are not known are
+        found with the first path, and stay: the guess, and 0, where that does not show them,
+        whatever later frames show, since what was said of earlier ones stays. That readout is
+        found after the focal length, and undone from the first frame on.
     delay : int
         A frame is given out before more than so many later frames are read, 6 at least. The more,
         the better: a path needs views from places that are apart.
