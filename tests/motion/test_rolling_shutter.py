@@ -9,8 +9,10 @@ import pytest
 import tisfm
 from tests.motion.one_motion import FAST
 from tisfm.metrics import pose_errors
-from tisfm.rigid import pose_matrix
+from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import room_film
+from tisfm.shutter import UnrolledPixels, nodes_of
+from tisfm.unrolled_pair import _in_next
 
 READOUT = 0.8
 MOTIONS = {
@@ -132,3 +134,37 @@ def test_frames_that_are_taken_apart_have_a_smaller_share():
     frames = of.frames[0], of.frames[3]
     expected = tisfm.interpret(*frames, camera=replace(camera, readout=READOUT / 3), settings=FAST)
     np.testing.assert_array_equal(pair.flow, expected.flow)
+
+
+def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
+    camera, shape = tisfm.Camera(focal=120.0), (121, 160)
+    nodes = nodes_of(shape)
+    plane = np.full(shape, 0.25, np.float32)
+    ahead = _in_next(plane, np.array((0.0, 0.0, -0.8, 0.0, 0.0, 0.0)), camera)
+    np.testing.assert_allclose(ahead, 1 / (4 - 0.8), rtol=1e-6)
+    # A slanted plane n·P = 1 whose inverse depth is n·(x̂, ŷ, 1); moved, it is another one.
+    normal, twist = np.array((0.05, -0.03, 0.25)), np.array((0.2, 0.1, 0.3, 0.02, -0.03, 0.04))
+    rows, columns = np.indices(shape)
+    pixels = np.stack([columns, rows], axis=-1)
+
+    def rays(places):
+        flat = (places - camera.center_for(*shape)) / camera.focal
+        return np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
+
+    rotation, translation = rigid_motion(twist)
+    turned = rotation @ normal
+    expected = rays(nodes) @ turned / (1 + turned @ translation)
+    found = _in_next((rays(pixels) @ normal).astype(np.float32), twist, camera)
+    inside = np.s_[5:-5, 5:-5]  # of what frame 0 shows
+    np.testing.assert_allclose(found[inside], expected[inside], rtol=2e-3)
+
+
+def test_one_depth_at_all_nodes_is_one_depth():
+    camera, shape = tisfm.Camera(focal=120.0), (121, 160)
+    twist = np.array((0.2, 0.1, 0.3, 0.02, -0.03, 0.04))
+    nodes = np.full(nodes_of(shape).shape[:2], 0.25)
+    image = np.random.default_rng(0).uniform(0, 255, shape).astype(np.float32)
+    one, other = (
+        UnrolledPixels(camera, 0.7, twist, depth, shape).apply(image) for depth in (0.25, nodes)
+    )
+    np.testing.assert_array_equal(one, other)
