@@ -36,8 +36,10 @@ class Camera:
         How long a frame is read, row after row, as a share of the time from a frame of the source
         to the next: from the first row to the last, in [−1, 1], negative where the last row is
         read first. 0 where all rows are read at once (a global shutter). By default it is not
-        known: `tisfm.reconstruct` finds it where the motion shows it. Everything else takes it
-        to be 0.
+        known: `tisfm.reconstruct` and `tisfm.reconstruct_stream` find it where the motion shows
+        it, and a pair takes it to be 0.
+        What it moves is undone for ``motion="camera"``, of pairs as well; other motions leave it
+        as it is.
 
     Attributes
     ----------

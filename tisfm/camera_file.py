@@ -74,7 +74,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     ValueError
         If it is of frames of another shape.
     """
-    file = _file(path)
+    file = file_of(path)
     try:
         record = json.loads(read_bytes(file))
         if record["format"] != FORMAT:
@@ -109,9 +109,16 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
 
 def doubt_of(path: str | os.PathLike[str]) -> str:
     """Return what a file that `read_camera` reads says against its focal length, or nothing."""
-    record = json.loads(read_bytes(_file(path)))
+    record = record_in(path)
     return "" if record.get("seen", True) else str(record.get("message", ""))
 
 
-def _file(path: str | os.PathLike[str]) -> Path:
+def record_in(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return all that a file that `read_camera` reads says."""
+    record: dict[str, Any] = json.loads(read_bytes(file_of(path)))
+    return record
+
+
+def file_of(path: str | os.PathLike[str]) -> Path:
+    """Return the file of a camera, of which the folder may be given."""
     return Path(path) / NAME if Path(path).is_dir() else Path(path)

@@ -43,10 +43,11 @@ class Interpretation:
     labels : (H, W) int32 or None
         Which of `motions` a pixel has. None for ``motion="field"``.
     frame : (H, W) or (H, W, 3) uint8
-        Frame 0, on the 8-bit scale and without distortion: what a picture of the result is drawn
-        on.
+        Frame 0, on the 8-bit scale, without distortion and what a stated readout moved: what a
+        picture of the result is drawn on.
     camera : Camera
-        The pinhole camera that all of this belongs to: without distortion.
+        The pinhole camera that all of this belongs to: without distortion. Its readout is 0 where
+        it was undone.
     settings : Settings
     status : Status
         A code that compares as text, with ``status.message`` saying what to try.

@@ -1,6 +1,7 @@
 """Two frames in, one interpretation out."""
 
 import os
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -58,14 +59,17 @@ def interpret(
         depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with
         a `GuessedFocalWarning`. If it has distortion or oblong pixels, both frames are resampled
         first, and the result is that of frame 0 without distortion and with square pixels, of
-        the same size, focal length and centre.
+        the same size, focal length and centre. Likewise, if it states a readout, a share of the
+        time from frame 0 to frame 1, and the motion is ``"camera"``: the result is that of both
+        frames as their middle rows saw them, between which the camera is taken to move evenly.
     settings : Settings, optional
         By default the preset ``"balanced"``.
     pose : (4, 4) or (3, 3) array, optional
         A known motion, for ``motion="camera"``: points in frame 0's camera axes to frame 1's, P₁ =
         R P₀ + t, which makes depth one in the unit of t; or R alone, which leaves the direction
         of translation to be found. With t, what shows no parallax is far, its inverse depth 0
-        within the deviation; only frames that are identical have no depth.
+        within the deviation; only frames that are identical have no depth. Where a readout is
+        undone, it is that of middle rows.
     mask : (H, W) or (2, H, W) array, optional
         Pixels that count, in both frames, or in each of them; black, zero or False are ignored, as
         bonnets, logos and mattes should be. By default all count.
@@ -76,7 +80,10 @@ def interpret(
         Its `camera` is a pinhole. Where the frames without distortion have no data, confidence is
         0 and `occlusion` True. So they are where pixels are ignored in frame 0, or go to pixels
         that are ignored in frame 1: what they have there is carried from around, and its deviation
-        is infinite.
+        is infinite. Where a readout was undone, `camera` has the readout 0, and all belongs to
+        `frame`, which is frame 0 as its middle row saw it: depth, points and motion need one place
+        of the camera. Its flow leads to frame 1 as that one's middle row saw it. Where frames
+        show no motion to undo it by, all belongs to frame 0 as given, and the readout stays.
 
     Raises
     ------
@@ -142,6 +149,7 @@ def interpret_pair(
     from tisfm.motion.field import field_estimate
     from tisfm.motion.objects.estimation import objects_estimate
     from tisfm.motion.problems import pyramid_of
+    from tisfm.unrolled_pair import unrolled_pair
 
     runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
     lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
@@ -152,6 +160,16 @@ def interpret_pair(
             counted = ~first, ~second
         camera = camera.pinhole()
     overflow = overflown(grey0, grey1)
+    if settings.motion == "camera" and camera.readout and overflow is None:
+        seen = counted
+        if lens is not None:
+            both = (np.ones_like(lens.valid),) * 2 if counted is None else counted
+            seen = both[0] & lens.valid, both[1] & lens.valid
+        unrolled = unrolled_pair(grey0, grey1, frame, seen, camera, settings, known)
+        if unrolled is not None:
+            grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
+            counted, lens = unrolled.counted, None
+            camera = replace(camera, readout=0.0)
     pyramid = pyramid_of(grey0, grey1, camera, settings, counted)
     if settings.motion == "field":
         del grey0, grey1  # the pyramid has its own

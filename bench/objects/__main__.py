@@ -28,7 +28,7 @@ from bench.depth.methods import FlowThenDepth
 from bench.depth.pairs import rendered
 from bench.depth.scores import depth_of
 from bench.objects.scores import Score, compared, details, table
-from bench.objects.statue import FOCALS, FOLDER, Seen, seen, statue_pairs
+from bench.objects.statue import FOLDER, Seen, focals_of, seen, statue_pairs
 from bench.objects.statue import table as statue_table
 from bench.shared.contest import MethodFailure
 from bench.shared.contest_command import (
@@ -69,7 +69,8 @@ NOTES = (
 STATUE_NOTE = (
     "Pairs of frames three apart in which most of the man's upper body, and of the cyclist's, has "
     "a label that is neither the background's nor the other's. The focal length is not known: "
-    "384 px is what is guessed for this size of image."
+    "384 px is what is guessed for this size of image, 600 px the paper's; found is what "
+    "`tisfm.reconstruct` finds from all frames."
 )
 
 
@@ -78,6 +79,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench.objects", description=__doc__)
     add_options(parser)
     add_method_options(parser)
+    parser.add_argument("--statue", action="store_true", help="the statue alone")
     parser.set_defaults(rounds=1)
     options = parser.parse_args(arguments)
     check_counts(parser, options)
@@ -141,7 +143,7 @@ def stage_scores(method: FlowThenDepth, group: str, name: str, pair: SyntheticPa
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return conditions, scores, what the statue shows, and what is missing."""
     runtime.start(threads=options.threads)
-    chosen = list(scenes(options))
+    chosen = [] if options.statue else list(scenes(options))
     folder = None if options.smoke else data_folder(options.data)
     python, peers = find_peers(options.peer_python)
     missing = {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
@@ -171,13 +173,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         if folder is None or not (folder / FOLDER).is_dir():
             missing["statue"] = "small scenes alone" if options.smoke else "no folder that has it"
         else:
+            focals = focals_of(folder)
             for first, frame0, frame1 in statue_pairs(folder):
-                for preset, focal in product(options.preset, FOCALS):
+                for preset, (focal, origin) in product(options.preset, focals.items()):
                     progress.update(f"statue {first}, f = {focal:g} px: {preset}")
-                    statue.append(seen(preset, first, frame0, frame1, focal))
+                    statue.append(seen(preset, first, frame0, frame1, focal, origin))
+    height, width = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
         "command": command(options),
-        "scenes": f"{len(chosen)} of {'×'.join(map(str, chosen[0][2].frame0.shape[:2]))} px",
+        "scenes": f"{len(chosen)} of {height}×{width} px",
         "threads": options.threads,
         **machine(),
         "peers": ", ".join(f"{name} {number}" for name, number in peers.versions.items()),
@@ -192,6 +196,7 @@ def command(options: argparse.Namespace) -> str:
     for name, given in (("--pairs", options.pairs), ("--methods", options.only)):
         words += [name, *given] if given else []
     words += ["--smoke"] if options.smoke else []
+    words += ["--statue"] if options.statue else []
     words += ["--data DIR"] if options.data else []
     words += ["--peer-python PATH"] if options.peer_python else []
     return f"`{' '.join(words)}`"

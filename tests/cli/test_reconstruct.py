@@ -87,9 +87,12 @@ def test_the_focal_length_is_found_and_handed_on(tisfm_run, film, place):
     code, _, err = tisfm_run(
         "reconstruct", "film", "-o", "two", "--camera", "out/camera.json", "--depth-of", "none"
     )
-    assert code == 0 and err.startswith(doubt.replace("out:", "out/camera.json:"))
+    assert code == 0 and err.splitlines()[1] == result.calibration.message
     assert err.count("focal length is") == 1
-    assert tisfm.Reconstruction.load("two").camera.focal == focal
+    again = tisfm.Reconstruction.load("two")
+    assert again.camera.focal == focal
+    assert again.calibration == result.calibration  # it is not "given"
+    assert result.calibration.readout == 0  # rows were read at once
 
 
 @pytest.mark.parametrize(

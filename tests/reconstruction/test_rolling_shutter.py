@@ -11,6 +11,8 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.films import path_error
 from tisfm.camera_file import read_camera
 from tisfm.reconstruction.path import PathFinder
+from tisfm.reconstruction.shutter_estimate import ReadoutEstimate
+from tisfm.reconstruction.unrolled_way import _is_seen
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
 from tisfm.settings import Settings
@@ -126,3 +128,14 @@ def test_cropped_rows_take_their_share_of_the_time():
 @several_threads
 def test_one_thread_gives_the_same_bits():
     assert bits_on_one_thread("tests.reconstruction.test_rolling_shutter") == bits()
+
+
+@pytest.mark.parametrize(
+    ("readout", "deviation", "seen"),
+    [(0.8, 0.1, True), (-0.8, 0.1, True), (0.3, 0.1, False), (1.3, 0.1, True), (1.5, 0.1, False),
+     (-2.1, 0.49, False)],  # nothing that a camera has could be told from 0
+)  # fmt: skip
+def test_a_readout_is_taken_where_it_differs_from_none_and_a_camera_may_have_it(
+    readout, deviation, seen
+):
+    assert _is_seen(ReadoutEstimate(readout=readout, deviation=deviation)) is seen

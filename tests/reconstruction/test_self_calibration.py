@@ -4,6 +4,7 @@ import json
 import math
 import re
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -14,11 +15,12 @@ from PIL import ExifTags, Image
 import tisfm
 from tests.reconstruction.films import along, path_error
 from tisfm import Camera, Reconstruction, Settings
-from tisfm.camera_file import read_camera
+from tisfm.camera_file import read_camera, write_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
+from tisfm.formats import FormatError
 from tisfm.lens import undistort
 from tisfm.reconstruction import self_calibration
-from tisfm.reconstruction.calibration import GIVEN, Calibration
+from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
 from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
@@ -201,8 +203,11 @@ def test_what_the_file_states_is_better_than_what_is_hardly_seen(tmp_path):
         Image.fromarray(frame).save(tmp_path / f"{k:02d}.jpg", quality=98, exif=exif)
     with pytest.warns(GuessedFocalWarning, match="26 mm"):
         result = tisfm.reconstruct(tmp_path, settings=FAST, depth_of="none")
-    assert result.calibration.origin == "guessed"
-    assert result.camera.focal == pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
+    stated = pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
+    assert result.calibration.origin == "guessed" and result.camera.focal == stated
+    with pytest.warns(GuessedFocalWarning, match="26 mm"):
+        first = next(tisfm.reconstruct_stream(tmp_path, settings=FAST))
+    assert first.calibration.origin == "guessed" and first.camera.focal == stated
 
 
 def test_no_path_leaves_the_guess():
@@ -315,3 +320,32 @@ def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
 def test_impossible_calibrations_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         Calibration(**{"origin": "estimated", **changes})
+
+
+def test_a_camera_in_a_file_is_as_good_as_the_file_says(found, tmp_path):
+    again = path_of(arc(), camera=found.folder, folder=tmp_path / "again")
+    assert again.calibration == found.calibration and again.camera == found.camera
+    assert json.loads((tmp_path / "again" / "camera.json").read_text())["origin"] == "estimated"
+    with pytest.raises(ValueError, match="written to"):
+        path_of(arc(), camera=tmp_path / "again", folder=tmp_path / "again")
+
+
+def test_a_doubted_focal_length_stays_doubted(tmp_path):
+    height, width = SIZE
+    doubt = Calibration(origin="guessed", focal_std=math.inf, seen=False, message="a guess, 9 px")
+    twice = arc().camera.scaled(2, *SIZE)
+    about = as_json(doubt)
+    write_camera(tmp_path / "c.json", twice, (2 * height, 2 * width), about=about)
+    with pytest.warns(GuessedFocalWarning, match="a guess, 9 px"):
+        result = path_of(arc(), camera=tmp_path / "c.json")
+    size = f"for frames of {2 * width}×{2 * height} px, "
+    assert result.calibration == replace(doubt, message=size + doubt.message)
+    assert result.camera.focal == pytest.approx(arc().camera.focal)
+    write_camera(tmp_path / "c.json", arc().camera, SIZE)
+    assert path_of(arc(), camera=tmp_path / "c.json").calibration == GIVEN
+
+
+def test_a_file_that_says_nonsense_is_refused(tmp_path):
+    write_camera(tmp_path / "c.json", arc().camera, SIZE, about={"origin": "a dream"})
+    with pytest.raises(FormatError, match="a dream"):
+        path_of(arc(), camera=tmp_path / "c.json")

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.shutter import (
+from tisfm.rigid import pose_matrix
+from tisfm.shutter import (
     Rolling,
     UnrolledFrame,
     at_middle,
     rates_of,
     transported,
 )
-from tisfm.rigid import pose_matrix
 
 CAMERA, SHAPE = Camera(focal=120.0, center=(83.0, 55.0)), (121, 160)
 TWIST = np.array([0.1, -0.04, 0.16, 0.08, -0.12, 0.1])

@@ -5,10 +5,10 @@ import pytest
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
-from tisfm.reconstruction.shutter import at_middle, rates_of, transported
 from tisfm.reconstruction.shutter_estimate import estimate_readout
 from tisfm.reconstruction.tracks import Seen
 from tisfm.rigid import pose_matrix
+from tisfm.shutter import at_middle, rates_of, transported
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 

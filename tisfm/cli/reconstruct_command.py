@@ -17,7 +17,6 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.stated_camera import stated_camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
@@ -67,7 +66,7 @@ def reconstruct(
     if mesh is not None:
         check_library()
     if isinstance(camera, Path):
-        camera = _camera_in(camera, source, frames)
+        _check_fits(camera, source, frames)
     runtime.start(arch, threads=threads)
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
@@ -111,12 +110,13 @@ def reconstruct(
     return 0
 
 
-def _camera_in(file: Path, source: Source, frames: FrameOptions) -> Camera:
-    """Return the camera in a file, of the size of a source's frames."""
-    read_camera(file)  # what is no camera is refused before the source is looked at
+def _check_fits(file: Path, source: Source, frames: FrameOptions) -> None:
+    """Refuse a file that is no camera, or none of the frames of a source."""
+    read_camera(file)  # before the source is looked at
     with closing(frames.open(source).frames()) as found:
         first = next(found, None)
-    return stated_camera(file, None if first is None else first.full or first.image.shape[:2])
+    if first is not None:
+        read_camera(file, first.full or first.image.shape[:2])
 
 
 def _refuse_inside(file: Path, output: Path) -> None:

@@ -1,8 +1,12 @@
 """Where the focal length of a sequence is from, and how far to trust it."""
 
 import math
-from dataclasses import asdict, dataclass
+import os
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
+
+from tisfm.camera_file import file_of, record_in
+from tisfm.formats import FormatError
 
 Calibrate = Literal["nothing", "focal", "radial"]
 """What of the camera is found: nothing, the focal length, or it and one radial coefficient."""
@@ -17,6 +21,7 @@ class Calibration:
     ----------
     origin : {"given", "estimated", "guessed"}
         Whether it was given, found from the sequence, or guessed from the image file or the size.
+        Of a camera that was given as a file, what the file says of it.
     focal_std : float
         Its standard deviation, px: 0 where it was given, infinite where it was guessed.
     seen : bool
@@ -62,3 +67,47 @@ def as_json(calibration: Calibration) -> dict[str, Any]:
     if math.isinf(calibration.focal_std):
         about["focal_std"] = None
     return about
+
+
+def from_json(about: dict[str, Any]) -> Calibration:
+    """Return what `as_json` made."""
+    deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
+    known = {field.name for field in fields(Calibration)}  # later versions may say more
+    return Calibration(**{k: about[k] for k in about.keys() & known} | {"focal_std": deviation})
+
+
+def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
+    """Return what the file of a camera says of its focal length; "given" if that is nothing.
+
+    Parameters
+    ----------
+    path : path
+        One that `tisfm.camera_file.read_camera` reads.
+    focal : float
+        Of the frames that it was read for, px, which may be larger or smaller.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    tisfm.formats.FormatError
+        If what it says is damaged.
+    """
+    record = record_in(path)
+    if "origin" not in record:
+        return GIVEN
+    try:
+        about = from_json({"focal_std": 0.0} | record)
+        ratio, message = focal / float(record["focal"]), str(about.message)
+        if message and abs(ratio - 1) > 1e-9:
+            message = f"for frames of {record['width']}×{record['height']} px, {message}"
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{file_of(path)} is damaged: {error}") from error
+    return replace(
+        about,
+        focal_std=ratio * about.focal_std,
+        seen=bool(about.seen),
+        message=message,
+        readout=0.0,  # it is given now
+        readout_std=0.0,
+    )

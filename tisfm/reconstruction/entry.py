@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
+from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.folder import CACHE, begin
@@ -27,7 +28,7 @@ from tisfm.trajectory import Trajectory
 def reconstruct(
     source: Source,
     *,
-    camera: Camera | None = None,
+    camera: Camera | str | os.PathLike[str] | None = None,
     calibrate: Calibrate | None = None,
     settings: Settings | None = None,
     poses: npt.ArrayLike | Trajectory | None = None,
@@ -51,12 +52,14 @@ def reconstruct(
     source : path, sequence of paths, or iterable of arrays
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
         (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
-    camera : Camera, optional
-        Of the frames as they come; distortion is removed, and what the rows of a rolling shutter
-        move, which are read one after the other: the result belongs to frames as their middle rows
-        saw them. If its readout is None, it is found, and taken for 0 if the motion does not show
-        it. Where poses are given, a readout is undone that the camera states; they are those of
-        middle rows.
+    camera : Camera or path, optional
+        Of the frames as they come, or its file, as ``camera.json`` in the folder of another
+        reconstruction, which may be of larger or smaller frames: what it says of the focal length
+        is kept then, as `Reconstruction.calibration`. Distortion is removed, and what the rows of a
+        rolling shutter move, which are read one after the other: the result belongs to frames as
+        their middle rows saw them. If its readout is None, it is found, and taken for 0 if the
+        motion does not show it. Where poses are given, a readout is undone that the camera states;
+        they are those of middle rows.
     calibrate : {"nothing", "focal", "radial"}, optional
         What of the camera is found from the frames: by default nothing, if a camera is given; or
         else the focal length, with the principal point in the centre. ``"radial"`` finds one
@@ -106,7 +109,8 @@ def reconstruct(
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
         settings ask for ``motion="field"``, or for ``"objects"`` with a readout or
-        ``calibrate="radial"``; if poses are not (N, 4, 4), rigid, and as many as frames,
+        ``calibrate="radial"``; if a file is no camera, or one of frames of another shape;
+        if poses are not (N, 4, 4), rigid, and as many as frames,
         or none is near to a frame in time.
     """
     settings = checked_settings(settings)
@@ -134,18 +138,19 @@ def reconstruct(
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
     if given is not None and given.times is None and frames.count is not None:
         check_count(len(given.poses), len(frames) + 1)
-    camera = None if camera is None else check_camera(camera)
-    if calibrate == "radial" and camera is not None and camera.distortion is not None:
+    camera, stated = checked_camera(camera)
+    if calibrate == "radial" and stated is not None and stated.distortion is not None:
         raise ValueError('the camera has distortion, which calibrate="radial" is to find: drop it')
-    if calibrate == "focal" and camera is not None and camera.is_tilted:
+    if calibrate == "focal" and stated is not None and stated.is_tilted:
         raise ValueError(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
     if settings.motion == "objects":
-        _check_for_objects(camera, calibrate)
+        _check_for_objects(stated, calibrate)
     if folder is not None:
-        _refuse_inside(frames.files, Path(folder))
+        files = [file_of(camera)] if isinstance(camera, Path) else []
+        _refuse_inside([*frames.files, *files], Path(folder))
     runtime.start()
     temporary = None
     if folder is None:
@@ -185,6 +190,16 @@ def _check_for_objects(camera: Camera | None, calibrate: Calibrate) -> None:
             f'the camera has a readout of {camera.readout:g} and motion is "objects", which takes '
             "rows as read at once: leave the readout out"
         )
+
+
+def checked_camera(
+    camera: Camera | str | os.PathLike[str] | None,
+) -> tuple[Camera | Path | None, Camera | None]:
+    """Return a camera or the path of its file, and the camera in either."""
+    if isinstance(camera, (str, os.PathLike)):
+        return Path(camera), read_camera(camera)
+    checked = None if camera is None else check_camera(camera)
+    return checked, checked
 
 
 def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:

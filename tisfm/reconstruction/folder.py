@@ -5,11 +5,10 @@ file says whose folder it is. ``docs/formats.md`` describes the files.
 """
 
 import json
-import math
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from tisfm.formats.label_png import read_label_png, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
+from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.settings import Settings
 
@@ -252,7 +251,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 aspect=camera["aspect"],
                 readout=camera.get("readout"),
             ),
-            calibration=_read_calibration(about.get("calibration")),
+            calibration=from_json(about["calibration"]) if "calibration" in about else GIVEN,
             settings=Settings(**settings),
             version=str(about["version"]),
             objects=_read_objects(path),
@@ -260,15 +259,6 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
-
-
-def _read_calibration(about: dict[str, Any] | None) -> Calibration:
-    """Return what `as_json` made; records of before have none."""
-    if about is None:
-        return GIVEN
-    deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
-    known = {field.name for field in fields(Calibration)}  # later versions may say more
-    return Calibration(**{k: about[k] for k in about.keys() & known} | {"focal_std": deviation})
 
 
 def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:

@@ -1,5 +1,6 @@
 """Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from tisfm.formats import atomic_write
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.folder import read_picture
-from tisfm.reconstruction.shutter import Rolling, UnrolledFrame
 from tisfm.resampling import Resampling
+from tisfm.shutter import Rolling, UnrolledFrame
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
 
@@ -50,6 +51,7 @@ class PreparedFrames:
         self._held: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
         self._aside: set[int] = set()
+        self._as_read: set[int] = set()  # frames of which what was read is kept as well
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare a frame and keep it; return it as the tracker takes it.
@@ -104,6 +106,35 @@ class PreparedFrames:
             self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
         self.camera = replace(self.camera, readout=0.0)
 
+    def unroll_again(self, rolling: Rolling | None) -> None:
+        """Do what `unroll` does to frames that are not settled, from what they were before it."""
+        for number in sorted(self._as_read):
+            for path in self._paths(number):
+                if _as_it_was(path).exists():
+                    _as_it_was(path).replace(path)
+                else:
+                    path.unlink(missing_ok=True)
+            self._held.pop(number, None)
+            self._masked.discard(number)
+            if self._mask_path(number).exists():
+                self._masked.add(number)
+        self._as_read = set()
+        if rolling is None:
+            return
+        for number in sorted(rolling.rates):
+            for path in self._paths(number):
+                if path.exists():
+                    shutil.copyfile(path, _as_it_was(path))
+            self._as_read.add(number)
+            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+
+    def settle(self, last: int) -> None:
+        """Let frames up to one stay as they are."""
+        for number in [k for k in self._as_read if k <= last]:
+            for path in self._paths(number):
+                _as_it_was(path).unlink(missing_ok=True)
+            self._as_read.discard(number)
+
     def _make_anew(self, number: int, map_: Resampling) -> None:
         ignored = ~map_.valid
         if number in self._masked:
@@ -150,8 +181,10 @@ class PreparedFrames:
         self._held.pop(number, None)
         self._masked.discard(number)
         self._aside.discard(number)
-        for path_of in (self._grey_path, self._mask_path, self._aside_path, self._picture_path):
-            path_of(number).unlink(missing_ok=True)
+        self._as_read.discard(number)
+        for path in self._paths(number):
+            path.unlink(missing_ok=True)
+            _as_it_was(path).unlink(missing_ok=True)
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
@@ -171,6 +204,14 @@ class PreparedFrames:
             ignored = aside if ignored is None else ignored | aside
         return None if ignored is None else ~ignored
 
+    def _paths(self, number: int) -> tuple[Path, ...]:
+        return (
+            self._grey_path(number),
+            self._mask_path(number),
+            self._aside_path(number),
+            self._picture_path(number),
+        )
+
     def _grey_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}.npy"
 
@@ -182,6 +223,10 @@ class PreparedFrames:
 
     def _picture_path(self, number: int) -> Path:
         return self._pictures / f"{number:06d}.jpg"
+
+
+def _as_it_was(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_read{path.suffix}")
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:

@@ -21,13 +21,13 @@ from tisfm.reconstruction.self_calibration import (
     without_distortion,
 )
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.shutter import Rolling
 from tisfm.reconstruction.tracks import CELLS, Seen, Tracker
 from tisfm.reconstruction.unrolled_way import unrolled_way
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.views import Views
 from tisfm.reconstruction.way import Piece, Way
 from tisfm.settings import Settings
+from tisfm.shutter import Rolling
 
 TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
 

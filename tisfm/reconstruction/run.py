@@ -10,10 +10,10 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
-from tisfm.camera_file import write_camera
+from tisfm.camera_file import read_camera, write_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration import Calibrate, Calibration, as_json
+from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration, as_json, calibration_in
 from tisfm.reconstruction.folder import (
     CACHE,
     PICTURES,
@@ -38,6 +38,7 @@ from tisfm.reconstruction.tracks import Seen, Tracker
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
+from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
@@ -61,8 +62,8 @@ class Run:
     Parameters
     ----------
     source : FrameSource
-    camera : Camera or None
-        Of the frames as they come; None for a guess.
+    camera : Camera, Path or None
+        Of the frames as they come, or its file; None for a guess.
     calibrate : {"nothing", "focal", "radial"}
         What of it is found from the frames.
     settings : Settings
@@ -79,7 +80,7 @@ class Run:
     def __init__(
         self,
         source: FrameSource,
-        camera: Camera | None,
+        camera: Camera | Path | None,
         calibrate: Calibrate,
         settings: Settings,
         poses: Trajectory | None,
@@ -93,6 +94,7 @@ class Run:
         self._progress: Progress = progress or (lambda stage, done, total: None)
         self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
         self._guess: FocalGuess | None = None
+        self._stated = GIVEN
         self._frames: PreparedFrames
 
     def result(self) -> Reconstruction:
@@ -156,10 +158,10 @@ class Run:
         with closing(self._source.frames()) as frames:
             for frame in frames:
                 if not names:
-                    camera = self._camera or self._guessed(
+                    height, width = frame.full or frame.image.shape[:2]
+                    camera = self._stated_camera((height, width)) or self._guessed(
                         self._source.first_file or frame.full or frame.image.shape
                     )
-                    height, width = frame.full or frame.image.shape[:2]
                     self._taken = camera, (height, width)
                     camera = self._source.camera_after(camera, frame.full)
                     self._frames = PreparedFrames(
@@ -189,7 +191,7 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
-        instants = _instants(indices, times)
+        instants = instants_of(indices, times)
         if labels is not None:
             path = self._path_among_things(labels, len(names), times, instants)
         elif self._given is None:
@@ -348,6 +350,14 @@ class Run:
             rolling=rolling,
         )
 
+    def _stated_camera(self, shape: tuple[int, int]) -> Camera | None:
+        """Return the camera that was given, or is in a file, for frames of a shape."""
+        if not isinstance(self._camera, Path):
+            return self._camera
+        camera = read_camera(self._camera, shape)
+        self._stated = calibration_in(self._camera, camera.focal)
+        return camera
+
     def _guessed(self, first: Path | tuple[int, ...]) -> Camera:
         """Return a camera with a focal length guessed by the first frame, or its shape."""
         self._guess = guess_focal(first)
@@ -356,7 +366,11 @@ class Run:
     def _calibration(self, path: CameraPath) -> Calibration:
         """Return where the focal length is from; warn if it is not to be relied on."""
         found = calibration_of(
-            path.focal, self._guess, self._frames.camera, sought=self._calibrate != "nothing"
+            path.focal,
+            self._guess,
+            self._frames.camera,
+            sought=self._calibrate != "nothing",
+            stated=self._stated,
         )
         if path.rolling is not None and path.rolling.deviation:  # it was not given
             deviation = path.rolling.deviation / self._share_of_rows()
@@ -424,15 +438,6 @@ def begins_piece(status: Status) -> Status:
     told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
     told += "its own"
     return Status(str(status), f"{status.message}; {told}" if status.message else told)
-
-
-def _instants(indices: list[int], times: list[float | None]) -> np.ndarray:
-    """Return when frames were taken, in intervals between frames of the source."""
-    number = np.array(indices, np.float64)
-    known = np.array([time for time in times if time is not None])
-    if len(known) < len(times) or (np.diff(known) <= 0).any():
-        return number
-    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
 
 
 def _count(source: FrameSource) -> int | None:

@@ -89,7 +89,12 @@ class FocalEstimate:
 
 
 def calibration_of(
-    found: FocalEstimate | None, guess: FocalGuess | None, camera: Camera, *, sought: bool
+    found: FocalEstimate | None,
+    guess: FocalGuess | None,
+    camera: Camera,
+    *,
+    sought: bool,
+    stated: Calibration = GIVEN,
 ) -> Calibration:
     """Return where the focal length of a camera is from.
 
@@ -103,9 +108,11 @@ def calibration_of(
         As it is used.
     sought : bool
         Whether it was to be found from the sequence.
+    stated : Calibration
+        What is known of a camera that was given.
     """
     if not sought and guess is None:
-        return GIVEN
+        return stated
     if found is None or not found.is_of_use:
         told = f"the focal length is a guess, {camera.focal:.0f} px"
         if guess is not None:

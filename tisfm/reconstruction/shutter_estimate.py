@@ -12,7 +12,7 @@ from scipy import sparse
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
-from tisfm.reconstruction.shutter import transported
+from tisfm.shutter import transported
 
 FEWEST_VIEWS = 3  # that see a point
 VIEWS, OBSERVATIONS = 60, 8000  # at most: those at which the camera turns most
@@ -69,7 +69,7 @@ def estimate_readout(
     poses : mapping of int to (4, 4) array
         Camera to world, by frame, as they are known so far.
     rates : mapping of int to (6,) array
-        By frame, as `tisfm.reconstruction.shutter.rates_of` returns them.
+        By frame, as `tisfm.shutter.rates_of` returns them.
     camera : Camera
         A pinhole.
     shape : (int, int)

@@ -1,19 +1,23 @@
 """The camera's path through a sequence without end: old poses stay, new ones continue them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.reconstruction.database import View
-from tisfm.reconstruction.mapping import continued, models_of
+from tisfm.reconstruction.mapping import continued, models_again, models_of
 from tisfm.reconstruction.path import TRACKING, why_lost, with_others
-from tisfm.reconstruction.self_calibration import FocalEstimate, models_and_focal
+from tisfm.reconstruction.self_calibration import WORTHLESS, FocalEstimate, models_and_focal
+from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.reconstruction.unrolled_way import KNOWN_ROUNDS, unrolled_way
+from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.views import Views
-from tisfm.reconstruction.way import Piece
+from tisfm.reconstruction.way import Piece, Way
+from tisfm.shutter import Rolling, instants_of
 
 REMEMBERED = 16  # views with poses that stay, from which the path is continued
 ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well
@@ -31,11 +35,15 @@ class Stretch:
         Poses that stay as they are, by frame.
     lost : dict of int to Status
         Frames that have not been settled, and have no pose.
+    rolling : Rolling or None
+        How frames that have not been settled moved while they were read, if rows are not read at
+        once: poses and points are those of middle rows then.
     """
 
     pieces: dict[int, Piece]
     held: dict[int, np.ndarray]
     lost: dict[int, Status]
+    rolling: Rolling | None = None
 
 
 class Remembered(Sequence[Seen]):
@@ -57,6 +65,13 @@ class Remembered(Sequence[Seen]):
     def forget(self, frame: int) -> None:
         """Forget a frame."""
         del self._seen[frame]
+
+    def changed(self, others: Mapping[int, Seen]) -> "Remembered":
+        """Return the same with other tracks in some frames."""
+        changed = Remembered()
+        changed._seen = {frame: others.get(frame, seen) for frame, seen in self._seen.items()}
+        changed._count = self._count
+        return changed
 
     def __len__(self) -> int:
         return self._count
@@ -80,23 +95,42 @@ class SlidingPath:
         A pinhole, of the frames.
     focal_known : bool
         Or its focal length is a guess: it is found with the first path, and stays.
+    readout : float or None
+        Of the shutter, as in `tisfm.Camera`; None if it is found with the first path, and stays.
+    limit : float
+        Of the focal length: with a larger deviation, the guess stays.
 
     Attributes
     ----------
     camera : Camera
     focal : FocalEstimate or None
         If it was to be found, and was.
+    readout : float or None
+        As it is known; 0 once the first path shows none.
+    readout_deviation : float
+        Its standard deviation; 0 where it was given.
     seen : Remembered
-        Tracks in every frame.
+        Tracks in every frame, those of middle rows where a readout is undone.
     settled : int
         Frames up to this one have their final poses, or none for ever; −1 before there are any.
     """
 
-    def __init__(self, camera: Camera, *, focal_known: bool = True) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        focal_known: bool = True,
+        readout: float | None = 0.0,
+        limit: float = WORTHLESS,
+    ) -> None:
         self.camera = camera
         self.focal: FocalEstimate | None = None
-        self._focal_known = focal_known
+        self.readout, self.readout_deviation = readout, 0.0
+        self._focal_known, self._limit = focal_known, limit
         self.seen = Remembered()
+        self._read = Remembered()  # tracks as rows were read
+        self._unrolled: dict[int, View] = {}
+        self._taken: dict[int, tuple[int, float | None]] = {}  # index and time, by frame
         self.settled = -1
         self._tracker = Tracker(camera, TRACKING)
         self._views = Views(camera, focal_known=focal_known)
@@ -105,12 +139,29 @@ class SlidingPath:
         self._held: dict[int, dict[int, np.ndarray]] = {}  # poses that stay, by piece and frame
         self._pieces = 0
 
-    def add(self, grey: np.ndarray, ignored: np.ndarray | None = None) -> None:
-        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool."""
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        *,
+        taken: tuple[int, float | None] | None = None,
+    ) -> None:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, optional
+            Which of its pixels to ignore.
+        taken : (int, float or None), optional
+            Its number in the source, and when it was taken, s; by default the next number.
+        """
         seen = self._tracker.go_on(grey, ignored)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self.seen), grey, seen, ignored)
+        self._taken[len(self.seen)] = taken or (len(self.seen), None)
         self.seen.append(seen)
+        self._read.append(seen)
         self._last = grey, ignored
 
     def found(self, *, at_end: bool = False) -> Stretch:
@@ -121,6 +172,19 @@ class SlidingPath:
         if at_end and (not views.chosen or views.chosen[-1].frame != last):
             views.add(last, grey, self.seen[last], ignored)
         views.close_loops(self._shape)
+        stretch = self._through(different)
+        if self.readout is None and stretch.pieces:
+            self._find_readout(stretch)
+        if not self.readout:
+            return stretch
+        for _ in range(KNOWN_ROUNDS):
+            rolling = self._unroll(stretch)
+            stretch = replace(self._through(different), rolling=rolling)
+        return stretch
+
+    def _through(self, different: int) -> Stretch:
+        """Return the path through views and tracks as they are known."""
+        views = self._views
         settled = {frame for poses in self._held.values() for frame in poses}
         left = [k for k, view in enumerate(views.chosen) if view.frame not in settled]
         pieces: dict[int, Piece] = {}
@@ -135,7 +199,9 @@ class SlidingPath:
         if self._focal_known:
             models = models_of(*among, self.camera, self._shape)
         else:
-            models, self.focal = models_and_focal(*among, self.camera, self._shape, "focal")
+            models, self.focal = models_and_focal(
+                *among, self.camera, self._shape, "focal", limit=self._limit
+            )
             if self.focal is not None:  # from now on it is known
                 self.camera, self._focal_known = self.focal.taken(self.camera), True
                 views.use(self.camera)
@@ -181,7 +247,10 @@ class SlidingPath:
         gone = [frame for frame in self.seen.frames() if frame < before and frame not in kept]
         for frame in gone:
             self.seen.forget(frame)
+            self._read.forget(frame)
         there = of_views.union(self.seen.frames())
+        self._taken = {frame: self._taken[frame] for frame in sorted(there)}
+        self._unrolled = {f: view for f, view in self._unrolled.items() if f in of_views}
         for number, held in list(self._held.items()):
             self._held[number] = {frame: pose for frame, pose in held.items() if frame in there}
             if sum(frame in held for frame in of_views) < 2:
@@ -198,4 +267,75 @@ class SlidingPath:
             for (earlier, later), both in self._views.matches.items()
             if earlier in place and later in place
         }
-        return [self._views.chosen[number] for number in numbers], matches
+        chosen = [self._views.chosen[number] for number in numbers]
+        return [self._unrolled.get(view.frame, view) for view in chosen], matches
+
+    def _find_readout(self, stretch: Stretch) -> None:
+        """Find the readout with the first path; what that does not show is taken for 0."""
+        views, camera, shape = list(self._views.chosen), self.camera.pinhole(), self._shape
+        matches = self._views.matches
+        tracks = Shelf(Seen.arrays, Seen.of_arrays)  # of all frames, forgotten ones without any
+        there, none = (
+            set(self._read.frames()),
+            Seen.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
+        )
+        for frame in range(len(self._read)):
+            tracks.append(self._read[frame] if frame in there else none)
+
+        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
+            models = models_again(views, matches, camera, shape, known)
+            pieces, unplaced = with_others(
+                [Piece(poses=m.poses, views=tuple(m.poses), points=m.points) for m in models],
+                seen,
+                sorted(there),
+                camera,
+                shape,
+            )
+            return replace(way, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
+
+        way = Way(
+            pieces=list(stretch.pieces.values()),
+            unplaced=list(stretch.lost),
+            views=views,
+            seen=tracks,
+            camera=camera,
+            focal=None,
+            explained=0,
+        )
+        instants = np.zeros(len(self._read))
+        for frame, instant in self._instants().items():
+            instants[frame] = instant
+        _, rolling = unrolled_way(way, near, matches, instants, None, shape)
+        self.readout = 0.0 if rolling is None else rolling.readout
+        self.readout_deviation = 0.0 if rolling is None else rolling.deviation
+
+    def _unroll(self, stretch: Stretch) -> Rolling:
+        """Undo the readout in views and tracks that are not settled, by a path through them."""
+        views = self._views.chosen
+        read = {view.frame: view.seen for view in views}
+        read |= {frame: self._read[frame] for frame in self._read.frames()}
+        unrolling = Unrolling(
+            read,
+            list(stretch.pieces.values()),
+            self._instants(),
+            self.readout or 0.0,
+            self.readout_deviation,
+            self.camera,
+            self._shape,
+        )
+        new = [frame for frame in self._read.frames() if frame > self.settled]
+        self.seen = self.seen.changed({frame: unrolling.tracks(frame) for frame in new})
+        for view in views:
+            if view.frame > self.settled:
+                self._unrolled[view.frame] = unrolling.view(view)
+        whole = unrolling.rolling
+        return replace(
+            whole,
+            rates={frame: rate for frame, rate in whole.rates.items() if frame > self.settled},
+        )
+
+    def _instants(self) -> dict[int, float]:
+        """Return when the frames that are remembered were taken, in intervals."""
+        numbers, times = zip(*self._taken.values(), strict=True)
+        return dict(zip(self._taken, map(float, instants_of(numbers, times)), strict=True))

@@ -10,15 +10,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.adjustment import adjusted
-from tisfm.reconstruction.calibration import GIVEN, Calibrate
+from tisfm.reconstruction.calibration import GIVEN, Calibrate, calibration_in
 from tisfm.reconstruction.depths import REACH, FrameDepth, PieceDepths, effort_of, unit_of
 from tisfm.reconstruction.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.run import NO_PARALLAX, begins_piece
-from tisfm.reconstruction.self_calibration import calibration_of
+from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
 from tisfm.reconstruction.sliding_path import SlidingPath, Stretch
 from tisfm.reconstruction.sparse_points import depths_of
 from tisfm.reconstruction.streamed_frame import StreamedFrame
@@ -36,8 +37,8 @@ class Stream:
     Parameters
     ----------
     source : FrameSource
-    camera : Camera or None
-        Of the frames as they come; None for a guess.
+    camera : Camera, Path or None
+        Of the frames as they come, or its file; None for a guess.
     calibrate : {"nothing", "focal"}
         What of it is found from the frames, with the first path.
     settings : Settings
@@ -48,7 +49,7 @@ class Stream:
     def __init__(
         self,
         source: FrameSource,
-        camera: Camera | None,
+        camera: Camera | Path | None,
         calibrate: Calibrate,
         settings: Settings,
         delay: int,
@@ -56,6 +57,8 @@ class Stream:
         self._source, self._camera, self._settings = source, camera, settings
         self._calibrate, self._calibration = calibrate, GIVEN
         self._guess: FocalGuess | None = None
+        self._stated = GIVEN
+        self._share_of_rows = 1.0  # of a frame, where it is cropped
         self._delay, self._effort = delay, effort_of(settings)
         self._folder = Path()
         self._frames: PreparedFrames
@@ -101,18 +104,32 @@ class Stream:
 
     def _add(self, frame: SourceFrame, number: int) -> None:
         if number == 0:
-            camera = self._camera
-            if camera is None:
+            if isinstance(self._camera, Path):
+                height, width = frame.full or frame.image.shape[:2]
+                camera = read_camera(self._camera, (height, width))
+                self._stated = calibration_in(self._camera, camera.focal)
+            elif self._camera is not None:
+                camera = self._camera
+            else:
                 self._guess = guess_focal(
                     self._source.first_file or frame.full or frame.image.shape
                 )
                 camera = Camera(focal=self._guess.focal)
+            camera_taken = camera
             camera = self._source.camera_after(camera, frame.full)
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
             self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
-            self._path = SlidingPath(self._frames.camera, focal_known=self._calibrate == "nothing")
-        self._path.add(*self._frames.add(frame))
+            whole = self._source.camera_after(replace(camera_taken, readout=1.0), frame.full)
+            self._share_of_rows = whole.readout or 1.0
+            stated = self._guess is not None and self._guess.origin == "exif"
+            self._path = SlidingPath(
+                self._frames.camera,
+                focal_known=self._calibrate == "nothing",
+                readout=self._frames.camera.readout,
+                limit=OF_EXIF if stated else WORTHLESS,
+            )
+        self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
         self._about[number] = frame.index, frame.name, frame.time
 
     def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
@@ -120,6 +137,8 @@ class Stream:
         path, first = self._path, self._path.settled + 1
         stretch = path.found(at_end=at_end)
         self._take_camera()
+        if self._path.readout:
+            self._frames.unroll_again(stretch.rolling)
         pieces = {
             number: self._final(number, piece, stretch, first)
             for number, piece in stretch.pieces.items()
@@ -149,13 +168,21 @@ class Stream:
 
     def _take_camera(self) -> None:
         """Take the camera of the path, and warn once if it is not to be relied on."""
-        self._frames.camera = self._path.camera
+        path = self._path
+        self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
         found = calibration_of(
             self._path.focal,
             self._guess,
             self._path.camera,
             sought=self._calibrate != "nothing",
+            stated=self._stated,
         )
+        if path.readout and path.readout_deviation:  # it was not given
+            found = replace(
+                found,
+                readout=max(-1.0, min(path.readout / self._share_of_rows, 1.0)),
+                readout_std=path.readout_deviation / self._share_of_rows,
+            )
         if not found.seen and found != self._calibration:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
         self._calibration = found
@@ -244,6 +271,7 @@ class Stream:
 
     def _forget(self) -> None:
         """Forget what the path and depth of later frames do not need."""
+        self._frames.settle(self._path.settled)
         kept = {key for key, _ in self._keys.values()}
         for frame in self._path.forget(self._path.settled + 1 - REACH, kept=kept):
             self._frames.forget(frame)

@@ -1,10 +1,12 @@
 """`tisfm.reconstruct_stream`: sequences without end, frame by frame."""
 
+import os
 from collections.abc import Iterator
+from pathlib import Path
 
-from tisfm.camera import Camera, check_camera
+from tisfm.camera import Camera
 from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.entry import checked_calibrate, checked_settings
+from tisfm.reconstruction.entry import checked_calibrate, checked_camera, checked_settings
 from tisfm.reconstruction.streamed_frame import StreamedFrame
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
@@ -18,7 +20,7 @@ SHORTEST = 6  # frames: of a delay
 def reconstruct_stream(
     source: Source,
     *,
-    camera: Camera | None = None,
+    camera: Camera | str | os.PathLike[str] | None = None,
     calibrate: Calibrate | None = None,
     settings: Settings | None = None,
     mask: Mask | None = None,
@@ -40,9 +42,11 @@ def reconstruct_stream(
     Parameters
     ----------
     source, camera, calibrate, settings, mask, step, start, stop, size, crop
-        As for `tisfm.reconstruct`, but that a camera's readout is taken to be 0; or ``"webcam"``,
-        ``"webcam:1"``, … for a camera, whose frames are dropped while others are worked on. A focal
-        length that is found is found with the first path, and stays.
+        As for `tisfm.reconstruct`; or ``"webcam"``, ``"webcam:1"``, … for a camera, whose frames
+        are dropped while others are worked on. A focal length and a readout that are not known are
+        found with the first path, and stay: the guess, and 0, where that does not show them,
+        whatever later frames show, since what was said of earlier ones stays. That readout is
+        found after the focal length, and undone from the first frame on.
     delay : int
         A frame is given out before more than so many later frames are read, 6 at least. The more,
         the better: a path needs views from places that are apart.
@@ -75,7 +79,7 @@ def reconstruct_stream(
         raise ValueError(
             'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
         )
-    camera = None if camera is None else check_camera(camera)
+    camera, _ = checked_camera(camera)
     if not is_whole(delay):
         raise TypeError(f"delay is {delay!r}: expected a whole number of frames")
     if delay < SHORTEST:
@@ -95,7 +99,7 @@ def reconstruct_stream(
 
 def _streamed(
     frames: FrameSource,
-    camera: Camera | None,
+    camera: Camera | Path | None,
     calibrate: Calibrate,
     settings: Settings,
     delay: int,

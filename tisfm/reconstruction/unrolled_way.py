@@ -8,11 +8,11 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.self_calibration import straight
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.shutter import Rolling, rates_of
 from tisfm.reconstruction.shutter_estimate import ReadoutEstimate, estimate_readout
 from tisfm.reconstruction.tracks import Seen
 from tisfm.reconstruction.unrolling import Unrolling
 from tisfm.reconstruction.way import Piece, Way
+from tisfm.shutter import Rolling, rates_of
 
 SEEN = 4.0  # deviations from 0: of a readout that is taken
 MOST = 1.0  # interval: a frame has been read when the next one begins
@@ -85,9 +85,12 @@ def unrolled_way(
 
 
 def _is_seen(estimate: ReadoutEstimate) -> bool:
-    """Return whether a readout differs from 0, and is none that no camera has."""
+    """Return whether a readout differs from 0, and is none that no camera has.
+
+    Of a deviation by which none that a camera has would differ from 0, nothing is believed.
+    """
     least = SEEN * estimate.deviation
-    return least < abs(estimate.readout) < MOST + least
+    return least < MOST and least < abs(estimate.readout) < MOST + least
 
 
 def _taken(readout: float) -> float:

@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.shutter import Rolling, at_middle, rates_of
 from tisfm.reconstruction.sparse_points import located
 from tisfm.reconstruction.tracks import Seen
 from tisfm.reconstruction.way import Piece
+from tisfm.shutter import Rolling, at_middle, rates_of
 
 NEAR = 3  # tracks around a point, whose median depth it is taken to have
 
@@ -22,11 +22,11 @@ class Unrolling:
 
     Parameters
     ----------
-    seen : sequence of Seen
+    seen : sequence of Seen, or mapping
         Tracks of every frame, as the camera sees them.
     pieces : sequence of Piece
         A frame is in one of them at most.
-    instants : (N,) array
+    instants : (N,) array, or mapping
         When each frame was taken, in intervals.
     readout, deviation : float
         As in `Rolling`.
@@ -42,9 +42,9 @@ class Unrolling:
 
     def __init__(
         self,
-        seen: Sequence[Seen],
+        seen: Sequence[Seen] | Mapping[int, Seen],
         pieces: Sequence[Piece],
-        instants: np.ndarray,
+        instants: np.ndarray | Mapping[int, float],
         readout: float,
         deviation: float,
         camera: Camera,

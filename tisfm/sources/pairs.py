@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -22,7 +22,8 @@ class FramePair:
     this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
     they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
     s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
-    of the frames that do not count, or None where all do.
+    of the frames that do not count, or None where all do. `interval` is how many frames of the
+    source it is from one to the other, by which a camera's readout is counted.
     """
 
     name0: str
@@ -35,6 +36,7 @@ class FramePair:
     times: tuple[float, float] | None = None
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
+    interval: int = 1
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
@@ -43,6 +45,8 @@ class FramePair:
         """Interpret the pair; errors name its frames."""
         from tisfm.pair import interpret, interpret_pair
 
+        if camera is not None and camera.readout and self.interval > 1:
+            camera = replace(camera, readout=camera.readout / self.interval)
         ignored = self.ignored0, self.ignored1
         work: Callable[..., Interpretation] = interpret
         if not self.stretch or any(part is not None for part in ignored):

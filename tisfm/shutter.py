@@ -48,8 +48,25 @@ class Rolling:
     inverse_depth: Mapping[int, float] = field(default_factory=dict)
 
 
+def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.ndarray:
+    """Return when frames were taken, (N,), in intervals between frames of the source.
+
+    Parameters
+    ----------
+    indices : sequence of int
+        Their numbers in the source, which grow.
+    times : sequence of float or None
+        s; where some are not known, or do not grow, frames are taken to be evenly spaced.
+    """
+    number = np.array(indices, np.float64)
+    known = np.array([time for time in times if time is not None])
+    if len(known) < len(times) or (np.diff(known) <= 0).any() or len(known) < 2:
+        return number
+    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
+
+
 def rates_of(
-    poses: Mapping[int, np.ndarray], instants: Sequence[float] | np.ndarray
+    poses: Mapping[int, np.ndarray], instants: Mapping[int, float] | Sequence[float] | np.ndarray
 ) -> dict[int, np.ndarray]:
     """Return the twist of what is before the camera at every frame, (6,) float64, by interval.
 
@@ -57,7 +74,7 @@ def rates_of(
     ----------
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
-    instants : sequence of float
+    instants : sequence of float, or mapping
         When each frame was taken, in intervals.
     """
     frames = sorted(poses)
@@ -131,8 +148,52 @@ def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.nd
     )
 
 
-class UnrolledFrame(Resampling):
+class UnrolledPixels(Resampling):
     """The map from a frame to what it would be if all rows were read with the middle one.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole.
+    readout : float
+    rate : (6,) array
+        Of the frame, as in `Rolling`.
+    inverse_depth : float or (h, w) array
+        Of all that the frame shows, or, as that would be with the middle row, at `nodes_of` it;
+        1/unit of the rate. What is not before the camera is taken to be far.
+    shape : (int, int)
+        Height and width, px.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        readout: float,
+        rate: np.ndarray,
+        inverse_depth: float | np.ndarray,
+        shape: tuple[int, ...],
+    ) -> None:
+        height, width = shape
+        center = np.array(camera.center_for(height, width))
+        grid = nodes_of(shape)
+        wanted = grid.reshape(-1, 2)
+        depth = 1 / np.maximum(np.ravel(inverse_depth), 1e-12)
+        ray = np.column_stack([(wanted - center) / camera.focal, np.ones(len(wanted))])
+        there = wanted
+        for _ in range(STEPS):
+            late = _late(there[:, 1], readout, shape)
+            moved = transported(ray * depth[:, None], rate, late)
+            there = moved[:, :2] / np.maximum(moved[:, 2:], BEHIND) * camera.focal + center
+        nodes = (there - wanted).reshape(grid.shape).astype(np.float32)
+        rows, columns = grid.shape[:2]
+        at_x = np.linspace(0, columns - 1, width, dtype=np.float32)
+        at_y = np.linspace(0, rows - 1, height, dtype=np.float32)
+        flow = cv2.remap(nodes, *np.meshgrid(at_x, at_y), cv2.INTER_LINEAR)
+        super().__init__(np.ascontiguousarray(np.moveaxis(flow, -1, 0)))
+
+
+class UnrolledFrame(UnrolledPixels):
+    """`UnrolledPixels` of a frame of a sequence.
 
     All that the frame shows is taken to be of one depth: what is nearer or farther is moved by the
     turn of the camera, and by its way as if it were there.
@@ -147,27 +208,20 @@ class UnrolledFrame(Resampling):
     """
 
     def __init__(self, rolling: Rolling, frame: int, shape: tuple[int, int]) -> None:
-        camera, (height, width) = rolling.camera, shape
-        center = np.array(camera.center_for(*shape))
-        spacing = max(shape) / (NODES - 1)
-        columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
-        x, y = np.meshgrid(np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows))
-        wanted = np.column_stack([x.ravel(), y.ravel()])
-        depth = 1 / max(rolling.inverse_depth[frame], 1e-12)
-        ray = np.column_stack([(wanted - center) / camera.focal, np.ones(len(wanted))])
-        there = wanted
-        for _ in range(STEPS):
-            late = _late(there[:, 1], rolling.readout, shape)
-            moved = transported(ray * depth, rolling.rates[frame], late)
-            there = moved[:, :2] / np.maximum(moved[:, 2:], BEHIND) * camera.focal + center
-        nodes = (there - wanted).reshape(rows, columns, 2).astype(np.float32)
-        at_x = np.linspace(0, columns - 1, width, dtype=np.float32)
-        at_y = np.linspace(0, rows - 1, height, dtype=np.float32)
-        flow = cv2.remap(nodes, *np.meshgrid(at_x, at_y), cv2.INTER_LINEAR)
-        super().__init__(np.ascontiguousarray(np.moveaxis(flow, -1, 0)))
+        rate, usual = rolling.rates[frame], rolling.inverse_depth[frame]
+        super().__init__(rolling.camera, rolling.readout, rate, usual, shape)
 
 
-def _late(y: np.ndarray, readout: float, shape: tuple[int, int]) -> np.ndarray:
+def nodes_of(shape: tuple[int, ...]) -> np.ndarray:
+    """Return the pixels, (h, w, 2) as (x, y), between which the way of others is interpolated."""
+    height, width = shape
+    spacing = max(shape) / (NODES - 1)
+    columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
+    x, y = np.meshgrid(np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows))
+    return np.stack([x, y], axis=-1)
+
+
+def _late(y: np.ndarray, readout: float, shape: tuple[int, ...]) -> np.ndarray:
     """Return how much later than the middle row rows are read, intervals."""
     return readout * (y - (shape[0] - 1) / 2) / shape[0]
 
