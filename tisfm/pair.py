@@ -20,6 +20,7 @@ from tisfm.solver.counted import filled
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
+from tisfm.window import Window
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 LARGEST_SQUARED = 1e15  # grey levels: squares of derivatives have to be numbers of float32
@@ -27,6 +28,7 @@ UNCOUNTED = Status(
     "diverged",
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
+RELIABLE = ("converged", "iteration_limit")  # statuses of a flow that the next pair may rely on
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
 # The same of frames far apart, whose motion matched points or a pose vouch for: near things pass
 # the whole image, and where the camera turned by 20° two thirds left it.
@@ -113,14 +115,16 @@ def interpret_pair(
     pose: npt.ArrayLike | None = None,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
     stretch: bool = True,
+    window: Window | None = None,
 ) -> Interpretation:
     """Do what `interpret` does, for a pair of a sequence.
 
     `ignored`, (H, W) bool, are the pixels of each frame that do not count, None for none of them.
     `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
-    (`tisfm.frames.grey_pair`).
+    (`tisfm.frames.grey_pair`). `window` holds what is known of the pair before, for motion
+    ``"field"``, and then what the next one may take from this pair.
     """
-    settings = check_settings(settings)
+    settings, given = check_settings(settings), camera
     known = check_pose(pose)
     if known is not None and settings.motion != "camera":
         raise ValueError(
@@ -140,6 +144,7 @@ def interpret_pair(
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
+    from tisfm.motion.frame_before import Earlier, frame_before
     from tisfm.motion.objects.estimation import objects_estimate
     from tisfm.motion.problems import pyramid_of
 
@@ -151,11 +156,12 @@ def interpret_pair(
             first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
             counted = ~first, ~second
         camera = camera.pinhole()
-    overflow = overflown(grey0, grey1)
+    overflow, before = overflown(grey0, grey1), None
     pyramid = pyramid_of(grey0, grey1, camera, settings, counted)
     if settings.motion == "field":
         del grey0, grey1  # the pyramid has its own
-        estimate = field_estimate(pyramid, settings)
+        before = frame_before(pyramid, settings, window)
+        estimate = field_estimate(pyramid, settings, before)
     elif settings.motion == "camera":
         estimate = camera_estimate(pyramid, settings, known)
     else:
@@ -187,6 +193,18 @@ def interpret_pair(
             doubt = unexplained(pyramid, estimate, unseen)
             if doubt is not None and doubt != status:  # what was first uncertain has more to say
                 status = doubt
+    if window is not None:
+        window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
+        if window.earlier is None and before is not None and before.used:
+            return interpret_pair(  # by itself
+                frame0,
+                frame1,
+                camera=given,
+                settings=settings,
+                ignored=ignored,
+                stretch=stretch,
+                window=window,
+            )
     return Interpretation(
         rho=estimate.rho,
         flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved

@@ -14,6 +14,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.masks import Mask
+from tisfm.window import Window, WindowSize, window_of
 
 
 def interpret_sequence(
@@ -29,6 +30,7 @@ def interpret_sequence(
     bad_frames: BadFrames = "raise",
     poses: Iterable[npt.ArrayLike] | None = None,
     mask: Mask | None = None,
+    window: WindowSize = 2,
 ) -> Iterator[Interpretation]:
     """Interpret every pair of consecutive frames, one at a time.
 
@@ -102,7 +104,8 @@ def interpret_sequence(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
             "out"
         )
-    return _interpret_pairs(frames, with_poses(frames, poses), camera, settings)
+    kept = window_of(window, settings)
+    return _interpret_pairs(frames, with_poses(frames, poses), camera, settings, kept)
 
 
 def with_poses(
@@ -182,6 +185,7 @@ def _interpret_pairs(
     pairs: Generator[FramePair, None, None],
     camera: Camera | None,
     settings: Settings,
+    window: Window | None,
 ) -> Iterator[Interpretation]:
     told, first = 0, True
     with closing(pairs):
@@ -189,7 +193,7 @@ def _interpret_pairs(
             told = _warn_of_skipped(source, told)
             if first:
                 camera = _camera_after(source, pair, camera, settings)
-            result = pair.interpret(camera=camera, settings=settings)
+            result = pair.interpret(camera=camera, settings=settings, window=window)
             camera, first = camera or result.camera, False  # a guess is made once
             del pair  # or it would keep its first frame while the next one is read
             yield result

@@ -8,6 +8,7 @@ import numpy as np
 
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.runtime import lane_grid
+from tisfm.solver.both_neighbours import BothNeighbours
 from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -61,6 +62,25 @@ class Amendment(Protocol):
         """Change the unknowns of a finer level, before anything else is done there."""
 
 
+class MoreData(Protocol):
+    """What may add to the data of the last level.
+
+    Attributes
+    ----------
+    warps : int
+        By how many linearisations the level is then longer.
+    """
+
+    warps: int
+
+    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
+        """Return the data term to go on with, None for that of the pair.
+
+        It is asked for once half of the linearisations are done, and writes the same constraints.
+        It may change the unknowns.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solution:
     """What coarse to fine leaves at the level that it ends on.
@@ -92,6 +112,7 @@ def coarse_to_fine(
     last: int = 0,
     release: bool = False,
     amendment: Amendment | None = None,
+    more: MoreData | None = None,
 ) -> Solution:
     """Estimate ρ̂ from the coarsest level to the last, from zero.
 
@@ -104,6 +125,7 @@ def coarse_to_fine(
     release : bool
         Whether the splines of all levels but the last are let go of once they have served.
     amendment : Amendment, optional
+    more : MoreData, optional
     """
     history: Records = []
     unknowns: Unknowns | None = None
@@ -117,7 +139,14 @@ def coarse_to_fine(
         elif amendment is not None and level == amendment.level:
             amend = amendment.apply
         solution = _on_level(
-            pyramid, problem, unknowns, level, problem.warps(level - last), history, amend
+            pyramid,
+            problem,
+            unknowns,
+            level,
+            problem.warps(level - last),
+            history,
+            amend,
+            more if level == last else None,
         )
         if release and level > last:
             pyramid.release_taps1(level)
@@ -186,6 +215,7 @@ def _on_level(
     warps: int,
     history: Records,
     amend: Callable[[Unknowns], bool] | None = None,
+    more: MoreData | None = None,
 ) -> Solution:
     """Estimate ρ̂ on one level, from what it is, and add to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
@@ -194,7 +224,15 @@ def _on_level(
     find_flow = unknowns.bind_flow(flow)
     linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
     half, warp, changed = (warps + 1) // 2, 0, True
-    while warp < warps:
+    joined_at = half
+    while warp < warps or (more is not None and warp == joined_at):
+        if more is not None and warp == joined_at:
+            joint = more.joined(unknowns, data_term)
+            if joint is not None:
+                linearise = joint.bind_linearise(flow, minimiser.system.tensor)
+                warps, changed = warps + more.warps, True
+            more = None
+            continue
         find_flow()
         linearise()  # its tensor is that of this flow already
         if changed:
@@ -205,6 +243,7 @@ def _on_level(
         changed = amend is not None and warp == half and amend(unknowns)
         if changed:
             warps += half
+            joined_at += half
     return Solution(
         unknowns=unknowns,
         system=minimiser.system,

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings
+from tisfm.window import Window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,8 @@ class FramePair:
     this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
     they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
     s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
-    of the frames that do not count, or None where all do.
+    of the frames that do not count, or None where all do. `apart` is how many frames of the source
+    it is from the first to the second.
     """
 
     name0: str
@@ -35,18 +37,29 @@ class FramePair:
     times: tuple[float, float] | None = None
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
+    apart: int = 1
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
-        self, *, camera: Camera | None = None, settings: Settings | None = None
+        self,
+        *,
+        camera: Camera | None = None,
+        settings: Settings | None = None,
+        window: Window | None = None,
     ) -> Interpretation:
-        """Interpret the pair; errors name its frames."""
+        """Interpret the pair; errors name its frames.
+
+        `window`, for motion ``"field"``, has what is known of the pair before, and then of this.
+        """
         from tisfm.pair import interpret, interpret_pair
 
         ignored = self.ignored0, self.ignored1
         work: Callable[..., Interpretation] = interpret
         if not self.stretch or any(part is not None for part in ignored):
             work = partial(interpret_pair, stretch=self.stretch, ignored=ignored)
+        if window is not None:
+            window.begin(self.apart)
+            work = partial(interpret_pair, stretch=self.stretch, ignored=ignored, window=window)
         try:
             return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:

@@ -170,6 +170,7 @@ class FrameSource:
                         times=times,
                         ignored0=before.ignored,
                         ignored1=frame.ignored,
+                        apart=frame.index - before.index,
                         _digests=(digest0, digest),
                     )
                     del before, digest0  # or the frame would be held while the next is read
