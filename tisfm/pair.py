@@ -195,7 +195,7 @@ def interpret_pair(
                 status = doubt
     if window is not None:
         window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
-        if window.earlier is None and before is not None and before.used:
+        if window.earlier is None and before is not None and before.hidden is not None:
             return interpret_pair(  # by itself
                 frame0,
                 frame1,

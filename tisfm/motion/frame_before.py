@@ -7,17 +7,21 @@ hidden in the next one.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 
+from tisfm import runtime
+
 from tisfm.kernels.data.forward_splatting import splat
 from tisfm.kernels.layout.lanes import aligned_empty
+from tisfm.second_thread import beside
 from tisfm.settings import Settings
 from tisfm.solver.both_neighbours import BothNeighbours
 from tisfm.solver.data_term import DataTerm
-from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.solver.sampling import FAR
+from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
+from tisfm.solver.sampling import FAR, spline_taps
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.occlusion import occlusion
 from tisfm.window import Window
@@ -34,7 +38,6 @@ DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve th
 KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
 LEAST_COUNT = 1e-4
 LEAST_DETERMINANT = 1e-6
-
 
 @dataclass(frozen=True, kw_only=True)
 class Earlier:
@@ -84,14 +87,13 @@ class Earlier:
         seen : (h, w) bool
             Where a pixel of the second frame is seen in the first.
         """
-        gone = self.hidden | ~np.isfinite(self.flow).all(axis=0)
-        flow = np.where(gone, np.float32(FAR), self.flow)
-        sums = aligned_empty((*gone.shape, 4))
-        splat(flow, np.zeros(gone.shape, np.float32), sums)
-        count = sums[..., 0]
+        flow = np.where(self.hidden, np.float32(FAR), self.flow)
+        sums = aligned_empty((*self.hidden.shape, 4))
+        splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.on_gpu())
+        count, _, *moved = cv2.split(sums)
         seen = count > ARRIVING
-        scale = np.where(seen, -1 / np.maximum(count, ARRIVING), 0)
-        return np.stack([sums[..., 2] * scale, sums[..., 3] * scale]), seen
+        scale = np.where(seen, -1 / np.maximum(count, np.float32(ARRIVING)), np.float32(0))
+        return np.stack([part * scale for part in moved]), seen
 
 
 class FrameBefore:
@@ -107,20 +109,24 @@ class FrameBefore:
     Attributes
     ----------
     warps : int
-    used : bool
-        Whether the frame before was of use.
+    hidden : (h, w) bool or None
+        Where a pixel is not visible in the next frame, if the frame before was of use.
     """
 
     warps = 1
 
     def __init__(self, pyramid: ImagePyramid, earlier: Earlier, settings: Settings) -> None:
         self._pyramid, self._earlier, self._settings = pyramid, earlier, settings
-        self.used = False
+        self.hidden: np.ndarray | None = None
+        frame = earlier.frame0
+        self._taps = partial(spline_taps, frame)
+        if runtime.threads() > 1 and frame.size >= BESIDE:
+            self._taps = beside(spline_taps, frame)
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
         """Return the data of all three frames; None where the motion is not steady."""
         flow = unknowns.flow()
-        if not np.isfinite(flow).all():
+        if not (flow.min() >= -FAR and flow.max() <= FAR):
             return None
         back, seen = self._earlier.turned()
         hidden = self._hidden(flow)
@@ -128,17 +134,22 @@ class FrameBefore:
         if fit is None:
             return None
         bend, off = fit
+        turned = cv2.merge([*(bend - back - flow)])
+        step = np.zeros_like(turned)
         taken = hidden & seen
-        moved = np.where(taken, bend - back, flow)
-        taken |= seen & self._hidden(moved)
-        moved = np.where(taken, bend - back, flow)
-        rho = unknowns.images()
-        rho[:2] += moved - flow
-        unknowns.set_images(rho)
-        doubt = np.where(taken, np.float32(DOUBTED_HIDDEN), np.float32(DOUBTED))
-        trust = np.stack([~taken, seen / (1 + off / doubt**2)]).astype(np.float32)
-        self.used = True
-        return BothNeighbours(data_term, self._earlier.frame0, bend, trust)
+        cv2.copyTo(turned, taken.view(np.uint8), step)
+        if taken.any():  # what moves as it should leaves the place of another to what hides it
+            hidden |= self._hidden(flow + np.stack(cv2.split(step)))
+            taken = hidden & seen
+            cv2.copyTo(turned, taken.view(np.uint8), step)
+        unknowns.move(cv2.split(step))
+        doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
+        trust = 1 / (1 + off * doubt)
+        trust[~seen] = 0
+        self.hidden = hidden
+        return BothNeighbours(
+            data_term, self._earlier.frame0, self._taps(), bend, ((~taken).astype(np.float32), trust)
+        )
 
     def _hidden(self, flow: np.ndarray) -> np.ndarray:
         """Return which pixels of the last level a flow hides in the next frame."""

@@ -12,7 +12,6 @@ from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.solver.data_term import DataTerm
-from tisfm.solver.sampling import spline_taps
 
 
 class BothNeighbours:
@@ -27,24 +26,30 @@ class BothNeighbours:
         Of the pair. Its constraints become the joint ones.
     before : (H, W) float32
         The frame before, grey levels, smoothed as the others.
+    taps : ((H + 3)·W, 4) float32
+        Its `tisfm.solver.sampling.spline_taps`.
     bend : (2, H, W) float32
         Sum of the flow to the next frame and of that to the frame before, px/frame.
-    trust : (2, H, W) float32
+    trust : two (H, W) float32
         In [0, 1]: whether a pixel is seen in the next frame, and in the one before.
     """
 
     def __init__(
-        self, data_term: DataTerm, before: np.ndarray, bend: np.ndarray, trust: np.ndarray
+        self,
+        data_term: DataTerm,
+        before: np.ndarray,
+        taps: np.ndarray,
+        bend: np.ndarray,
+        trust: tuple[np.ndarray, np.ndarray],
     ) -> None:
         grid = data_term.grid
         self._pair = data_term
-        self._frame, self._taps = grid.place(before), grid.place(spline_taps(before), vectors=True)
+        self._frame, self._taps = grid.place(before), grid.place(taps, vectors=True)
         self._lanes = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
         self._mask = grid.allocate(1, zeros=False)
         self._constraints = grid.allocate(3 * data_term.constancy.count, zeros=False)
-        self._flow = grid.allocate(2)
-        self._bend, self._trust = grid.allocate(2), grid.allocate(2)
+        self._flow, self._bend, self._trust = (grid.allocate(2, zeros=False) for _ in range(3))
         for component in range(2):
             image_to_lanes(grid, bend[component], self._bend, component=component)
             image_to_lanes(grid, trust[component], self._trust, component=component)
