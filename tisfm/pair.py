@@ -169,7 +169,14 @@ def interpret_pair(
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
-        unseen = occlusion_in(pyramid, flow, settings, leaves=leaves, level=estimate.level)
+        unseen = occlusion_in(
+            pyramid,
+            flow,
+            settings,
+            leaves=leaves,
+            level=estimate.level,
+            residual=None if before is None else before.residual(),
+        )
         if lens is not None:
             unseen |= lens.missing(flow)
         if deviation is not None:
@@ -195,7 +202,7 @@ def interpret_pair(
                 status = doubt
     if window is not None:
         window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
-        if window.earlier is None and before is not None and before.hidden is not None:
+        if window.earlier is None and before is not None and before.used:
             return interpret_pair(  # by itself
                 frame0,
                 frame1,

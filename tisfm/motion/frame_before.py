@@ -23,7 +23,7 @@ from tisfm.solver.data_term import DataTerm
 from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
 from tisfm.solver.sampling import FAR, spline_taps
 from tisfm.solver.unknowns import Unknowns
-from tisfm.visibility.occlusion import occlusion
+from tisfm.visibility.occlusion import occlusion, residual_of
 from tisfm.window import Window
 
 HALF_HIDDEN = 0.5  # of a pixel of a coarser level
@@ -38,6 +38,7 @@ DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve th
 KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
 LEAST_COUNT = 1e-4
 LEAST_DETERMINANT = 1e-6
+
 
 @dataclass(frozen=True, kw_only=True)
 class Earlier:
@@ -108,16 +109,14 @@ class FrameBefore:
 
     Attributes
     ----------
-    warps : int
-    hidden : (h, w) bool or None
-        Where a pixel is not visible in the next frame, if the frame before was of use.
+    used : bool
+        Whether the frame before was of use.
     """
-
-    warps = 1
 
     def __init__(self, pyramid: ImagePyramid, earlier: Earlier, settings: Settings) -> None:
         self._pyramid, self._earlier, self._settings = pyramid, earlier, settings
-        self.hidden: np.ndarray | None = None
+        self.used = False
+        self._residual: np.ndarray | None = None
         frame = earlier.frame0
         self._taps = partial(spline_taps, frame)
         if runtime.threads() > 1 and frame.size >= BESIDE:
@@ -146,21 +145,29 @@ class FrameBefore:
         doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
         trust = 1 / (1 + off * doubt)
         trust[~seen] = 0
-        self.hidden = hidden
+        self.used = True
         return BothNeighbours(
-            data_term, self._earlier.frame0, self._taps(), bend, ((~taken).astype(np.float32), trust)
+            data_term,
+            self._earlier.frame0,
+            self._taps(),
+            bend,
+            ((~taken).astype(np.float32), trust),
         )
+
+    def residual(self) -> np.ndarray | None:
+        """Return `residual_of` a flow near the last one, (H, W); None if it is not at hand."""
+        if not self.used or self._residual is None or self._pyramid.last > 0:
+            return None
+        return self._residual
 
     def _hidden(self, flow: np.ndarray) -> np.ndarray:
         """Return which pixels of the last level a flow hides in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
-        return occlusion(
-            pyramid.frames0[level],
-            pyramid.frames1[level],
-            flow,
-            self._settings,
-            taps1=pyramid.taps1(level),
+        frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+        self._residual = residual_of(
+            frame0, frame1, flow, self._settings, taps1=pyramid.taps1(level)
         )
+        return occlusion(frame0, frame1, flow, self._settings, residual=self._residual)
 
 
 def frame_before(

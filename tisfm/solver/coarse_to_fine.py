@@ -63,21 +63,12 @@ class Amendment(Protocol):
 
 
 class MoreData(Protocol):
-    """What may add to the data of the last level.
-
-    Attributes
-    ----------
-    warps : int
-        By how many linearisations the level is then longer.
-    """
-
-    warps: int
+    """What may add to the data of the last level, once half of its linearisations are done."""
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
-        """Return the data term to go on with, None for that of the pair.
+        """Return the data term to go on with, which writes the same constraints.
 
-        It is asked for once half of the linearisations are done, and writes the same constraints.
-        It may change the unknowns.
+        None for that of the pair. It may change the unknowns.
         """
 
 
@@ -223,16 +214,9 @@ def _on_level(
     flow = unknowns.grid.allocate(2, zeros=False)
     find_flow = unknowns.bind_flow(flow)
     linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
-    half, warp, changed = (warps + 1) // 2, 0, True
-    joined_at = half
-    while warp < warps or (more is not None and warp == joined_at):
-        if more is not None and warp == joined_at:
-            joint = more.joined(unknowns, data_term)
-            if joint is not None:
-                linearise = joint.bind_linearise(flow, minimiser.system.tensor)
-                warps, changed = warps + more.warps, True
-            more = None
-            continue
+    half, warp, changed, joint = (warps + 1) // 2, 0, True, None
+    joined_after = half
+    while warp < warps:
         find_flow()
         linearise()  # its tensor is that of this flow already
         if changed:
@@ -242,8 +226,15 @@ def _on_level(
         warp += 1
         changed = amend is not None and warp == half and amend(unknowns)
         if changed:
-            warps += half
-            joined_at += half
+            warps, joined_after = warps + half, joined_after + half
+        if more is not None and warp == joined_after:
+            joint = more.joined(unknowns, data_term)
+            if joint is not None:
+                linearise = joint.bind_linearise(flow, minimiser.system.tensor)
+                warps, changed = max(warps, warp + 1), True
+    if joint is not None:  # what is new needs more iterations, which cost less than linearisations
+        iterations, converged = minimiser.minimise()
+        history += [(level, warp - 1, iteration) for iteration in iterations]
     return Solution(
         unknowns=unknowns,
         system=minimiser.system,
