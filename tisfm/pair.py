@@ -1,6 +1,8 @@
 """Two frames in, one interpretation out."""
 
 import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +23,9 @@ from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
 from tisfm.window import Window
+
+if TYPE_CHECKING:
+    from tisfm.solver.image_pyramid import ImagePyramid
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 LARGEST_SQUARED = 1e15  # grey levels: squares of derivatives have to be numbers of float32
@@ -124,48 +129,31 @@ def interpret_pair(
     (`tisfm.frames.grey_pair`). `window` holds what is known of the pair before, for motion
     ``"field"``, and then what the next one may take from this pair.
     """
-    settings, given = check_settings(settings), camera
+    settings = check_settings(settings)
     known = check_pose(pose)
     if known is not None and settings.motion != "camera":
         raise ValueError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
-    grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
-    frame = eight_bit(frame0, frame1, stretch=stretch)
-    counted = _counted(ignored, grey0.shape)
-    if counted is not None:
-        grey0, grey1 = filled(grey0, ~counted[0]), filled(grey1, ~counted[1])
-    if camera is None and settings.motion != "field":
-        camera = guess_camera(grey0.shape)
-    camera = check_camera(camera)
-
-    runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    taken = _taken(
+        frame0, frame1, camera=camera, settings=settings, ignored=ignored, stretch=stretch
+    )
+    pyramid, lens = taken.pyramid, taken.lens
     from tisfm.motion.agreement import field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
-    from tisfm.motion.frame_before import Earlier, frame_before
+    from tisfm.motion.frame_before import frame_before
     from tisfm.motion.objects.estimation import objects_estimate
-    from tisfm.motion.problems import pyramid_of
 
-    runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
-    lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
-    if lens is not None:
-        grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
-        if counted is not None:
-            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
-            counted = ~first, ~second
-        camera = camera.pinhole()
-    overflow, before = overflown(grey0, grey1), None
-    pyramid = pyramid_of(grey0, grey1, camera, settings, counted)
+    before = None
     if settings.motion == "field":
-        del grey0, grey1  # the pyramid has its own
-        before = frame_before(pyramid, settings, window)
+        before = frame_before(pyramid, settings, None if window is None else window.earlier)
         estimate = field_estimate(pyramid, settings, before)
     elif settings.motion == "camera":
         estimate = camera_estimate(pyramid, settings, known)
     else:
-        estimate = objects_estimate(pyramid, settings, grey0, grey1)
+        estimate = objects_estimate(pyramid, settings, *taken.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
@@ -189,7 +177,7 @@ def interpret_pair(
     posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         status = (
-            overflow
+            taken.overflow
             or diverged(flow, leaves, vouched=estimate.matched or posed)
             or (status if countable else UNCOUNTED)
         )
@@ -201,12 +189,12 @@ def interpret_pair(
             if doubt is not None and doubt != status:  # what was first uncertain has more to say
                 status = doubt
     if window is not None:
-        window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
+        _keep(window, pyramid, flow, unseen, status)
         if window.earlier is None and before is not None and before.used:
             return interpret_pair(  # by itself
                 frame0,
                 frame1,
-                camera=given,
+                camera=camera,
                 settings=settings,
                 ignored=ignored,
                 stretch=stretch,
@@ -221,12 +209,102 @@ def interpret_pair(
         occlusion=unseen,
         motions=estimate.motions,
         labels=estimate.labels,
-        frame=frame,
-        camera=camera,
+        frame=taken.frame,
+        camera=taken.camera,
         settings=settings,
         status=status,
         history=history,
         version=__version__,
+    )
+
+
+def keep_pair(
+    window: Window,
+    result: Interpretation,
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
+    stretch: bool = True,
+) -> None:
+    """Keep of a pair what the next one takes from it, as `interpret_pair` does that made `result`.
+
+    The other arguments are those that it had.
+    """
+    taken = _taken(
+        frame0,
+        frame1,
+        camera=camera,
+        settings=result.settings,
+        ignored=ignored,
+        stretch=stretch,
+    )
+    flow = np.stack(cv2.split(result.flow))
+    _keep(window, taken.pyramid, flow, result.occlusion, result.status)
+
+
+def _keep(
+    window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
+) -> None:
+    """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on."""
+    from tisfm.motion.frame_before import Earlier
+
+    window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Taken:
+    """A pair as it is interpreted: without distortion, on the 8-bit scale.
+
+    `camera` is a pinhole. `greys`, both frames, are there for motion ``"objects"`` alone: the
+    pyramid has its own.
+    """
+
+    pyramid: "ImagePyramid"
+    camera: Camera
+    lens: Undistortion | None
+    frame: np.ndarray
+    overflow: Status | None
+    greys: tuple[np.ndarray, ...]
+
+
+def _taken(
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None,
+    settings: Settings,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None,
+    stretch: bool,
+) -> _Taken:
+    grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
+    frame = eight_bit(frame0, frame1, stretch=stretch)
+    counted = _counted(ignored, grey0.shape)
+    if counted is not None:
+        grey0, grey1 = filled(grey0, ~counted[0]), filled(grey1, ~counted[1])
+    if camera is None and settings.motion != "field":
+        camera = guess_camera(grey0.shape)
+    camera = check_camera(camera)
+
+    runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    from tisfm.motion.problems import pyramid_of
+
+    runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
+    lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
+    if lens is not None:
+        grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
+        if counted is not None:
+            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
+            counted = ~first, ~second
+        camera = camera.pinhole()
+    return _Taken(
+        pyramid=pyramid_of(grey0, grey1, camera, settings, counted),
+        camera=camera,
+        lens=lens,
+        frame=frame,
+        overflow=overflown(grey0, grey1),
+        greys=(grey0, grey1) if settings.motion == "objects" else (),
     )
 
 

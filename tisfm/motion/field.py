@@ -7,8 +7,8 @@ from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
 from tisfm.motion.estimate import Estimate, ended, unmoved
-from tisfm.motion.frame_before import FrameBefore
 from tisfm.motion.flow_proposals import proposals
+from tisfm.motion.frame_before import FrameBefore
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from tisfm import runtime
-
 from tisfm.kernels.data.forward_splatting import splat
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.second_thread import beside
@@ -24,7 +23,6 @@ from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
 from tisfm.solver.sampling import FAR, spline_taps
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.occlusion import occlusion, residual_of
-from tisfm.window import Window
 
 HALF_HIDDEN = 0.5  # of a pixel of a coarser level
 ARRIVING = 0.5  # pixels of the frame before, at least, that go to a pixel seen there
@@ -35,6 +33,9 @@ OFF = 0.1  # px: where the bend is off by more, it is that of another surface
 ERODED = 3  # px: the side of the window in which all is seen, around what is fitted
 NEAR = 2  # pixels of the grid: half the side of the window in which a bend is judged
 DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve the trust in it
+UNKNOWN = 3.0  # px: where all around is off by more, what is hidden stays as it is
+# Of the way back, and px: the most of a bend that a steady motion has.
+MOST_BENT, MOST_BENT_AT_REST = 0.5, 1.0
 KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
 LEAST_COUNT = 1e-4
 LEAST_DETERMINANT = 1e-6
@@ -118,9 +119,8 @@ class FrameBefore:
         self.used = False
         self._residual: np.ndarray | None = None
         frame = earlier.frame0
-        self._taps = partial(spline_taps, frame)
-        if runtime.threads() > 1 and frame.size >= BESIDE:
-            self._taps = beside(spline_taps, frame)
+        ahead = runtime.threads() > 1 and frame.size >= BESIDE  # kernels of coarse levels take one
+        self._taps = beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
         """Return the data of all three frames; None where the motion is not steady."""
@@ -135,11 +135,12 @@ class FrameBefore:
         bend, off = fit
         turned = cv2.merge([*(bend - back - flow)])
         step = np.zeros_like(turned)
-        taken = hidden & seen
+        known = seen & (off < UNKNOWN**2)
+        taken = hidden & known
         cv2.copyTo(turned, taken.view(np.uint8), step)
         if taken.any():  # what moves as it should leaves the place of another to what hides it
             hidden |= self._hidden(flow + np.stack(cv2.split(step)))
-            taken = hidden & seen
+            taken = hidden & known
             cv2.copyTo(turned, taken.view(np.uint8), step)
         unknowns.move(cv2.split(step))
         doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
@@ -171,14 +172,12 @@ class FrameBefore:
 
 
 def frame_before(
-    pyramid: ImagePyramid, settings: Settings, window: Window | None
+    pyramid: ImagePyramid, settings: Settings, earlier: Earlier | None
 ) -> FrameBefore | None:
-    """Return what the frame before adds to a pair, None where there is no such frame.
+    """Return what the pair before adds to a pair, None where it does not end where this begins.
 
-    Its second frame has to be the first of the pair, grey level by grey level: they are made of
-    the same file, brought to the same scale.
+    Its second frame has to be the first of the pair, grey level by grey level.
     """
-    earlier = None if window is None else window.earlier
     if earlier is None or not np.array_equal(earlier.frame1, pyramid.frames0[pyramid.last]):
         return None
     return FrameBefore(pyramid, earlier, settings)
@@ -205,7 +204,8 @@ def fitted_bend(
     bend : (2, h, w) float32
         px/frame.
     off : (h, w) float32
-        The squared deviation from it around every pixel, px².
+        The squared deviation from it around every pixel, and how much more it is than that of a
+        steady motion, px².
     None
         If most of what is seen keeps to no bend.
     """
@@ -222,11 +222,12 @@ def fitted_bend(
     off = _squared(x0, x1, sums, coefficients)
     weight = given / (1 + off / OFF**2)
     coefficients = _affine(x0, x1, sums, weight)
-    off = _squared(x0, x1, sums, coefficients)
+    off = _squared(x0, x1, sums, coefficients) + _too_bent(x0, x1, coefficients)
     if (given * (off < DOUBTED**2)).sum() < KEPT * given.sum():
         return None
-    near = cv2.boxFilter(off * given, -1, (2 * NEAR + 1,) * 2)
-    near /= cv2.boxFilter(given, -1, (2 * NEAR + 1,) * 2) + np.float32(LEAST_COUNT)
+    side = (2 * NEAR + 1, 2 * NEAR + 1)
+    count = cv2.boxFilter(given, -1, side)
+    near = np.asarray(cv2.boxFilter(off * given, -1, side) / (count + np.float32(LEAST_COUNT)))
 
     def everywhere(values: np.ndarray) -> np.ndarray:
         return cv2.resize(values, (w, h), interpolation=cv2.INTER_LINEAR)
@@ -284,3 +285,13 @@ def _squared(
     for y, (a0, a1, constant) in zip(values, coefficients, strict=True):
         total += (y - a0 * x0 - a1 * x1 - constant) ** 2
     return total
+
+
+def _too_bent(
+    x0: np.ndarray, x1: np.ndarray, coefficients: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return by how much fits are beyond what a steady motion has, squared."""
+    zero = np.zeros_like(x0)
+    bent = np.sqrt(_squared(x0, x1, [zero, zero], coefficients))
+    most = MOST_BENT * np.sqrt(x0 * x0 + x1 * x1) + np.float32(MOST_BENT_AT_REST)
+    return np.asarray(np.maximum(bent - most, 0) ** 2)

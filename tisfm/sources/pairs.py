@@ -66,6 +66,21 @@ class FramePair:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
             raise
 
+    def keep(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
+        """Keep for the next pair what `interpret` keeps that made this result with this camera."""
+        from tisfm.pair import keep_pair
+
+        window.begin(self.apart)
+        keep_pair(
+            window,
+            result,
+            self.frame0,
+            self.frame1,
+            camera=camera,
+            ignored=(self.ignored0, self.ignored1),
+            stretch=self.stretch,
+        )
+
     @property
     def digest(self) -> str:
         """A short hash of both frames, to know them again by.
