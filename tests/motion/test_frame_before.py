@@ -109,9 +109,9 @@ def test_a_bend_is_fitted_on_every_surface():
     seen[30:60, 50:64] = False
     flow = (bend - back).astype(np.float32)
     flow[:, ~seen] = 100  # of what is hidden, nothing counts
-    found, off = fitted_bend(flow, back, seen)
+    found, off, steady = fitted_bend(flow, back, seen)
     np.testing.assert_allclose(found, bend, atol=0.03)
-    assert off[seen].max() < 0.01
+    assert off[seen].max() < 0.01 and steady.all()
 
 
 def test_a_bend_that_changes_everywhere_is_none():
@@ -122,6 +122,7 @@ def test_a_bend_that_changes_everywhere_is_none():
     assert fitted_bend(flow, back, seen) is None
     assert fitted_bend(flow, -flow, ~seen) is None
     assert fitted_bend(flow, -flow, seen) is not None
+    assert fitted_bend(flow, flow, seen) is None  # there and back: no steady motion
 
 
 def test_a_flow_is_turned_round_where_it_arrives():

@@ -33,7 +33,6 @@ OFF = 0.1  # px: where the bend is off by more, it is that of another surface
 ERODED = 3  # px: the side of the window in which all is seen, around what is fitted
 NEAR = 2  # pixels of the grid: half the side of the window in which a bend is judged
 DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve the trust in it
-UNKNOWN = 3.0  # px: where all around is off by more, what is hidden stays as it is
 # Of the way back, and px: the most of a bend that a steady motion has.
 MOST_BENT, MOST_BENT_AT_REST = 0.5, 1.0
 KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
@@ -132,10 +131,10 @@ class FrameBefore:
         fit = fitted_bend(flow, back, seen & ~hidden)
         if fit is None:
             return None
-        bend, off = fit
+        bend, off, steady = fit
         turned = cv2.merge([*(bend - back - flow)])
         step = np.zeros_like(turned)
-        known = seen & (off < UNKNOWN**2)
+        known = seen & steady
         taken = hidden & known
         cv2.copyTo(turned, taken.view(np.uint8), step)
         if taken.any():  # what moves as it should leaves the place of another to what hides it
@@ -185,7 +184,7 @@ def frame_before(
 
 def fitted_bend(
     flow: np.ndarray, back: np.ndarray, seen: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Return the sum of the flows forward and backward, as an affine function of the backward one.
 
     The function is fitted in windows, twice: the second time with less weight of what is off.
@@ -206,6 +205,8 @@ def fitted_bend(
     off : (h, w) float32
         The squared deviation from it around every pixel, and how much more it is than that of a
         steady motion, px².
+    steady : (h, w) bool
+        Where it is not more than that of a steady motion.
     None
         If most of what is seen keeps to no bend.
     """
@@ -222,7 +223,8 @@ def fitted_bend(
     off = _squared(x0, x1, sums, coefficients)
     weight = given / (1 + off / OFF**2)
     coefficients = _affine(x0, x1, sums, weight)
-    off = _squared(x0, x1, sums, coefficients) + _too_bent(x0, x1, coefficients)
+    excess = _too_bent(x0, x1, coefficients)
+    off = _squared(x0, x1, sums, coefficients) + excess
     if (given * (off < DOUBTED**2)).sum() < KEPT * given.sum():
         return None
     side = (2 * NEAR + 1, 2 * NEAR + 1)
@@ -235,7 +237,7 @@ def fitted_bend(
     bend = np.empty_like(flow)
     for component, (a0, a1, constant) in enumerate(coefficients):
         bend[component] = everywhere(a0) * back[0] + everywhere(a1) * back[1] + everywhere(constant)
-    return bend, everywhere(near)
+    return bend, everywhere(near), everywhere(excess) < DOUBTED**2
 
 
 def _affine(
