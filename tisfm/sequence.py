@@ -68,6 +68,11 @@ def interpret_sequence(
         an (H, W) array for all frames; or one for every frame of the source, those that are left
         out included: a folder, a glob pattern, a list of files, an (N, H, W) array, or any iterable
         of (H, W) arrays. They have the size of the frames before these are cropped and shrunk.
+    window : {2, 3}
+        How many frames an interpretation sees: the pair, or, for ``motion="field"``, the frame
+        before it as well. What is hidden in the second frame of a pair is mostly seen in the one
+        before the first, and its motion is nearly the same. What is known of the pair before is
+        dropped at cuts, after pairs that failed, and where frames are skipped.
 
     Returns
     -------
@@ -84,9 +89,10 @@ def interpret_sequence(
     OSError, TypeError, ValueError
         At once if the source does not exist or has fewer than two frames, or if there are poses
         for a motion that is not ``"camera"``, or not as many as pairs, or though frames may be
-        skipped, or if masks do not exist or are not as many as frames; while iterating if a frame
-        or its mask cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with
-        the names of the frames.
+        skipped, or if masks do not exist or are not as many as frames, or if `window` is not 2 or
+        3, or is 3 for a motion that is not ``"field"``; while iterating if a frame or its mask
+        cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the names of
+        the frames.
     """
     camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
     frames = FrameSource(

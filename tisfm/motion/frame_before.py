@@ -132,16 +132,13 @@ class FrameBefore:
         if fit is None:
             return None
         bend, off, steady = fit
-        turned = cv2.merge([*(bend - back - flow)])
-        step = np.zeros_like(turned)
+        turned = bend - back - flow
         known = seen & steady
         taken = hidden & known
-        cv2.copyTo(turned, taken.view(np.uint8), step)
-        if taken.any():  # what moves as it should leaves the place of another to what hides it
-            hidden |= self._hidden(flow + np.stack(cv2.split(step)))
+        if taken.any():  # what moves as it should no longer hides anything in a wrong place
+            hidden |= self._hidden(flow + turned * taken)
             taken = hidden & known
-            cv2.copyTo(turned, taken.view(np.uint8), step)
-        unknowns.move(cv2.split(step))
+            unknowns.move(turned * taken)
         doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
         trust = 1 / (1 + off * doubt)
         trust[~seen] = 0
