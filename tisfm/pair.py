@@ -163,7 +163,7 @@ def interpret_pair(
             settings,
             leaves=leaves,
             level=estimate.level,
-            residual=None if before is None else before.residual(),
+            residual=None if before is None or pyramid.last > 0 else before.residual,
         )
         if lens is not None:
             unseen |= lens.missing(flow)

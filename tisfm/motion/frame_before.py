@@ -35,6 +35,7 @@ NEAR = 2  # pixels of the grid: half the side of the window in which a bend is j
 DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve the trust in it
 # Of the way back, and px: the most of a bend that a steady motion has.
 MOST_BENT, MOST_BENT_AT_REST = 0.5, 1.0
+BORNE_OUT = 0.8  # of the residual: what the flow of the pair before has less than
 KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
 LEAST_COUNT = 1e-4
 LEAST_DETERMINANT = 1e-6
@@ -111,12 +112,14 @@ class FrameBefore:
     ----------
     used : bool
         Whether the frame before was of use.
+    residual : (h, w) float32 or None
+        Of a flow near the last one, on the last level, if it was.
     """
 
     def __init__(self, pyramid: ImagePyramid, earlier: Earlier, settings: Settings) -> None:
         self._pyramid, self._earlier, self._settings = pyramid, earlier, settings
         self.used = False
-        self._residual: np.ndarray | None = None
+        self.residual: np.ndarray | None = None
         frame = earlier.frame0
         ahead = runtime.threads() > 1 and frame.size >= BESIDE  # kernels of coarse levels take one
         self._taps = beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
@@ -127,18 +130,22 @@ class FrameBefore:
         if not (flow.min() >= -FAR and flow.max() <= FAR):
             return None
         back, seen = self._earlier.turned()
-        hidden = self._hidden(flow)
+        here = self._residual(flow)
+        hidden = self._hidden(flow, here)
         fit = fitted_bend(flow, back, seen & ~hidden)
         if fit is None:
             return None
         bend, off, steady = fit
         turned = bend - back - flow
         known = seen & steady
+        # What is seen starts from there as well, where frame 1 bears it out.
+        there = self._residual(flow + turned * known)
+        better = known & (hidden | (there < BORNE_OUT * here))
+        self.residual = np.where(better, there, here)
+        # What now moves as it should no longer hides anything in a wrong place.
+        hidden |= self._hidden(flow + turned * better, self.residual)
         taken = hidden & known
-        if taken.any():  # what moves as it should no longer hides anything in a wrong place
-            hidden |= self._hidden(flow + turned * taken)
-            taken = hidden & known
-            unknowns.move(turned * taken)
+        unknowns.move(turned * (better | taken))
         doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
         trust = 1 / (1 + off * doubt)
         trust[~seen] = 0
@@ -151,20 +158,17 @@ class FrameBefore:
             ((~taken).astype(np.float32), trust),
         )
 
-    def residual(self) -> np.ndarray | None:
-        """Return `residual_of` a flow near the last one, (H, W); None if it is not at hand."""
-        if not self.used or self._residual is None or self._pyramid.last > 0:
-            return None
-        return self._residual
+    def _residual(self, flow: np.ndarray) -> np.ndarray:
+        """Return how badly a flow of the last level fits the next frame."""
+        pyramid, level = self._pyramid, self._pyramid.last
+        frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+        return residual_of(frame0, frame1, flow, self._settings, taps1=pyramid.taps1(level))
 
-    def _hidden(self, flow: np.ndarray) -> np.ndarray:
+    def _hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return which pixels of the last level a flow hides in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-        self._residual = residual_of(
-            frame0, frame1, flow, self._settings, taps1=pyramid.taps1(level)
-        )
-        return occlusion(frame0, frame1, flow, self._settings, residual=self._residual)
+        return occlusion(frame0, frame1, flow, self._settings, residual=residual)
 
 
 def frame_before(
