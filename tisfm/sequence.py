@@ -72,7 +72,8 @@ def interpret_sequence(
         How many frames an interpretation sees: the pair, or, for ``motion="field"``, the frame
         before it as well. What is hidden in the second frame of a pair is mostly seen in the one
         before the first, and its motion is nearly the same. What is known of the pair before is
-        dropped at cuts, after pairs that failed, and where frames are skipped.
+        dropped at cuts, after pairs that failed, and where frames are skipped; until then a third
+        frame, grey, and a flow are in memory.
 
     Returns
     -------
