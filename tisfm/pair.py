@@ -1,7 +1,8 @@
 """Two frames in, one interpretation out."""
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,12 +16,16 @@ from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
 from tisfm.outcome import History, Status
-from tisfm.rigid import check_pose
+from tisfm.rigid import KnownPose, check_pose
 from tisfm.settings import Settings, check_settings
 from tisfm.solver.counted import filled
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
+from tisfm.window import Window
+
+if TYPE_CHECKING:
+    from tisfm.solver.image_pyramid import ImagePyramid
 
 RUNAWAY = 0.5  # of the image's longer side: benchmarks have at most 0.12, runaway flow 0.7 and more
 LARGEST_SQUARED = 1e15  # grey levels: squares of derivatives have to be numbers of float32
@@ -28,6 +33,7 @@ UNCOUNTED = Status(
     "diverged",
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
+RELIABLE = ("converged", "iteration_limit")  # statuses of a flow that the next pair may rely on
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
 # The same of frames far apart, whose motion matched points or a pose vouch for: near things pass
 # the whole image, and where the camera turned by 20° two thirds left it.
@@ -120,12 +126,14 @@ def interpret_pair(
     pose: npt.ArrayLike | None = None,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
     stretch: bool = True,
+    window: Window | None = None,
 ) -> Interpretation:
     """Do what `interpret` does, for a pair of a sequence.
 
     `ignored`, (H, W) bool, are the pixels of each frame that do not count, None for none of them.
     `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
-    (`tisfm.frames.grey_pair`).
+    (`tisfm.frames.grey_pair`). `window` holds what is known of the pair before, for motion
+    ``"field"``, and then what the next one may take from this pair.
     """
     settings = check_settings(settings)
     known = check_pose(pose)
@@ -133,6 +141,156 @@ def interpret_pair(
         raise ValueError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
+    taken = _taken(
+        frame0,
+        frame1,
+        camera=camera,
+        settings=settings,
+        ignored=ignored,
+        stretch=stretch,
+        known=known,
+    )
+    pyramid, lens = taken.pyramid, taken.lens
+    from tisfm.motion.agreement import field_doubt, unexplained
+    from tisfm.motion.camera import camera_estimate
+    from tisfm.motion.estimate import history_of
+    from tisfm.motion.field import field_estimate
+    from tisfm.motion.frame_before import frame_before
+    from tisfm.motion.objects.estimation import objects_estimate
+
+    before = None
+    if settings.motion == "field":
+        before = frame_before(pyramid, settings, None if window is None else window.earlier)
+        estimate = field_estimate(pyramid, settings, before)
+    elif settings.motion == "camera":
+        estimate = camera_estimate(pyramid, settings, known)
+    else:
+        estimate = objects_estimate(pyramid, settings, *taken.greys)
+    flow, deviation = estimate.flow, estimate.inverse_depth_std
+    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
+        leaves = leaves_image(flow)
+        unseen = occlusion_in(
+            pyramid,
+            flow,
+            settings,
+            leaves=leaves,
+            level=estimate.level,
+            residual=None if before is None or pyramid.last > 0 else before.residual,
+        )
+        if lens is not None:
+            unseen |= lens.missing(flow)
+        if deviation is not None:
+            deviation[unseen] = np.inf
+        trust = confidence(
+            estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
+        )
+    history, countable = _countable(history_of(estimate.history))
+    status = estimate.status
+    posed = known is not None and known.translation is not None
+    if status != "pose_mismatch":  # which is why, if the flow has run away as well
+        status = (
+            taken.overflow
+            or diverged(flow, leaves, vouched=estimate.matched or posed)
+            or (status if countable else UNCOUNTED)
+        )
+    if status in ("converged", "iteration_limit", "uncertain"):
+        if settings.motion == "field":
+            status = field_doubt(pyramid, flow, trust) or status
+        elif estimate.free_flow is not None:
+            doubt = unexplained(pyramid, estimate, unseen)
+            if doubt is not None and doubt != status:  # what was first uncertain has more to say
+                status = doubt
+    if window is not None:
+        _keep(window, pyramid, flow, unseen, status)
+        if window.earlier is None and before is not None and before.used:
+            return interpret_pair(  # by itself
+                frame0,
+                frame1,
+                camera=camera,
+                settings=settings,
+                ignored=ignored,
+                stretch=stretch,
+                window=window,
+            )
+    return Interpretation(
+        rho=estimate.rho,
+        flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
+        inverse_depth=estimate.inverse_depth,
+        inverse_depth_std=deviation,
+        confidence=trust,
+        occlusion=unseen,
+        motions=estimate.motions,
+        labels=estimate.labels,
+        frame=taken.frame,
+        camera=taken.camera,
+        settings=settings,
+        status=status,
+        history=history,
+        version=__version__,
+    )
+
+
+def keep_pair(
+    window: Window,
+    result: Interpretation,
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
+    stretch: bool = True,
+) -> None:
+    """Keep of a pair what the next one takes from it, as `interpret_pair` does that made `result`.
+
+    The other arguments are those that it had.
+    """
+    taken = _taken(
+        frame0,
+        frame1,
+        camera=camera,
+        settings=result.settings,
+        ignored=ignored,
+        stretch=stretch,
+    )
+    flow = np.stack(cv2.split(result.flow))
+    _keep(window, taken.pyramid, flow, result.occlusion, result.status)
+
+
+def _keep(
+    window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
+) -> None:
+    """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on."""
+    from tisfm.motion.frame_before import Earlier
+
+    window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Taken:
+    """A pair as it is interpreted: without distortion, on the 8-bit scale.
+
+    `camera` is a pinhole. `greys`, both frames, are there for motion ``"objects"`` alone: the
+    pyramid has its own.
+    """
+
+    pyramid: "ImagePyramid"
+    camera: Camera
+    lens: Undistortion | None
+    frame: np.ndarray
+    overflow: Status | None
+    greys: tuple[np.ndarray, ...]
+
+
+def _taken(
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None,
+    settings: Settings,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None,
+    stretch: bool,
+    known: KnownPose | None = None,
+) -> _Taken:
     grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
     frame = eight_bit(frame0, frame1, stretch=stretch)
     counted = _counted(ignored, grey0.shape)
@@ -143,11 +301,6 @@ def interpret_pair(
     camera = check_camera(camera)
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
-    from tisfm.motion.agreement import field_doubt, unexplained
-    from tisfm.motion.camera import camera_estimate
-    from tisfm.motion.estimate import history_of
-    from tisfm.motion.field import field_estimate
-    from tisfm.motion.objects.estimation import objects_estimate
     from tisfm.motion.problems import pyramid_of
     from tisfm.unrolled_pair import unrolled_pair
 
@@ -170,56 +323,13 @@ def interpret_pair(
             grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
             counted, lens = unrolled.counted, None
             camera = replace(camera, readout=0.0)
-    pyramid = pyramid_of(grey0, grey1, camera, settings, counted)
-    if settings.motion == "field":
-        del grey0, grey1  # the pyramid has its own
-        estimate = field_estimate(pyramid, settings)
-    elif settings.motion == "camera":
-        estimate = camera_estimate(pyramid, settings, known)
-    else:
-        estimate = objects_estimate(pyramid, settings, grey0, grey1)
-    flow, deviation = estimate.flow, estimate.inverse_depth_std
-    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
-        leaves = leaves_image(flow)
-        unseen = occlusion_in(pyramid, flow, settings, leaves=leaves, level=estimate.level)
-        if lens is not None:
-            unseen |= lens.missing(flow)
-        if deviation is not None:
-            deviation[unseen] = np.inf
-        trust = confidence(
-            estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
-        )
-    history, countable = _countable(history_of(estimate.history))
-    status = estimate.status
-    posed = known is not None and known.translation is not None
-    if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = (
-            overflow
-            or diverged(flow, leaves, vouched=estimate.matched or posed)
-            or (status if countable else UNCOUNTED)
-        )
-    if status in ("converged", "iteration_limit", "uncertain"):
-        if settings.motion == "field":
-            status = field_doubt(pyramid, flow, trust) or status
-        elif estimate.free_flow is not None:
-            doubt = unexplained(pyramid, estimate, unseen)
-            if doubt is not None and doubt != status:  # what was first uncertain has more to say
-                status = doubt
-    return Interpretation(
-        rho=estimate.rho,
-        flow=cv2.merge(list(flow)),  # several times as fast as a copy of the axes moved
-        inverse_depth=estimate.inverse_depth,
-        inverse_depth_std=deviation,
-        confidence=trust,
-        occlusion=unseen,
-        motions=estimate.motions,
-        labels=estimate.labels,
-        frame=frame,
+    return _Taken(
+        pyramid=pyramid_of(grey0, grey1, camera, settings, counted),
         camera=camera,
-        settings=settings,
-        status=status,
-        history=history,
-        version=__version__,
+        lens=lens,
+        frame=frame,
+        overflow=overflow,
+        greys=(grey0, grey1) if settings.motion == "objects" else (),
     )
 
 

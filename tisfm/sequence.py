@@ -14,6 +14,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.masks import Mask
+from tisfm.window import Window, WindowSize, window_of
 
 
 def interpret_sequence(
@@ -29,6 +30,7 @@ def interpret_sequence(
     bad_frames: BadFrames = "raise",
     poses: Iterable[npt.ArrayLike] | None = None,
     mask: Mask | None = None,
+    window: WindowSize = 2,
 ) -> Iterator[Interpretation]:
     """Interpret every pair of consecutive frames, one at a time.
 
@@ -66,6 +68,12 @@ def interpret_sequence(
         an (H, W) array for all frames; or one for every frame of the source, those that are left
         out included: a folder, a glob pattern, a list of files, an (N, H, W) array, or any iterable
         of (H, W) arrays. They have the size of the frames before these are cropped and shrunk.
+    window : {2, 3}
+        How many frames an interpretation sees: the pair, or, for ``motion="field"``, the frame
+        before it as well. What is hidden in the second frame of a pair is mostly seen in the one
+        before the first, and its motion is nearly the same. What is known of the pair before is
+        dropped at cuts, after pairs that failed, and where frames are skipped; until then a third
+        frame, grey, and a flow are in memory.
 
     Returns
     -------
@@ -82,9 +90,10 @@ def interpret_sequence(
     OSError, TypeError, ValueError
         At once if the source does not exist or has fewer than two frames, or if there are poses
         for a motion that is not ``"camera"``, or not as many as pairs, or though frames may be
-        skipped, or if masks do not exist or are not as many as frames; while iterating if a frame
-        or its mask cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with
-        the names of the frames.
+        skipped, or if masks do not exist or are not as many as frames, or if `window` is not 2 or
+        3, or is 3 for a motion that is not ``"field"``; while iterating if a frame or its mask
+        cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the names of
+        the frames.
     """
     camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
     frames = FrameSource(
@@ -102,7 +111,8 @@ def interpret_sequence(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
             "out"
         )
-    return _interpret_pairs(frames, with_poses(frames, poses), camera, settings)
+    kept = window_of(window, settings)
+    return _interpret_pairs(frames, with_poses(frames, poses), camera, settings, kept)
 
 
 def with_poses(
@@ -182,6 +192,7 @@ def _interpret_pairs(
     pairs: Generator[FramePair, None, None],
     camera: Camera | None,
     settings: Settings,
+    window: Window | None,
 ) -> Iterator[Interpretation]:
     told, first = 0, True
     with closing(pairs):
@@ -189,7 +200,7 @@ def _interpret_pairs(
             told = _warn_of_skipped(source, told)
             if first:
                 camera = _camera_after(source, pair, camera, settings)
-            result = pair.interpret(camera=camera, settings=settings)
+            result = pair.interpret(camera=camera, settings=settings, window=window)
             camera, first = camera or result.camera, False  # a guess is made once
             del pair  # or it would keep its first frame while the next one is read
             yield result

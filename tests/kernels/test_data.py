@@ -264,3 +264,55 @@ def test_splatting_check_their_arrays():
             call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
         defeated(flow, residual, sums, out > 0, density=1.2, apart=0.1)
+
+
+@each_size
+@each_lanes
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_constraints_of_both_neighbours(size, lanes, count, make_problem):
+    from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
+
+    problem = make_problem(*size, 6, lanes)
+    grid, rng = problem.grid, np.random.default_rng(4)
+    after, before = rng.normal(size=(2, 3 * count, *size)).astype(np.float32)
+    flow, bend = rng.normal(scale=3, size=(2, 2, *size)).astype(np.float32)
+    trust = rng.uniform(size=(2, *size)).astype(np.float32)
+    masks = rng.integers(0, 2, size=(2, *size)).astype(np.float32)
+    scales = (0.02, 0.05)[: 2 if count == 3 else 1]
+    back = grid.allocate(2)
+    backward_flow(grid, problem.to_lanes(flow), problem.to_lanes(bend), back)
+    close(problem.from_lanes(back), bend.astype(np.float64) - flow, scale=10)
+
+    out, tensor = problem.to_lanes(after), grid.allocate(6)
+    in_lanes = [problem.to_lanes(a) for a in (before, trust, *masks[:, None], flow)]
+    join_constraints(grid, *in_lanes, scales, out, tensor)
+    a, b = trust.astype(np.float64) * masks
+    joint = (a * after + b * before) / np.maximum(1, a + b)
+    close(problem.from_lanes(out), joint, scale=5)
+
+    lines = joint.reshape(count, 3, *size)
+    terms = [lines] if count < 3 else [lines[:1], lines[1:]]
+    expected = np.zeros((6, *size))
+    for term, scale in zip(terms, scales, strict=True):
+        p, q, c = np.moveaxis(term, 1, 0)
+        squared = ((p * flow[0] + q * flow[1] + c) ** 2).sum(axis=0)
+        root = np.sqrt(1 + squared / scale)
+        products = np.array([p * p, p * q, q * q, p * c, q * c, c * c]).sum(axis=1) / root
+        products[5] += scale * (1 / root + root - 2)
+        expected += products
+    close(problem.from_lanes(tensor), expected, scale=100)
+    inner = grid.inside()[0, 1:-1, 1:-1] > 0
+    assert not tensor[:, 1:-1, 1:-1][:, ~inner].any()
+
+
+def test_constraints_of_both_neighbours_are_refused(make_problem):
+    from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
+
+    grid = make_problem(6, 9, 6, 8).grid
+    one, two, three, six = (grid.allocate(n) for n in (1, 2, 3, 6))
+    with pytest.raises(ValueError, match="bend"):
+        backward_flow(grid, two, one, two)
+    with pytest.raises(ValueError, match="before"):
+        join_constraints(grid, two, two, one, one, two, (1.0,), three, six)
+    with pytest.raises(ValueError, match="trust"):
+        join_constraints(grid, three, one, one, one, two, (1.0,), three, six)

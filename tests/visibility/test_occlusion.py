@@ -207,7 +207,7 @@ def test_errors_are_larger_where_occluded_and_confidence_knows():
 def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     """At odd sizes, too, where levels are not half as large: an exact flow leaves no residual."""
     from tisfm.motion.problems import pyramid_of
-    from tisfm.visibility.occlusion import _residual_of, occlusion_in
+    from tisfm.visibility.occlusion import occlusion_in, residual_of
 
     pair = passing_block(4)
     grey = [
@@ -230,5 +230,5 @@ def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     flow = np.zeros((2, *frames[0].shape), np.float32)
     flow[0] = 20
     levels = pyramid.frames0[1], pyramid.frames1[1]
-    residual = _residual_of(*levels, flow, settings, 2, None)
+    residual = residual_of(*levels, flow, settings, factor=2)
     assert residual[10:-10, 10:-40].max() < 0.05 < residual[:, -15:].max()

@@ -21,6 +21,7 @@ from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
 from tisfm.stated import is_stated
 from tisfm.version import __version__
+from tisfm.window import WindowSize
 
 INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
 
@@ -110,6 +111,8 @@ class Run:
     (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
     """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    window: WindowSize = 2
+    """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
     figures: bool = True
@@ -142,6 +145,7 @@ class Run:
             frames=self.frames,
             poses=self.poses,
             mask=self.mask,
+            window=self.window,
             resume=self.resume,
             figures=self.figures,
             ply=self.ply,

@@ -40,6 +40,7 @@ from tisfm.runtime import Arch
 from tisfm.sequence import with_poses
 from tisfm.settings import Settings
 from tisfm.sources import FramePair, FrameSource, Source
+from tisfm.window import WindowSize, window_of
 
 
 def run(
@@ -52,6 +53,7 @@ def run(
     frames: FrameOptions,
     poses: Path | None = None,
     mask: str | None = None,
+    window: WindowSize = 2,
     resume: bool = False,
     figures: bool = True,
     ply: bool = False,
@@ -66,6 +68,7 @@ def run(
     """
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
+    kept = window_of(window, settings)
     pairs = frames.open(source, mask=mask)
     _refuse_mixing(source, pairs.frame_files, output)
     if mask is not None:
@@ -87,6 +90,7 @@ def run(
         output,
         camera=camera,
         settings=settings,
+        window=window,
         figures=figures,
         ply=ply,
         resume=resume,
@@ -97,14 +101,21 @@ def run(
         total: int | None = len(pairs)
     except TypeError:
         total = None
-    seconds = []
+    seconds, finished = [], None
     with closing(posed), progress_bar() as progress, writer, Background() as background:
         task = progress.add_task("interpreting", total=total)
         for pair in following:
             progress.update(task, description=pair.name0)
-            if not (writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest)):
+            if writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest):
+                finished = None if kept is None else pair
+            else:
+                if kept is not None and finished is not None:
+                    before = Interpretation.load(writer.result_of(finished.name0))
+                    finished.keep(kept, before, camera=camera)
+                    del before
+                finished = None
                 begin = time.perf_counter()
-                result = pair.interpret(camera=camera, settings=settings)
+                result = pair.interpret(camera=camera, settings=settings, window=kept)
                 seconds.append(time.perf_counter() - begin)
                 compared = figures and settings.motion == "field"
                 baseline = _baseline(pair, camera, settings) if compared else None

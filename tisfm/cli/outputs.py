@@ -63,6 +63,8 @@ class PairWriter:
         Made if it does not exist.
     camera : Camera
     settings : Settings
+    window : int
+        How many frames an interpretation sees.
     figures : bool
         Whether to draw the figure.
     ply : bool
@@ -90,6 +92,7 @@ class PairWriter:
         *,
         camera: Camera,
         settings: Settings,
+        window: int = 2,
         figures: bool = True,
         ply: bool = False,
         resume: bool = False,
@@ -106,6 +109,7 @@ class PairWriter:
             "version": __version__,
             "camera": asdict(camera),
             "settings": asdict(settings),
+            "window": window,
             "figures": figures,
             "ply": ply,
             "depth16_values_per_unit": None,
@@ -121,6 +125,10 @@ class PairWriter:
     def figures(self) -> bool:
         """Whether figures are drawn."""
         return bool(self._record["figures"])
+
+    def result_of(self, name: str) -> Path:
+        """Return the file of a pair's interpretation."""
+        return self.folder / f"{name}.npz"
 
     def knows(self, name: str) -> bool:
         """Return whether a pair of this name was written, by this run or the one continued."""
@@ -260,9 +268,10 @@ class PairWriter:
             return
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
+            before.setdefault("window", 2)  # records of versions that had pairs alone
             same = all(
                 before[key] == json.loads(json.dumps(self._record[key]))
-                for key in ("version", "camera", "settings", "figures", "ply")
+                for key in ("version", "camera", "settings", "window", "figures", "ply")
             )
             missing = set(self._record) - set(before)
         except (ValueError, LookupError, TypeError, AttributeError) as error:

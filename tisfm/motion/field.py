@@ -8,13 +8,16 @@ from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
 from tisfm.motion.estimate import Estimate, ended, unmoved
 from tisfm.motion.flow_proposals import proposals
+from tisfm.motion.frame_before import FrameBefore
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
 
-def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
+def field_estimate(
+    pyramid: ImagePyramid, settings: Settings, before: FrameBefore | None = None
+) -> Estimate:
     """Leave ρ̂ free at every pixel.
 
     Parameters
@@ -22,6 +25,8 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
     pyramid : ImagePyramid
         Splines of its coarse levels are let go of.
     settings : Settings
+    before : FrameBefore, optional
+        What the frame before adds.
     """
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal)
@@ -31,6 +36,7 @@ def field_estimate(pyramid: ImagePyramid, settings: Settings) -> Estimate:
         last=pyramid.last,
         release=True,
         amendment=proposals(pyramid, problem),
+        more=before,
     )
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)

@@ -8,6 +8,7 @@ import numpy as np
 
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.runtime import lane_grid
+from tisfm.solver.both_neighbours import BothNeighbours
 from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -61,6 +62,16 @@ class Amendment(Protocol):
         """Change the unknowns of a finer level, before anything else is done there."""
 
 
+class MoreData(Protocol):
+    """What may add to the data of the last level, once half of its linearisations are done."""
+
+    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
+        """Return the data term to go on with, which writes the same constraints.
+
+        None for that of the pair. It may change the unknowns.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solution:
     """What coarse to fine leaves at the level that it ends on.
@@ -92,6 +103,7 @@ def coarse_to_fine(
     last: int = 0,
     release: bool = False,
     amendment: Amendment | None = None,
+    more: MoreData | None = None,
 ) -> Solution:
     """Estimate ρ̂ from the coarsest level to the last, from zero.
 
@@ -104,6 +116,7 @@ def coarse_to_fine(
     release : bool
         Whether the splines of all levels but the last are let go of once they have served.
     amendment : Amendment, optional
+    more : MoreData, optional
     """
     history: Records = []
     unknowns: Unknowns | None = None
@@ -117,7 +130,14 @@ def coarse_to_fine(
         elif amendment is not None and level == amendment.level:
             amend = amendment.apply
         solution = _on_level(
-            pyramid, problem, unknowns, level, problem.warps(level - last), history, amend
+            pyramid,
+            problem,
+            unknowns,
+            level,
+            problem.warps(level - last),
+            history,
+            amend,
+            more if level == last else None,
         )
         if release and level > last:
             pyramid.release_taps1(level)
@@ -186,6 +206,7 @@ def _on_level(
     warps: int,
     history: Records,
     amend: Callable[[Unknowns], bool] | None = None,
+    more: MoreData | None = None,
 ) -> Solution:
     """Estimate ρ̂ on one level, from what it is, and add to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
@@ -193,7 +214,8 @@ def _on_level(
     flow = unknowns.grid.allocate(2, zeros=False)
     find_flow = unknowns.bind_flow(flow)
     linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
-    half, warp, changed = (warps + 1) // 2, 0, True
+    half, warp, changed, joint = (warps + 1) // 2, 0, True, None
+    joined_after = half
     while warp < warps:
         find_flow()
         linearise()  # its tensor is that of this flow already
@@ -204,7 +226,15 @@ def _on_level(
         warp += 1
         changed = amend is not None and warp == half and amend(unknowns)
         if changed:
-            warps += half
+            warps, joined_after = warps + half, joined_after + half
+        if more is not None and warp == joined_after:
+            joint = more.joined(unknowns, data_term)
+            if joint is not None:
+                linearise = joint.bind_linearise(flow, minimiser.system.tensor)
+                warps, changed = max(warps, warp + 1), True
+    if joint is not None:  # what is new needs more iterations, which cost less than linearisations
+        iterations, converged = minimiser.minimise()
+        history += [(level, warp - 1, iteration) for iteration in iterations]
     return Solution(
         unknowns=unknowns,
         system=minimiser.system,

@@ -69,10 +69,16 @@ class DataTerm:
 
     Attributes
     ----------
+    grid, constancy
+        As given.
     constraints : lane array, 3 components for each constraint
         (p, q, c) (`tisfm.kernels.data.constraints`), which a linearisation overwrites.
     scales : tuple of float
         Those of the constancy.
+    lanes0 : lane array, 1 component, halo `IMAGE_HALO`
+        Frame 0.
+    mask : lane array, 1 component
+        1 where a pixel counts and lands inside frame 1, as of the last linearisation.
     """
 
     def __init__(
@@ -85,17 +91,23 @@ class DataTerm:
         unit: float,
         counted: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
-        self._grid, self._constancy, self._unit = grid, constancy, unit
+        self.grid, self.constancy, self._unit = grid, constancy, unit
         self.scales = constancy.scales
         self._frame1 = grid.place(frame1)
         self._taps1 = grid.place(taps1, vectors=True)
-        self._lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self.lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
-        self._mask = grid.allocate(1, zeros=False)
+        self.mask = grid.allocate(1, zeros=False)
         self.constraints = grid.allocate(3 * constancy.count, zeros=False)
-        image_to_lanes(grid, frame0, self._lanes0)
+        image_to_lanes(grid, frame0, self.lanes0)
         self._counted = None if counted is None else _BothCount(grid, *counted)
+
+    @property
+    def normalization(self) -> float | None:
+        """ζ, grey levels per px; None for constraints as they are."""
+        share = self.constancy.normalization
+        return None if share is None else share * self._unit
 
     def bind_linearise(self, flow: LaneData, tensor: LaneData | None = None) -> Callable[[], None]:
         """Return what warps frame 1 by a flow and writes `constraints` there.
@@ -107,25 +119,24 @@ class DataTerm:
         tensor : lane array, 6 components, optional
             Overwritten with their motion tensors, added up with the robust weights of this flow.
         """
-        grid, constancy = self._grid, self._constancy
-        share = constancy.normalization
-        ignore = [] if self._counted is None else [self._counted.bind(flow, self._mask)]
+        grid, constancy = self.grid, self.constancy
+        ignore = [] if self._counted is None else [self._counted.bind(flow, self.mask)]
         return in_turn(
-            warp.bind(grid, self._frame1, self._taps1, flow, self._lanes1, self._mask),
+            warp.bind(grid, self._frame1, self._taps1, flow, self._lanes1, self.mask),
             *ignore,
             derivatives.bind(
-                grid, self._lanes0, self._lanes1, self._derivatives, scheme=constancy.derivatives
+                grid, self.lanes0, self._lanes1, self._derivatives, scheme=constancy.derivatives
             ),
             constancy_constraints.bind(
                 grid,
                 self._derivatives,
                 flow,
-                self._mask,
+                self.mask,
                 self.constraints,
                 tensor,
                 brightness=constancy.brightness,
                 gradient=constancy.gradient,
-                normalization=None if share is None else share * self._unit,
+                normalization=self.normalization,
                 scales=constancy.scales,
             ),
         )

@@ -1,6 +1,6 @@
 """The unknown ρ̂ on one level of the pyramid, in lanes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -78,6 +78,18 @@ class Unknowns:
         """Set ρ̂ from (components, H, W) float32, px/frame of this level."""
         for component, values in enumerate(rho):
             image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
+
+    def move(self, step: Sequence[np.ndarray]) -> None:
+        """Add to the first two unknowns, which move the image alike everywhere.
+
+        Parameters
+        ----------
+        step : two (H, W) float32
+            px/frame of this level.
+        """
+        for component, values in enumerate(step):
+            moved = self.to_image(self.rho, component) + values
+            image_to_lanes(self.grid, moved, self.rho, component=component)
 
     def bind_flow(self, out: LaneData) -> Callable[[], None]:
         """Return what writes the image motion (eq. 25) to a lane array of 2 components."""

@@ -4,7 +4,7 @@
 its mask, and reads files ahead in a thread.
 
 May import: `tisfm.formats`, and of the top level `camera`, `checks`, `frames`, `interpretation`,
-`pair` and `settings`.
+`pair`, `settings` and `window`.
 """
 
 from tisfm.sources.pairs import FramePair

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings
+from tisfm.window import Window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +24,7 @@ class FramePair:
     they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
     s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
     of the frames that do not count, or None where all do. `interval` is how many frames of the
-    source it is from one to the other, by which a camera's readout is counted.
+    source it is from the first to the second, by which a camera's readout is counted.
     """
 
     name0: str
@@ -40,9 +41,16 @@ class FramePair:
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(
-        self, *, camera: Camera | None = None, settings: Settings | None = None
+        self,
+        *,
+        camera: Camera | None = None,
+        settings: Settings | None = None,
+        window: Window | None = None,
     ) -> Interpretation:
-        """Interpret the pair; errors name its frames."""
+        """Interpret the pair; errors name its frames.
+
+        `window`, for motion ``"field"``, has what is known of the pair before, and then of this.
+        """
         from tisfm.pair import interpret, interpret_pair
 
         if camera is not None and camera.readout and self.interval > 1:
@@ -51,11 +59,29 @@ class FramePair:
         work: Callable[..., Interpretation] = interpret
         if not self.stretch or any(part is not None for part in ignored):
             work = partial(interpret_pair, stretch=self.stretch, ignored=ignored)
+        if window is not None:
+            window.begin(self.interval)
+            work = partial(interpret_pair, stretch=self.stretch, ignored=ignored, window=window)
         try:
             return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
             raise
+
+    def keep(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
+        """Keep for the next pair what `interpret` keeps that made this result with this camera."""
+        from tisfm.pair import keep_pair
+
+        window.begin(self.interval)
+        keep_pair(
+            window,
+            result,
+            self.frame0,
+            self.frame1,
+            camera=camera,
+            ignored=(self.ignored0, self.ignored1),
+            stretch=self.stretch,
+        )
 
     @property
     def digest(self) -> str:

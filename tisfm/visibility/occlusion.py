@@ -30,6 +30,7 @@ def occlusion(
     factor: int = 1,
     taps1: np.ndarray | None = None,
     leaves: np.ndarray | None = None,
+    residual: np.ndarray | None = None,
 ) -> np.ndarray:
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
@@ -54,6 +55,8 @@ def occlusion(
         `tisfm.solver.sampling.spline_taps` of frame 1, if they are at hand.
     leaves : (H, W) bool, optional
         `leaves_image` of the flow, if it is at hand.
+    residual : (H, W) float32, optional
+        `residual_of` the flow, or of one that is nearly the same, if it is at hand.
 
     Returns
     -------
@@ -70,11 +73,9 @@ def occlusion(
 
     if leaves is None:
         leaves = leaves_image(flow)
-    # Not left to the kernels: compiled for speed, they may take any comparison with NaN for true.
-    if not (flow.min() >= -FAR and flow.max() <= FAR):
-        flow = np.clip(flow, -FAR, FAR)
-        flow[np.isnan(flow)] = FAR
-    residual = _residual_of(frame0, frame1, flow, settings, factor, taps1)
+    flow = _finite(flow)
+    if residual is None:
+        residual = residual_of(frame0, frame1, flow, settings, factor=factor, taps1=taps1)
     sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, sums, any_order=any_order)
@@ -89,11 +90,13 @@ def occlusion_in(
     *,
     leaves: np.ndarray | None = None,
     level: int = 0,
+    residual: np.ndarray | None = None,
 ) -> np.ndarray:
     """Find which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
 
     As `occlusion` does, and with those that do not count in one of the frames; the frames of
-    `level` tell how well the flow meets them, where its pixels are whole numbers of others.
+    `level` tell how well the flow meets them, where its pixels are whole numbers of others, or
+    `residual` does.
     """
     if pyramid.factor != 0.5:
         level = 0
@@ -105,6 +108,7 @@ def occlusion_in(
         factor=2**level,
         taps1=pyramid.taps1(level),
         leaves=leaves,
+        residual=residual,
     )
     return hidden if pyramid.counted is None else hidden | pyramid.counted.missing(flow)
 
@@ -121,20 +125,37 @@ def leaves_image(flow: np.ndarray) -> np.ndarray:
     return np.logical_not(stays, out=stays)
 
 
-def _residual_of(
+def residual_of(
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,
     settings: Settings,
-    factor: int,
-    taps1: np.ndarray | None,
+    *,
+    factor: int = 1,
+    taps1: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the residual of every pixel of the flow, (H, W), judged by the frames' pixels."""
+    """Return how badly a flow keeps brightness and its gradient, grey levels: (H, W) float32.
+
+    The arguments are those of `occlusion`; the frames' pixels judge.
+    """
+    flow = _finite(flow)
     if factor == 1:
         return _residual(frame0, sample(frame1, flow, taps1), settings)
     coarse = reduced(flow, factor, *frame0.shape) / np.float32(factor)
     residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
     return enlarged(residual[None], factor, *flow.shape[1:])[0]
+
+
+def _finite(flow: np.ndarray) -> np.ndarray:
+    """Return a flow with what is no number, or too large a one, outside of any image.
+
+    That is not left to kernels: compiled for speed, they may take any comparison with NaN for true.
+    """
+    if flow.min() >= -FAR and flow.max() <= FAR:
+        return flow
+    flow = np.clip(flow, -FAR, FAR)
+    flow[np.isnan(flow)] = FAR
+    return flow
 
 
 def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:

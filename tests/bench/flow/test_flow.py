@@ -4,10 +4,11 @@ import itertools
 import json
 import os
 
+import cv2
 import numpy as np
 import pytest
 
-from bench.flow import ablation, peers, untextured
+from bench.flow import ablation, peers, untextured, window
 from bench.flow.peer_plot import picture
 from bench.flow.untextured import Method
 from tests.bench.shared.fakes import Fake, contest, flow_pair
@@ -83,3 +84,29 @@ def test_the_noise_is_what_it_says():
     noise = untextured.noisy(pair, 5, seed=0).frame1 - pair.frame1.astype(float)
     assert noise.std() == pytest.approx(5, rel=0.05)
     assert {method.noise for method in untextured.methods().values()} == {0, 2, 5}
+
+
+def test_three_frames_are_compared_with_two(tmp_path, monkeypatch, capsys):
+    from tisfm.scenes import two_blocks
+
+    rendered = [
+        [window.blocks(two_blocks, 48, 64, 2.0, 3)],
+        [window.papered_room(48, 64, 3, "forward")],
+    ]
+    monkeypatch.setattr(window, "triples", lambda data: iter(rendered))
+    threads = str(os.cpu_count())
+    arguments = ["--presets", "fast", "--repetitions", "1", "--threads", threads]
+    assert window.main(["-o", str(tmp_path), *arguments]) == 0
+    text = (tmp_path / "window.md").read_text(encoding="utf-8")
+    assert "## `fast`" in text and "two_blocks, 64×48, 2 times its speed" in text
+    assert "fast | two_blocks" in capsys.readouterr().out
+
+
+def test_flow_of_a_film_leads_to_the_same_grey():
+    triple = window.papered_room(60, 80, 3, "forward")
+    height, width = triple.flow.shape[:2]
+    place = (triple.flow + np.moveaxis(np.mgrid[:height, :width][::-1], 0, -1)).astype(np.float32)
+    there = cv2.remap(triple.frames[2], place[..., 0], place[..., 1], cv2.INTER_LINEAR)
+    off = np.abs(there.astype(float) - triple.frames[1])
+    assert np.median(off[~triple.occluded]) < 4  # noise of 1.5 grey levels in both
+    assert 0.02 < triple.occluded.mean() < 0.4

@@ -1,0 +1,238 @@
+"""Three frames against two: ``python -m bench.flow.window --data DIR``.
+
+Frames t−1, t and t+1; the flow from t to t+1 by the pair alone, and with `window=3`. Errors are
+apart for what is occluded at t+1 (hidden there, or outside of the image) and for all else. Times
+are those of the last of the two interpretations; of each repetition, the pair and the window are
+timed one after the other, and the median of their ratios counts.
+
+DIR has the folders ``sintel_alley`` and ``sintel_cave`` (frames 1 to 4 of a sequence of MPI Sintel,
+and ``gt`` with the flow from frame 2 to 3, occlusions and invalid pixels); without it, only
+rendered sequences are measured. Their seeds are others than those that the method was made with.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import tisfm
+from bench.shared.machine import RESULTS, machine
+from tisfm import runtime
+from tisfm.formats import read_flo, read_image
+from tisfm.scenes import SyntheticPair, room, room_film, three_blocks, two_blocks
+from tisfm.sources import FrameSource
+from tisfm.window import Window
+
+SEEDS = (10, 11)
+SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))
+ROOM_MOTIONS = {"sideways": (0.08, 0.0, 0.0), "forward": (0.02, 0.0, 0.12)}  # m/frame
+REPETITIONS = 5
+HIDDEN_BEHIND = 1.02  # of the depth that is seen there: what is farther is hidden
+
+
+@dataclass(frozen=True, kw_only=True)
+class Triple:
+    """Frames t−1, t and t+1, the flow from t to t+1, (H, W, 2), and what of t is not in t+1."""
+
+    name: str
+    frames: list[np.ndarray]
+    flow: np.ndarray
+    occluded: np.ndarray
+    known: np.ndarray
+    camera: tisfm.Camera
+
+
+def leaving(flow: np.ndarray) -> np.ndarray:
+    """Return where a flow, (H, W, 2), ends outside of the image."""
+    height, width = flow.shape[:2]
+    x, y = flow[..., 0] + np.arange(width), flow[..., 1] + np.arange(height)[:, None]
+    return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
+
+
+def sintel(folder: Path, name: str) -> Triple:
+    """Read frames 1 to 3."""
+    frames = [np.asarray(read_image(folder / f"frame_000{k}.png")) for k in (1, 2, 3)]
+    flow = np.asarray(read_flo(folder / "gt" / "frame_0002.flo"))
+    marked = np.asarray(read_image(folder / "gt" / "occlusions" / "frame_0002.png")) > 0
+    hidden = np.asarray(marked.reshape(*flow.shape[:2], -1).any(axis=-1))
+    return Triple(
+        name=name,
+        frames=frames,
+        flow=flow,
+        occluded=hidden | leaving(flow),
+        known=np.asarray(np.isfinite(flow).all(axis=-1)),
+        camera=tisfm.Camera(600.0),
+    )
+
+
+def of_pairs(name: str, earlier: SyntheticPair, pair: SyntheticPair) -> Triple:
+    """Return the frames of two pairs of a scene, from t back to t−1 and on to t+1."""
+    return Triple(
+        name=name,
+        frames=[earlier.frame1, pair.frame0, pair.frame1],
+        flow=pair.flow,
+        occluded=~pair.visible,
+        known=np.asarray(np.isfinite(pair.flow).all(axis=-1)),
+        camera=pair.camera,
+    )
+
+
+def blocks(
+    make: Callable[..., SyntheticPair], height: int, width: int, speed: float, seed: int
+) -> Triple:
+    """Render blocks that keep their 3D velocities."""
+    plain = make(8, 12)
+    camera, own = -plain.motions[0], (plain.motions - plain.motions[0])[2:]
+    before, after = (
+        make(height, width, seed=seed, camera_motion=f * camera, block_motions=f * own)
+        for f in (-speed, speed)
+    )
+    name = f"{make.__name__}, {width}×{height}, {speed:g} times its speed"
+    return of_pairs(name, before, after)
+
+
+def bare_room(height: int, width: int, seed: int) -> Triple:
+    """Render a room with bare walls, before a camera that keeps its velocity."""
+    motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
+    before, after = (room(height, width, seed=seed, camera_motion=f * motion) for f in (-1, 1))
+    return of_pairs(f"room, bare, {width}×{height}", before, after)
+
+
+def papered_room(height: int, width: int, seed: int, way: str) -> Triple:
+    """Render a film of a room with papered walls; flow is that of depth and poses."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = np.outer((-1, 0, 1), ROOM_MOTIONS[way])
+    film = room_film(poses, height, width, seed=seed, textured=True)
+    depth, camera = film.depth[1].astype(np.float64), film.camera
+    cx, cy = camera.center_for(height, width)
+    x, y = np.arange(width) - cx, (np.arange(height) - cy)[:, None]
+    points = (
+        np.stack(np.broadcast_arrays(x * depth, y * depth, camera.focal * depth)) / camera.focal
+    )
+    moved = points - np.array(ROOM_MOTIONS[way])[:, None, None]
+    flow = np.stack([camera.focal * moved[k] / moved[2] - (x, y)[k] for k in (0, 1)], axis=-1)
+    place = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)
+    seen = cv2.remap(film.depth[2], place[..., 0], place[..., 1], cv2.INTER_NEAREST)
+    hidden = moved[2] > HIDDEN_BEHIND * seen
+    return Triple(
+        name=f"room, papered, {way}, {width}×{height}",
+        frames=list(film.frames),
+        flow=flow,
+        occluded=hidden | leaving(flow),
+        known=moved[2] > 0,
+        camera=camera,
+    )
+
+
+def triples(data: Path | None) -> Iterator[list[Triple]]:
+    """Yield sequences, each with the triples that its errors are means of."""
+    if data is not None:
+        yield [sintel(data / "sintel_alley", "Sintel alley_1")]
+        for kind in ("clean", "final"):
+            yield [sintel(data / "sintel_cave" / kind, f"Sintel cave_2, {kind}")]
+    for make in (two_blocks, three_blocks):
+        for size in SPEEDS:
+            yield [blocks(make, *size, seed) for seed in SEEDS]
+    yield [bare_room(240, 320, seed) for seed in SEEDS]
+    for way in ROOM_MOTIONS:
+        yield [papered_room(240, 320, seed, way) for seed in SEEDS]
+
+
+def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[str, float]:
+    """Measure the errors and times of one triple."""
+    first, last = FrameSource(triple.frames)
+
+    window = Window()
+    first.interpret(camera=triple.camera, settings=settings, window=window)
+    kept = window.earlier
+
+    def of_window() -> tuple[tisfm.Interpretation, float]:
+        window.earlier = kept
+        start = time.perf_counter()
+        result = last.interpret(camera=triple.camera, settings=settings, window=window)
+        return result, time.perf_counter() - start
+
+    def of_pair() -> tuple[tisfm.Interpretation, float]:
+        start = time.perf_counter()
+        result = last.interpret(camera=triple.camera, settings=settings)
+        return result, time.perf_counter() - start
+
+    values = {"share": float(triple.occluded.mean())}
+    for name, work in (("pair", of_pair), ("window", of_window)):
+        result, _ = work()
+        error = np.linalg.norm(result.flow - triple.flow, axis=-1)
+        occluded = triple.occluded & triple.known
+        values[f"{name}_occluded"] = float(error[occluded].mean())
+        values[f"{name}_elsewhere"] = float(error[~triple.occluded & triple.known].mean())
+        both = np.count_nonzero(result.occlusion & triple.occluded)
+        total = np.count_nonzero(result.occlusion) + np.count_nonzero(triple.occluded)
+        values[f"{name}_f1"] = 2 * both / total
+    times = np.array([[of_pair()[1], of_window()[1]] for _ in range(repetitions)])
+    values["seconds"] = float(np.median(times[:, 0]))
+    values["ratio"] = float(np.median(times[:, 1] / times[:, 0]))
+    return values
+
+
+def row(name: str, values: dict[str, float]) -> str:
+    """Return a line of the table."""
+    cells = [f"{100 * values['share']:.1f}"]
+    for part in ("occluded", "elsewhere"):
+        pair, window = (values[f"{method}_{part}"] for method in ("pair", "window"))
+        cells += [f"{pair:.3f}", f"{window:.3f}", f"{100 * (window / pair - 1):+.0f} %"]
+    cells += [f"{values['pair_f1']:.2f} / {values['window_f1']:.2f}"]
+    cells += [f"{1000 * values['seconds']:.0f}", f"{values['ratio']:.2f}"]
+    return f"| {name} | " + " | ".join(cells) + " |"
+
+
+HEAD = (
+    "| | occluded, % | EPE occluded: pair | window | | elsewhere: pair | window | | occlusion F1, "
+    "pair / window | pair, ms | time, window / pair |\n" + "|---" * 11 + "|\n"
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print and write the tables."""
+    parser = argparse.ArgumentParser(prog="python -m bench.flow.window", description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    parser.add_argument("--data", type=Path, help="folder with sintel_alley and sintel_cave")
+    parser.add_argument("--presets", nargs="+", default=["balanced", "fast", "accurate"])
+    parser.add_argument("--repetitions", type=int, default=REPETITIONS)
+    parser.add_argument("--threads", type=int, default=2, metavar="N")
+    options = parser.parse_args(arguments)
+    runtime.start(threads=options.threads)
+    sequences = list(triples(options.data))
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    text = ""
+    for preset in options.presets:
+        settings = tisfm.Settings.preset(preset)
+        found[preset] = {}
+        text += f"\n## `{preset}`\n\n" + HEAD
+        for sequence in sequences:
+            rows = [measure(triple, settings, options.repetitions) for triple in sequence]
+            values = {key: float(np.mean([one[key] for one in rows])) for key in rows[0]}
+            found[preset][sequence[0].name] = values
+            text += row(sequence[0].name, values) + "\n"
+            print(preset, text.splitlines()[-1], flush=True)
+    conditions = {"threads": options.threads, "repetitions": options.repetitions, **machine()}
+    heading = "# Three frames against two\n\n"
+    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
+    heading += (
+        "\nEnd-point error, px, of the flow from frame t to t+1: by the pair alone, and with "
+        "`window=3`, which sees frame t−1 as well. Occluded is what is hidden at t+1 or leaves the "
+        f"image. Rendered rows are means of {len(SEEDS)} seeds. The ratio of times is the median "
+        "over runs in turn.\n"
+    )
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "window.md").write_text(heading + text, encoding="utf-8")
+    record = json.dumps({**conditions, "found": found}, indent=1)
+    (options.output / "window.json").write_text(record, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

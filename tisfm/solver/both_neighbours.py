@@ -1,0 +1,99 @@
+"""The data term of a frame with the next one and the one before: one set of constraints."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
+from tisfm.kernels.data.constraints import constancy_constraints
+from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
+from tisfm.kernels.data.warp import warp
+from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes
+from tisfm.kernels.layout.lanes import LaneData
+from tisfm.kernels.layout.launch import in_turn
+from tisfm.solver.data_term import DataTerm
+
+
+class BothNeighbours:
+    """The constraints of a pair, joined with those of the frame before.
+
+    With the flow w to the next frame, that to the frame before is bend − w. So what the frame
+    before says of its own flow is a constraint on w as well, and the unknowns stay as they are.
+
+    Parameters
+    ----------
+    data_term : DataTerm
+        Of the pair. Its constraints become the joint ones.
+    before : (H, W) float32
+        The frame before, grey levels, smoothed as the others.
+    taps : ((H + 3)·W, 4) float32
+        Its `tisfm.solver.sampling.spline_taps`.
+    bend : (2, H, W) float32
+        Sum of the flow to the next frame and of that to the frame before, px/frame.
+    trust : two (H, W) float32
+        In [0, 1]: whether a pixel is seen in the next frame, and in the one before.
+    """
+
+    def __init__(
+        self,
+        data_term: DataTerm,
+        before: np.ndarray,
+        taps: np.ndarray,
+        bend: np.ndarray,
+        trust: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        grid = data_term.grid
+        self._pair = data_term
+        self._frame, self._taps = grid.place(before), grid.place(taps, vectors=True)
+        self._lanes = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
+        self._mask = grid.allocate(1, zeros=False)
+        self._constraints = grid.allocate(3 * data_term.constancy.count, zeros=False)
+        self._flow, self._bend, self._trust = (grid.allocate(2, zeros=False) for _ in range(3))
+        for component in range(2):
+            image_to_lanes(grid, bend[component], self._bend, component=component)
+            image_to_lanes(grid, trust[component], self._trust, component=component)
+
+    def bind_linearise(self, flow: LaneData, tensor: LaneData) -> Callable[[], None]:
+        """Return what warps both frames by a flow, and writes the joint constraints.
+
+        Parameters
+        ----------
+        flow : lane array, 2 components
+            (u, v) to the next frame, px/frame, read at every call.
+        tensor : lane array, 6 components
+            Overwritten with their motion tensors, added up with the robust weights of this flow.
+        """
+        pair = self._pair
+        grid, constancy = pair.grid, pair.constancy
+        return in_turn(
+            pair.bind_linearise(flow),
+            backward_flow.bind(grid, flow, self._bend, self._flow),
+            warp.bind(grid, self._frame, self._taps, self._flow, self._lanes, self._mask),
+            # From the frame before to this one: the sign of I_t is then that of a forward flow.
+            derivatives.bind(
+                grid, self._lanes, pair.lanes0, self._derivatives, scheme=constancy.derivatives
+            ),
+            constancy_constraints.bind(
+                grid,
+                self._derivatives,
+                flow,
+                self._mask,
+                self._constraints,
+                brightness=constancy.brightness,
+                gradient=constancy.gradient,
+                normalization=pair.normalization,
+                scales=constancy.scales,
+            ),
+            join_constraints.bind(
+                grid,
+                self._constraints,
+                self._trust,
+                pair.mask,
+                self._mask,
+                flow,
+                constancy.scales,
+                pair.constraints,
+                tensor,
+            ),
+        )
