@@ -94,7 +94,8 @@ def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = No
         far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
         says = np.clip((far / NEUTRAL) ** 2 - 1, AT_REST, MOVING)
         resting = inverse_depth[led.found & (says < 0)]
-        clear = shown(grey, motion.grey(led.frame), led.places, at_rest, resting)
+        view = motion.grey(led.frame), led.places, led.found, at_rest
+        clear = shown(grey, [view], inverse_depth, resting)
         seen = np.where(says > 0, clear, 1)
         seen *= led.found
         total += seen * says
@@ -210,20 +211,24 @@ class AtRest:
 
 
 def shown(
-    grey: np.ndarray, other: np.ndarray, led: np.ndarray, at_rest: AtRest, usual: np.ndarray
+    grey: np.ndarray,
+    views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, AtRest]],
+    nearest: np.ndarray,
+    usual: np.ndarray,
 ) -> np.ndarray:
     """Return how far the images show that a pixel goes where it is led, and not where it rests.
 
     Where frames are bare, any place looks alike, and the image motion may be anything; where it is
-    wrong, some depth at rest looks as well or better.
+    wrong, some depth at rest looks as well or better. Of several frames one depth has to do so.
 
     Parameters
     ----------
-    grey, other : (H, W) float32
-        The frame, and that in which the places lie.
-    led : (H, W, 2) float32
-        Where the image motion leads.
-    at_rest : AtRest
+    grey : (H, W) float32
+    views : sequence of (other, places, found, AtRest)
+        Another frame, (H, W) float32; where the image motion leads in it, (H, W, 2) float32; and
+        where it does, (H, W) bool.
+    nearest : (H, W) float32
+        The inverse depth at rest that comes nearest to that.
     usual : (N,) float32
         Inverse depths of points at rest.
 
@@ -232,13 +237,30 @@ def shown(
     (H, W) float32
         From `LEAST_SHOWN` to 1.
     """
-    window = (WINDOW, WINDOW)
-    missed = cv2.blur(np.abs(at_places(other, led) - grey), window)
     furthest = float(np.quantile(usual, 0.99)) * BEYOND if len(usual) else 0.0
-    reach = np.linalg.norm(at_rest.places(furthest) - at_rest.places(0.0), axis=-1)
-    count = int(np.clip(np.median(reach) / TRIED_EVERY, *TRIED))
-    least = cv2.blur(np.abs(at_places(other, at_rest.places(at_rest.nearest(led))) - grey), window)
-    for inverse_depth in np.linspace(0, furthest, count):
-        places = at_rest.places(float(inverse_depth))
-        least = np.minimum(least, cv2.blur(np.abs(at_places(other, places) - grey), window))
+    reach = [
+        np.median(np.linalg.norm(at_rest.places(furthest) - at_rest.places(0.0), axis=-1))
+        for *_, at_rest in views
+    ]
+    count = int(np.clip(max(reach) / TRIED_EVERY, *TRIED))
+    missed = _missed(grey, [(other, led, found) for other, led, found, _ in views])
+    least = np.full(grey.shape, np.inf, np.float32)
+    tried: list[np.ndarray | float] = [nearest, *map(float, np.linspace(0, furthest, count))]
+    for inverse_depth in tried:
+        at_rest_places = [
+            (other, at_rest.places(inverse_depth), found) for other, _, found, at_rest in views
+        ]
+        least = np.minimum(least, _missed(grey, at_rest_places))
     return np.clip((least - missed) / (CLEAR + missed), LEAST_SHOWN, 1)
+
+
+def _missed(
+    grey: np.ndarray, views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return by how many grey levels places in other frames differ, (H, W) float32, on average."""
+    total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
+    for other, places, found in views:
+        off = cv2.blur(np.abs(at_places(other, places) - grey), (WINDOW, WINDOW))
+        total += found * off
+        count += found
+    return total / np.maximum(count, 1)

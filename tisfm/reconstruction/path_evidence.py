@@ -21,7 +21,6 @@ from tisfm.reconstruction.evidence import (
 from tisfm.reconstruction.image_motion import ImageMotion, Led
 
 STEPS = (1, 2, 3, 5, 8)  # frames before and after that one depth has to serve
-COMPARED = (5, 8)  # of them: where images are compared
 ROUNDS, BEYOND = 3, 3.0  # of the robust fit of depth; deviations from which on frames count less
 # Of the longer side: where the usual distance of a pixel from its place at rest is more, the path
 # is none of what is at rest.
@@ -71,12 +70,11 @@ def path_evidence(
     usual += LEAST_DEVIATION / 2 * max(shape)  # many frames are surer than one
     says = np.clip((far / (usual * NEUTRAL)) ** 2 - 1, AT_REST, MOVING)
     near = inverse_depth[resting & (says < 0)]
+    last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # of each side
     compared = [
-        shown(motion.grey(frame), motion.grey(led.frame), led.places, at_rest, near) * led.found
-        for led, at_rest in views
-        if led.steps in COMPARED
+        (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
     ]
-    clear = np.max(compared, axis=0) if compared else np.zeros(shape, np.float32)
+    clear = shown(motion.grey(frame), compared, inverse_depth, near)
     weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
     return Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
 
