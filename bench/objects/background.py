@@ -1,0 +1,141 @@
+"""Peers that take what differs from the background, after a homography, for what moves."""
+
+from collections.abc import Sequence
+from functools import reduce
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.objects.clips import neighbours
+
+_CORNERS = 1000
+_RANSAC = 1.5  # px
+REACH = 8  # frames before, and as many after, of the mixture of Gaussians
+
+
+def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
+    """Return what takes a place in each frame to that in the next, (3, 3), of the background.
+
+    Corners are followed by Lucas and Kanade's method; RANSAC keeps those of the largest plane.
+    """
+    found = []
+    for frame, following in pairwise(grey):
+        corners = cv2.goodFeaturesToTrack(frame, _CORNERS, 0.005, 5)
+        matrix = None
+        if corners is not None and len(corners) >= 4:
+            moved, good, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
+            kept = good.ravel() == 1
+            if kept.sum() >= 4:
+                matrix, _ = cv2.findHomography(corners[kept], moved[kept], cv2.RANSAC, _RANSAC)
+        found.append(np.eye(3) if matrix is None else np.asarray(matrix, np.float64))
+    return found
+
+
+def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.float64]:
+    """Return what takes a place in one frame to that in another, either way."""
+    if second < first:
+        return np.asarray(np.linalg.inv(between(steps, second, first)))
+    return np.asarray(reduce(lambda whole, step: step @ whole, steps[first:second], np.eye(3)))
+
+
+def differences(
+    frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, *, both: bool
+) -> list[NDArray[np.float32]]:
+    """Return how much each frame differs from its neighbours, a gap away, on their background.
+
+    Parameters
+    ----------
+    frames, steps
+        Frames and their homographies.
+    gap : int
+        Frames to the neighbours before and after; at an end of the sequence there is one.
+    both : bool
+        Whether it is the lesser of both differences, which is small where a thing was or will be;
+        or the greater, which is not small within a large thing.
+
+    Returns
+    -------
+    list of (H, W) float32
+        Grey levels; 0 where no neighbour sees the place.
+    """
+    smooth = [cv2.GaussianBlur(frame, (0, 0), 1.5).astype(np.float32) for frame in frames]
+    found = []
+    for number, frame in enumerate(smooth):
+        off = [
+            np.abs(frame - _brought(smooth[other], between(steps, number, other), np.nan))
+            for other in (number - gap, number + gap)
+            if 0 <= other < len(frames)
+        ]
+        channels = [value if value.ndim == 2 else value.max(axis=2) for value in off]
+        if not channels:
+            found.append(np.zeros(frame.shape[:2], np.float32))
+            continue
+        # Where one does not see the place, the other tells.
+        choose = np.fmin if both else np.fmax
+        found.append(np.nan_to_num(reduce(choose, channels)).astype(np.float32))
+    return found
+
+
+def mixtures(
+    frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, threshold: float
+) -> list[NDArray[np.uint8]]:
+    """Return what OpenCV's MOG2 takes for foreground, of the neighbours brought to each frame.
+
+    Parameters
+    ----------
+    frames, steps
+        Frames and their homographies.
+    gap : int
+        Frames to the nearest neighbours that count: in nearer ones a thing is where it is now.
+    threshold : float
+        Squared distance from the background, in deviations, of what is foreground: `varThreshold`.
+    """
+    found = []
+    for number, frame in enumerate(frames):
+        model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
+        for other in neighbours(len(frames), number, gap, gap + REACH):
+            # What a neighbour does not see is as in the frame.
+            moved = _brought(frames[other], between(steps, number, other), None, frame)
+            model.apply(moved)
+        found.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
+    return found
+
+
+def cleaned(mask: NDArray) -> NDArray[np.uint8]:
+    """Return a mask, 0 or 1, without specks and holes."""
+    size = max(3, round(mask.shape[1] / 100) | 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3 * size, 3 * size))
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, wide), np.uint8)
+
+
+def _brought(
+    frame: NDArray, matrix: NDArray, border: float | None, under: NDArray | None = None
+) -> NDArray:
+    """Return a frame at the places of another, outside of it a value or what is under it."""
+    height, width = frame.shape[:2]
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    if under is None:
+        value = (border,) * 4
+        return np.asarray(
+            cv2.warpPerspective(
+                frame,
+                matrix,
+                (width, height),
+                flags=flags,
+                borderValue=value,  # type: ignore[arg-type]
+            )
+        )
+    return np.asarray(
+        cv2.warpPerspective(
+            frame,
+            matrix,
+            (width, height),
+            dst=under.copy(),
+            flags=flags,
+            borderMode=cv2.BORDER_TRANSPARENT,
+        )
+    )

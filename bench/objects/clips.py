@@ -1,0 +1,106 @@
+"""Sequences with true masks of what moves: clips of DAVIS, and the film of bodies."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.evaluation.masks import true_masks
+from tisfm.formats import read_image
+from tisfm.formats.label_picture import read_label_picture
+from tisfm.scenes import BodiesFilm, bodies_film, bodies_path
+
+FOLDER = "davis"
+DAVIS, BODIES = "DAVIS", "bodies"
+FRAMES, SIZE = 40, (240, 320)  # of the film
+SMOKE_FRAMES = 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clip:
+    """A sequence and its true masks.
+
+    Attributes
+    ----------
+    name, group : str
+    frames : list of (H, W) or (H, W, 3) uint8
+        Grey or RGB.
+    truth : list of (H, W) uint8
+        0 for what rests, a value for each thing.
+    camera : Camera or None
+    film : BodiesFilm or None
+        Of a rendered clip, with the true paths.
+    """
+
+    name: str
+    group: str
+    frames: list[NDArray[np.uint8]]
+    truth: list[NDArray[np.uint8]]
+    camera: Camera | None = None
+    film: BodiesFilm | None = None
+
+    @property
+    def grey(self) -> list[NDArray[np.uint8]]:
+        """The frames in grey."""
+        return [grey_of(frame) for frame in self.frames]
+
+
+def grey_of(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a frame in grey, (H, W)."""
+    if frame.ndim == 2:
+        return frame
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def rendered_clip(*, small: bool = False) -> Clip:
+    """Return the film of three bodies."""
+    height, width = (60, 80) if small else SIZE
+    film = bodies_film(bodies_path(SMOKE_FRAMES if small else FRAMES), height, width)
+    return Clip(
+        name="bodies",
+        group=BODIES,
+        frames=list(film.frames),
+        truth=list(film.labels),
+        camera=film.camera,
+        film=film,
+    )
+
+
+def davis_folders(data: Path) -> list[Path]:
+    """Return the clips in a folder's davis, each with images and masks; none if there is none."""
+    folder = data / FOLDER
+    if not folder.is_dir():
+        return []
+    return sorted(clip for clip in folder.iterdir() if (clip / "images").is_dir())
+
+
+def davis_clip(folder: Path) -> Clip:
+    """Read a clip; raise ValueError unless it has as many masks as images."""
+    images, masks = (_pictures(part) for part in (folder / "images", true_masks(folder)))
+    if len(images) != len(masks):
+        raise ValueError(f"{folder} has {len(images)} images and {len(masks)} masks")
+    return Clip(
+        name=folder.name,
+        group=DAVIS,
+        frames=[read_image(file) for file in images],
+        truth=[read_label_picture(file) for file in masks],
+    )
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix in (".jpg", ".png"))
+
+
+def neighbours(count: int, number: int, nearest: int, end: int) -> Iterator[int]:
+    """Yield the frames before and after one at distances from the nearest up to an end, far first.
+
+    The end itself is not among them.
+    """
+    for distance in range(end - 1, nearest - 1, -1):
+        for other in (number - distance, number + distance):
+            if 0 <= other < count:
+                yield other

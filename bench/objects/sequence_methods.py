@@ -1,0 +1,211 @@
+"""The methods of `python -m bench.objects.sequences`: each labels a whole clip."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tisfm
+from bench.objects import background, flow_clusters
+from bench.objects.clips import Clip
+from bench.objects.tracking import as_one, tracked
+from bench.shared.contest import MethodFailure
+from bench.shared.peer_process import Peer
+from bench.shared.sequences import FlowPair
+from tisfm.settings import Preset, Settings
+from tisfm.stated import is_stated
+
+GAPS, DIFFERENCES = (1, 2, 4), (4.0, 6.0, 10.0, 16.0, 25.0)  # frames; grey levels
+NEAREST, VARIANCES = (1, 4), (4.0, 9.0, 16.0)  # frames; squared deviations
+RESIDUALS = (0.5, 1.0, 2.0, 3.0)  # px
+COUNTS = (1, 3)
+MODELS = {
+    "homography": flow_clusters.off_homography,
+    "epipolar lines": flow_clusters.off_epipolar_lines,
+}
+TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
+    "one label": as_one,
+    "parts tracked": tracked,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """What a method found in a clip.
+
+    Attributes
+    ----------
+    variant : str
+        Its choices; "" of a method without any.
+    labels : list of (H, W) uint8
+    seconds : float
+        Of the whole clip.
+    objects : tuple
+        Those of `tisfm.reconstruct`.
+    cameras : (N, 4, 4) float64 or None
+        Camera to world.
+    """
+
+    variant: str
+    labels: list[NDArray[np.uint8]]
+    seconds: float
+    objects: tuple[Any, ...] = ()
+    cameras: NDArray[np.float64] | None = None
+
+
+class Labeller(Protocol):
+    """A method that labels clips, in as many variants as it has."""
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+
+    def run(self, clip: Clip) -> Iterator[Found]:
+        """Yield what each variant finds; raise `MethodFailure`."""
+
+
+class Differences:
+    """What differs from both neighbours after a homography."""
+
+    name = "homography + difference"
+
+    def run(self, clip: Clip) -> Iterator[Found]:
+        """Yield what each gap, threshold and tracker finds."""
+        steps, aligning = timed(background.homographies, clip.grey)
+        for gap, both in product(GAPS, (True, False)):
+            off, seconds = timed(background.differences, clip.frames, steps, gap, both=both)
+            for threshold in DIFFERENCES:
+                masks, cleaning = timed(_above, off, threshold)
+                which = "both" if both else "either"
+                choice = f"{which} at {gap} frames, {threshold:g} grey levels"
+                yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
+
+
+class Mixtures:
+    """OpenCV's MOG2 on neighbours brought to each frame by homographies."""
+
+    name = "homography + MOG2"
+
+    def run(self, clip: Clip) -> Iterator[Found]:
+        """Yield what each gap, threshold and tracker finds."""
+        steps, aligning = timed(background.homographies, clip.grey)
+        for gap, threshold in product(NEAREST, VARIANCES):
+            found, seconds = timed(background.mixtures, clip.frames, steps, gap, threshold)
+            masks, cleaning = timed(_above, found, 0)
+            choice = f"from {gap} frames on, varThreshold {threshold:g}"
+            yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
+
+
+class FlowClusters:
+    """Flow less the background's, and clusters of it.
+
+    Parameters
+    ----------
+    peer : Peer
+        Where flow comes from.
+    """
+
+    def __init__(self, peer: Peer) -> None:
+        self._peer = peer
+        self.name = f"{peer.name} + clusters"
+
+    def run(self, clip: Clip) -> Iterator[Found]:
+        """Yield what each model of the background, threshold, count and tracker finds."""
+        flows, flowing = self._flows(clip)
+        for name, model in MODELS.items():
+            left, fitting = timed(lambda flows, fit: [fit(flow) for flow in flows], flows, model)
+            for threshold in RESIDUALS:
+                masks, cleaning = timed(_above, [length for _, length in left], threshold)
+                for count in COUNTS:
+                    labels, seconds = timed(_clustered, left, masks, count)
+                    labels.append(labels[-1])  # from the last frame there is no flow
+                    choice = f"{name}, {threshold:g} px, {count} clusters"
+                    seconds += flowing + fitting + cleaning
+                    yield from _by_tracker(choice, labels, seconds, count)
+
+    def _flows(self, clip: Clip) -> tuple[list[NDArray], float]:
+        flows, seconds = [], 0.0
+        for number, (frame0, frame1) in enumerate(pairwise(clip.grey)):
+            call = self._peer.run(
+                FlowPair(
+                    name=f"{clip.name}-{number}",
+                    group=clip.group,
+                    frame0=frame0,
+                    frame1=frame1,
+                    truth=np.zeros((*frame0.shape, 2)),
+                )
+            )
+            flows.append(call.flow)
+            seconds += call.seconds
+        return flows, seconds
+
+
+class Reconstruct:
+    """`tisfm.reconstruct` with moving objects.
+
+    Parameters
+    ----------
+    preset : Preset
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        self._preset = preset
+        self.name = f"tisfm {preset}, objects"
+
+    def run(self, clip: Clip) -> Iterator[Found]:
+        """Yield what is found; the camera is given where it is known."""
+        settings = Settings.preset(self._preset, motion="objects")
+        try:
+            result, seconds = timed(
+                tisfm.reconstruct, clip.frames, camera=clip.camera, settings=settings
+            )
+        except (TypeError, ValueError, RuntimeError) as error:
+            if not is_stated(error):
+                raise
+            raise MethodFailure(" ".join(str(error).split())) from None
+        if not hasattr(result, "labels"):
+            raise MethodFailure("the result has no labels")
+        yield Found(
+            variant="",
+            labels=[np.asarray(result.labels(k)) for k in range(len(clip.frames))],
+            seconds=seconds,
+            objects=tuple(result.objects),
+            cameras=np.asarray(result.poses),
+        )
+
+
+def timed(function: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:
+    """Return what a function returns, and the seconds that it took."""
+    started = time.perf_counter()
+    answer = function(*given, **options)
+    return answer, time.perf_counter() - started
+
+
+def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
+    """Return where each frame's values are above a threshold, without specks and holes."""
+    return [background.cleaned(value > threshold) for value in values]
+
+
+def _clustered(
+    left: Sequence[tuple[NDArray, NDArray]], masks: Sequence[NDArray], count: int
+) -> list[NDArray[np.uint8]]:
+    """Return the clusters of what moves in each frame."""
+    return [
+        flow_clusters.clusters(motion, mask > 0, count)
+        for (motion, _), mask in zip(left, masks, strict=True)
+    ]
+
+
+def _by_tracker(
+    choice: str, masks: list[NDArray], seconds: float, clusters: int = 1
+) -> Iterator[Found]:
+    """Yield the labels of each tracker; clusters have no meaning from frame to frame."""
+    for name, track in TRACKERS.items():
+        if name == "one label" and clusters > 1:
+            continue
+        labels, tracking = timed(track, masks)
+        yield Found(variant=f"{choice}, {name}", labels=labels, seconds=seconds + tracking)

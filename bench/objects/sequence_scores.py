@@ -1,0 +1,152 @@
+"""How well the moving things of a sequence are labelled and followed, and how it is told."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.objects.clips import Clip
+from bench.objects.sequence_methods import Found
+from bench.shared.contest_report import NOTHING, Cells
+from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipScore:
+    """A method, in one variant, on a clip.
+
+    Attributes
+    ----------
+    method, variant, clip, group : str
+    iou : float
+        Mean over frames, then over things; 0 where the method failed.
+    followed : float
+        Share of the frames with a thing in which a label follows it, over all things.
+    switches : int
+    seconds : float
+        Per frame.
+    paths : tuple of ObjectPathErrors or None
+        Of each true thing, None where it was not found or no path is known.
+    failure : str
+    """
+
+    method: str
+    variant: str
+    clip: str
+    group: str
+    iou: float = 0.0
+    followed: float = 0.0
+    switches: int = 0
+    seconds: float = 0.0
+    paths: tuple[ObjectPathErrors | None, ...] = ()
+    failure: str = ""
+
+
+def scored(method: str, clip: Clip, found: Found) -> ClipScore:
+    """Compare what a method found in a clip with the truth."""
+    scores = label_scores(found.labels, clip.truth)
+    there = sum(thing.there for thing in scores.things)
+    return ClipScore(
+        method=method,
+        variant=found.variant,
+        clip=clip.name,
+        group=clip.group,
+        iou=scores.iou,
+        followed=sum(thing.followed for thing in scores.things) / there,
+        switches=scores.switches,
+        seconds=found.seconds / len(clip.frames),
+        paths=_paths(clip, found, scores),
+    )
+
+
+def _paths(clip: Clip, found: Found, scores: LabelScores) -> tuple[ObjectPathErrors | None, ...]:
+    """Compare the path of each thing's object with the true one, where both are known."""
+    if clip.film is None or found.cameras is None:
+        return ()
+    by_id = {item.id: item for item in found.objects}
+    errors: list[ObjectPathErrors | None] = []
+    for thing in scores.things:
+        item = None if thing.label is None else by_id.get(thing.label)
+        if item is None:
+            errors.append(None)
+            continue
+        poses = np.full((len(clip.frames), 4, 4), np.nan)
+        poses[list(item.frames)] = item.poses
+        truth: NDArray[np.float64] = clip.film.body_poses[thing.thing - 1]
+        errors.append(object_path_errors(poses, truth, found.cameras, clip.film.poses))
+    return tuple(errors)
+
+
+def best(scores: Sequence[ClipScore]) -> list[ClipScore]:
+    """Return the scores of one method in the variant with the greatest mean IoU over its clips."""
+    variants = list(dict.fromkeys(s.variant for s in scores))
+
+    def mean(variant: str) -> float:
+        return fmean(s.iou for s in scores if s.variant == variant)
+
+    chosen = max(variants, key=mean)
+    return [s for s in scores if s.variant == chosen]
+
+
+def table(scores: Sequence[ClipScore]) -> Cells:
+    """Return a row for every method on the clips of one group, each in its best variant."""
+    clips = list(dict.fromkeys(s.clip for s in scores))
+    several = len(clips) > 1
+    head = ["method", *(f"{clip} IoU" for clip in clips), *(["mean"] if several else [])]
+    head += ["followed, %", "switches", "s/frame"]
+    paths = any(s.paths for s in scores)
+    head += ["path, %", "turn, °"] if paths else []
+    rows = []
+    for method in dict.fromkeys(s.method for s in scores):
+        chosen = best([s for s in scores if s.method == method])
+        good = [s for s in chosen if not s.failure]
+        by_clip = {s.clip: s for s in chosen}
+        name = method + (f" ({chosen[0].variant})" if chosen[0].variant else "")
+        row = [name, *(_iou(by_clip.get(clip)) for clip in clips)]
+        if several:
+            row.append(f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else NOTHING)
+        if good:
+            row.append(f"{100 * fmean(s.followed for s in good):.0f}")
+            row += [str(sum(s.switches for s in good)), f"{fmean(s.seconds for s in good):#.3g}"]
+        else:
+            row += [NOTHING] * 3
+        if paths:
+            row += _path_cells([error for s in good for error in s.paths])
+        rows.append(row)
+    return Cells(head, rows)
+
+
+def details(scores: Sequence[ClipScore]) -> Cells:
+    """Return a row for every variant, with the mean IoU of each group."""
+    groups = list(dict.fromkeys(s.group for s in scores))
+    rows = []
+    for method, variant in dict.fromkeys((s.method, s.variant) for s in scores if not s.failure):
+        mine = [s for s in scores if (s.method, s.variant) == (method, variant) and not s.failure]
+        row = [method, variant or NOTHING]
+        for group in groups:
+            of_group = [s for s in mine if s.group == group]
+            row += (
+                [f"{fmean(s.iou for s in of_group):.3f}", str(sum(s.switches for s in of_group))]
+                if of_group
+                else [NOTHING] * 2
+            )
+        rows.append(row)
+    head = [word for group in groups for word in (f"{group} IoU", f"{group} switches")]
+    return Cells(["method", "variant", *head], rows)
+
+
+def _iou(score: ClipScore | None) -> str:
+    return NOTHING if score is None or score.failure else f"{score.iou:.3f}"
+
+
+def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
+    """Return the mean errors of the paths that were found."""
+    found = [error for error in errors if error is not None]
+    shares = [100 * error.share for error in found if error.share is not None]
+    if not shares:
+        return [NOTHING] * 2
+    lost = len(errors) - len(found)
+    note = f" ({lost} not found)" if lost else ""
+    return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in found):.1f}"]
