@@ -146,6 +146,30 @@ def test_what_is_ignored_is_no_thing():
     assert not any(result.labels(k)[:, :160].any() for k in range(len(result)))
 
 
+@pytest.mark.parametrize("kind", ["constant", "noise", "two frames", "cut", "moving stripes"])
+@pytest.mark.parametrize("shape", [(48, 64), (61, 83)])
+def test_frames_that_show_little_end_well(kind, shape):
+    random = np.random.default_rng(3)
+    count = 2 if kind == "two frames" else 6
+    if kind == "constant":
+        frames = np.full((count, *shape), 90, np.uint8)
+    elif kind == "moving stripes":
+        columns = np.arange(shape[1])
+        stripes = [128 + 90 * np.sin((columns + 2 * k) / 3) for k in range(count)]
+        frames = np.uint8([np.tile(row, (shape[0], 1)) for row in stripes])
+    else:
+        frames = random.integers(0, 256, (count, *shape), np.uint8)
+        frames = np.stack([cv2.GaussianBlur(frame, (0, 0), 2) for frame in frames])
+        if kind == "cut":
+            frames[1:3], frames[4:] = frames[0], frames[3]
+    result = tisfm.reconstruct(list(frames), camera=tisfm.Camera(focal=70.0), settings=OBJECTS)
+    assert len(result) == count
+    for frame in range(count):
+        labels = result.labels(frame)
+        assert labels.shape == shape
+        assert set(np.unique(labels)) <= {0, *(thing.id for thing in result.objects)}
+
+
 @pytest.mark.parametrize("shape", [(40, 60), (41, 61)])
 def test_labels_are_enlarged_to_the_size_of_frames(shape):
     small = np.zeros(((shape[0] + 1) // 2, (shape[1] + 1) // 2), np.uint8)

@@ -212,7 +212,7 @@ class Identities:
         best, found = 0.0, 0
         for thing in self._things.values():
             away = frame - thing.seen
-            if thing.id in there or not 0 < away <= HIDDEN + 1:
+            if thing.id in there or not 0 < away <= HIDDEN + 1 or not thing.whole.any():
                 continue
             size = np.sqrt(max(part.sum(), thing.whole.sum()))
             expected = thing.center() + away * thing.velocity
