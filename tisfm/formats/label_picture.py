@@ -2,11 +2,13 @@
 
 import io
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
 from tisfm.formats.images import PILLOW_FORMATS
@@ -52,3 +54,48 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
             f"{name} is a picture of mode {kind}: expected labels, indexed or grey of 8 bits"
         )
     return values.astype(np.uint8)
+
+
+def palette() -> NDArray[np.uint8]:
+    """Return the colours of labels 0 to 255, (256, 3) uint8 RGB.
+
+    They are those of PASCAL VOC and DAVIS: bits of the label, in turn from the lowest, are the
+    highest that are left of red, green and blue.
+    """
+    label, colours = np.arange(256), np.zeros((256, 3), np.uint8)
+    for place in range(8):
+        for channel in range(3):
+            colours[:, channel] |= ((label >> channel & 1) << (7 - place)).astype(np.uint8)
+        label = label >> 3
+    return colours
+
+
+def write_label_png(path: str | os.PathLike[str], labels: NDArray[Any]) -> None:
+    """Write labels as an indexed PNG picture, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    labels : (H, W) int array
+        From 0 to 255.
+
+    Raises
+    ------
+    ValueError
+        If they are of another shape or kind, or not within 0 to 255.
+    OSError
+        If the file cannot be written.
+    """
+    array = np.asarray(labels)
+    if array.ndim != 2 or array.dtype.kind not in "biu":
+        raise ValueError(
+            f"labels are {array.shape} {array.dtype}: expected (H, W) of whole numbers"
+        )
+    if array.size == 0 or array.min() < 0 or array.max() > 255:
+        raise ValueError(f"labels of {path} are not within 0 to 255, or there are none")
+    picture = Image.fromarray(np.ascontiguousarray(array, np.uint8))
+    picture.putpalette(palette().tobytes())
+    data = io.BytesIO()
+    picture.save(data, format="PNG")
+    with atomic_write(path) as file:
+        file.write(data.getvalue())

@@ -18,7 +18,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.label_png import read_label_png, write_label_png
+from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
@@ -98,7 +98,7 @@ def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray
     path = _mask_path(folder, number)
     if not (folder / MASKS).is_dir():
         return np.zeros(shape, np.uint8)
-    labels = read_label_png(path)
+    labels = read_label_picture(path)
     if labels.shape != shape:
         raise FormatError(f"{path} is {labels.shape}: expected {shape}")
     return labels
