@@ -129,6 +129,7 @@ PLAIN = {
     "layout.images": ("image_to_lanes", "multiply"),
     "data.warp": ("warp",),
     "data.constraints": ("constancy_constraints",),
+    "data.both_neighbours": ("backward_flow", "join"),
     "data.image_edges": ("image_edges",),
     "data.forward_splatting": ("splat", "defeated"),
     "solve.data_precision": ("share_of_data",),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.kernels.references import mask_moments
+from bench.kernels.references import bent, mask_moments, other_constraints
 from bench.kernels.sides import TaichiSide, Timed
 from bench.kernels.unfused import sweep_unfused
 from bench.shared.problems import (
@@ -15,7 +15,14 @@ from bench.shared.problems import (
     TOLERATED_SQUARE,
     UNIQUENESS,
 )
-from tisfm.kernels.data import constraints, derivatives, forward_splatting, image_edges, warp
+from tisfm.kernels.data import (
+    both_neighbours,
+    constraints,
+    derivatives,
+    forward_splatting,
+    image_edges,
+    warp,
+)
 from tisfm.kernels.layout import images
 from tisfm.kernels.layout.lanes import aligned_zeros
 from tisfm.kernels.model import flow, readout
@@ -84,6 +91,24 @@ class FieldOperations(TaichiSide):
         arguments, options = (self.grid, *inputs, out, tensor), {"scales": SCALES, **CONSTRAINTS}
         return (
             lambda: constraints.constancy_constraints(*arguments, **options),
+            lambda _: np.concatenate([self.read(out), self.read(tensor)]),
+        )
+
+    def backward_flow(self) -> Timed:
+        arguments = [self.lay(array) for array in bent(self.problem.flow)]
+        out = self.grid.allocate(2)
+        return (
+            lambda: both_neighbours.backward_flow(self.grid, *arguments, out),
+            lambda _: self.read(out),
+        )
+
+    def join(self) -> Timed:
+        p = self.problem
+        before, trust, masks = other_constraints(p)
+        inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
+        out, tensor = self.lay(p.constraints), self.grid.allocate(6)
+        return (
+            lambda: both_neighbours.join_constraints(self.grid, *inputs, SCALES, out, tensor),
             lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 

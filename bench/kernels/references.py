@@ -13,6 +13,7 @@ from bench.shared.problems import (
     SMOOTHNESS,
     TOLERATED_SQUARE,
     UNIQUENESS,
+    Problem,
 )
 from tisfm import reference
 from tisfm.kernels.solve.weight_update import LINE
@@ -62,6 +63,31 @@ class FieldReferences(NumpySide):
             steps = np.abs(np.concatenate(reference.differences(np.array(image))))
             edges = inside / (1 + RATE * steps)
             return edges * (inside.sum() / edges.sum())
+
+        return run
+
+    def backward_flow(self) -> Run:
+        flow, bend = bent(self.problem.flow)
+        return lambda: bend - flow
+
+    def join(self) -> Run:
+        p = self.problem
+        before, trust, masks = other_constraints(p)
+        out = p.constraints.copy()
+
+        def run() -> np.ndarray:
+            after, earlier = trust * masks
+            out[:] = (after * out + earlier * before) / np.maximum(1, after + earlier)
+            tensor = np.zeros((6, *out.shape[1:]))
+            for lines, scale in ((out[:3], SCALES[0]), (out[3:], SCALES[1])):
+                slope_x, slope_y, rest = (lines[k::3] for k in range(3))
+                squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + rest) ** 2).sum(axis=0)
+                root = np.sqrt(1 + squared / scale)
+                pairs = ((slope_x, slope_x), (slope_x, slope_y), (slope_y, slope_y))
+                pairs += ((slope_x, rest), (slope_y, rest), (rest, rest))
+                tensor += np.array([(one * two).sum(axis=0) for one, two in pairs]) / root
+                tensor[5] += scale * (1 / root + root - 2)
+            return np.concatenate([out, tensor])
 
         return run
 
@@ -169,6 +195,18 @@ class FieldReferences(NumpySide):
             return mask_moments(out)
 
         return run
+
+
+def bent(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a flow, and how the way to the next frame and to the one before may bend."""
+    return flow, 0.1 * flow[::-1]
+
+
+def other_constraints(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return constraints of another frame, trust in both, and masks of both."""
+    trust = np.stack([0.7 * problem.mask, 1 - 0.4 * problem.mask])
+    masks = np.stack([problem.mask, problem.mask[::-1]])
+    return np.ascontiguousarray(problem.constraints[:, ::-1]), trust, masks
 
 
 def mask_moments(mask: np.ndarray) -> np.ndarray:

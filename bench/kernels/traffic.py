@@ -62,6 +62,9 @@ TRAFFIC = {
     "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
     "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
     "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints
+    "backward_flow": Traffic(read=(4, 0), written=(2, 0)),  # flow, bend | flow back
+    # Constraints of both, trust, masks, u, v | constraints, tensor.
+    "join": Traffic(read=(24, 0), written=(15, 0)),
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
     "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
     # Of a halved array, a quarter: tensor, b | tensor, b
