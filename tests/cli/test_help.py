@@ -60,7 +60,16 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
         ),
         (
             "reconstruct",
-            {"--output", "--preset", "--poses", "--mask", "--calibrate", "--depth-of", "--scale"}
+            {
+                "--output",
+                "--preset",
+                "--poses",
+                "--motion",
+                "--mask",
+                "--calibrate",
+                "--depth-of",
+                "--scale",
+            }
             | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
             | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}
             | {"--distortion", "--aspect", "--readout", "--help"},
