@@ -61,7 +61,7 @@ class Evidence:
         return (self.moving + np.float32(DOUBT * AT_REST)) / (self.weight + np.float32(DOUBT))
 
 
-def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = None) -> Evidence:
+def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     """Return what a frame's motion to others says.
 
     One rigid motion is fitted to all of the image motion from the frame to another, where the way
@@ -71,8 +71,6 @@ def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = No
     ----------
     motion : ImageMotion
     frame : int
-    ignored : (H, W) bool, optional
-        What takes no part in the fits: what is known to move.
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
@@ -81,11 +79,8 @@ def evidence_of(motion: ImageMotion, frame: int, ignored: np.ndarray | None = No
         if led.steps not in AWAY:
             continue
         flow = led.places - start
-        trust = np.float32(led.found)
-        if ignored is not None:
-            trust[ignored] = 0
         try:
-            fitted = camera_motion(flow, trust, camera)
+            fitted = camera_motion(flow, np.float32(led.found), camera)
         except TooFewPixelsError:
             continue
         usual = fitted.residual + LEAST_DEVIATION * max(shape) * led.steps**0.5

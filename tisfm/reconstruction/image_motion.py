@@ -16,6 +16,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 # There and back, a point ends no further from where it was: px, and a share of the way.
 RETURN, RETURN_SHARE = 0.5, 0.05
+HELD = 20  # steps in memory at a time: as many as a frame is led over, and some more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +136,7 @@ class ImageMotion:
     def _step(self, frame: int) -> tuple[Step, np.ndarray, np.ndarray]:
         """Return the motion from a frame to the next, and where it leads back, both ways."""
         if frame not in self._held:
-            while len(self._held) >= 8:
+            while len(self._held) >= HELD:
                 self._held.pop(next(iter(self._held)))
             step = self._steps[frame]
             self._held[frame] = (

@@ -4,7 +4,7 @@ To a thing, the camera is what moves: its path and depth are found as those of a
 are, from what belongs to the thing alone.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,14 +16,14 @@ from tisfm.reconstruction.depths import FrameDepth, PieceDepths, effort_of
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.moving_object import MovingObject, ScaleFrom
 from tisfm.reconstruction.path import PathFinder
-from tisfm.reconstruction.tracks import CELLS, Seen
+from tisfm.reconstruction.tracks import CELLS
 from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 
 FEWEST_FRAMES, FEWEST_PIXELS = 3, 400
 RIM = 5  # px that no track comes nearer to the thing's border, across
 FINEST = 6  # px from track to track
-# Of its points along an axis: the extent leaves out as many at both ends; and of its middle.
+# Of its points along an axis: the extent leaves out as many at both ends.
 OUTLYING = 0.03
 AROUND = 15  # px about a thing, that may tell how far away it is
 
@@ -121,15 +121,10 @@ def own_path(
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
     piece = max(path.pieces, key=lambda one: len(one.poses))
-    depths = list(_depths(own, piece, path.seen, settings)) if with_depth else []
+    depths: list[FrameDepth] = []
+    if with_depth:
+        depths += PieceDepths(own, piece, path.seen, settings, effort=effort_of(settings))
     return OwnPath(frames=numbers, piece=piece, depths=depths)
-
-
-def _depths(
-    own: _FramesOf, piece: Piece, seen: Sequence[Seen], settings: Settings
-) -> Iterator[FrameDepth]:
-    """Yield the depth of a thing in the frames of a piece."""
-    yield from PieceDepths(own, piece, seen, settings, effort=effort_of(settings))
 
 
 def placed(
