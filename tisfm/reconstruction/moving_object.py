@@ -29,7 +29,8 @@ class MovingObject:
         Its lengths along its axes, in the unit of the poses; NaN if it has none.
     scale_from : {"contact", "around", "none"}
         What its size is from, which motion alone does not show: where it stands on what is at
-        rest; or, roughly, the depth of what is around it. ``"none"`` if it has no poses.
+        rest; or, roughly, the depth of what is around it. ``"none"`` if it has no poses,
+        or no depth to tell by.
     message : str
         Why it has no poses, or few.
     """

@@ -168,8 +168,10 @@ def placed(
     scale_from: ScaleFrom = "around"
     if len(contacts) >= max(2, len(own.depths) / 4):
         scale, scale_from = float(np.median(contacts)), "contact"
+    elif around:
+        scale = float(np.median(around))
     else:
-        scale = float(np.median(around)) if around else 1.0
+        scale, scale_from = 1.0, "none"
     points = np.array([*own.piece.points.values()]).reshape(-1, 3)
     middle = np.median(points, axis=0)
     low, high = np.quantile(points, [OUTLYING, 1 - OUTLYING], axis=0)
