@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.motion.flow_proposals import proposals
 from tisfm.motion.problems import flow_problem
 from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import share_of, smaller
@@ -155,7 +156,8 @@ class ImageMotion:
             presmoothing=self._settings.presmoothing,
         )
         problem = flow_problem(self._settings, pyramid.cameras[0].focal)
-        return cv2.merge(list(coarse_to_fine(pyramid, problem).unknowns.flow()))
+        solution = coarse_to_fine(pyramid, problem, amendment=proposals(pyramid, problem))
+        return cv2.merge(list(solution.unknowns.flow()))
 
 
 def returning(there: np.ndarray, back: np.ndarray) -> np.ndarray:
