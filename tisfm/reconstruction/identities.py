@@ -34,9 +34,9 @@ MOST, OTHER_THAN_CARRIED = 16.0, 2.0  # of costs: of a motion, and of another la
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is known, and others
 MOST_THINGS = 255
 LASTING = 4  # frames, at least, of a thing
-# Of the frames with two things: where they touch in as many, they are parts of one, if they go
-# together, or anyway.
-TOGETHER, NEVER_APART = 0.7, 0.95
+# Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
+# they go together; or anyway, where they touch in as many of the frames that show both.
+TOGETHER, TOUCHING, NEVER_APART = 0.7, 0.5, 0.9
 GOING_TOGETHER = 0.3  # of the faster one's motion: how far that of parts of one may differ
 
 
@@ -298,10 +298,10 @@ class Identities:
     def _belongs(self, part: int, other: int) -> bool:
         """Return whether two things were hardly apart, and so are parts of one."""
         touching = self._times(self._touching, part, other)
-        lasting = len(self._things[part].motions)
-        if touching < TOGETHER * lasting:
-            return False
-        return touching >= NEVER_APART * lasting or self._go_together(part, other)
+        mine, others = self._things[part].motions, self._things[other].motions
+        if touching >= max(1, TOUCHING * len(mine), NEVER_APART * len(mine.keys() & others.keys())):
+            return True
+        return touching >= TOGETHER * len(mine) and self._go_together(part, other)
 
     @staticmethod
     def _times(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
