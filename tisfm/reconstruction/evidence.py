@@ -60,6 +60,18 @@ class Evidence:
         """Return what a frame says on average, (H, W) float32: where none does, it is at rest."""
         return (self.moving + np.float32(DOUBT * AT_REST)) / (self.weight + np.float32(DOUBT))
 
+    def judged_by(self, many: "Evidence") -> "Evidence":
+        """Return this, of two frames at a time, with what many frames say together.
+
+        What looks at rest at two frames may be something that moves along epipolar lines. So it
+        counts as far as many frames bear it out.
+        """
+        borne_out = (self.moving > 0) | (many.moving < 0)
+        return Evidence(
+            moving=borne_out * self.moving + many.moving,
+            weight=borne_out * self.weight + many.weight,
+        )
+
 
 def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     """Return what a frame's motion to others says.

@@ -24,6 +24,9 @@ from tisfm.reconstruction.smooth_motion import FEWEST, Moves, Terms
 CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
 HIDDEN = 15  # frames that a thing may be hidden
 ALIKE = 0.6  # of 1: the overlap of histograms of the same thing, at least
+# Of its size: how far it may be from where its motion leads, and the more of that each frame.
+NEAR, FARTHER = 1.5, 0.1
+REAPPEARED = 0.2  # of a thing that was hidden has to be seen, for it to be known again
 BINS = 16  # of grey levels
 GROWING = 0.1  # of a thing's size: how far it may reach beyond where it was
 HALF, LITTLE = 0.5, 0.15  # of a thing is seen: less shows an affine motion, or a velocity, at most
@@ -35,9 +38,11 @@ SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is k
 MOST_THINGS = 255
 LASTING = 4  # frames, at least, of a thing
 # Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
-# they go together; or anyway, where they touch in as many of the frames that show both.
-TOGETHER, TOUCHING, NEVER_APART = 0.7, 0.5, 0.9
-GOING_TOGETHER = 0.3  # of the faster one's motion: how far that of parts of one may differ
+# they go together; or where they touch in as many of the frames that show both, go roughly together
+# and stay where they are beside each other, but for so many times the larger one's size.
+TOGETHER, TOUCHING, NEVER_APART, SHIFTED = 0.7, 0.5, 0.9, 1.5
+MIDDLE = (0.1, 0.9)  # of frames: what the others show does not count for that
+GOING_TOGETHER, ROUGHLY = 0.3, 0.9  # of the faster one's motion: how far that of parts may differ
 
 
 @dataclass(kw_only=True)
@@ -63,6 +68,8 @@ class _Thing:
         Of all frames.
     motions : dict of int to (2,) float64
         Mean motion beside that of what is around it, by frame.
+    places : dict of int to (3,) float64
+        Its centre, (x, y), and size, the root of its area, px, by frame.
     """
 
     id: int
@@ -74,11 +81,11 @@ class _Thing:
     core: int = 0
     pixels: int = 0
     motions: dict[int, np.ndarray] = field(default_factory=dict)
+    places: dict[int, np.ndarray] = field(default_factory=dict)
 
     def center(self) -> np.ndarray:
         """Return the centre of where it was last, with what others hid of it, (x, y) px."""
-        rows, columns = np.nonzero(self.whole)
-        return np.array([columns.mean(), rows.mean()])
+        return _center(self.whole)
 
 
 class Identities:
@@ -104,19 +111,19 @@ class Identities:
         found: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
         before = None
         for frame in range(len(self._motion)):
-            parts = list(moving_parts(self._motion.grey(frame), self._evidence[frame]))
-            before = self._labelled(frame, parts, before)
+            before = self._labelled(frame, before)
             found.append(before)
         table = self._lasting()
         for labels in found:
             yield table[labels]
 
-    def _labelled(
-        self, frame: int, parts: Sequence[tuple[np.ndarray, bool]], before: np.ndarray | None
-    ) -> np.ndarray:
-        """Return the labels of a frame, (H, W) int32, of which the parts are given that move."""
-        labels = np.zeros(self._motion.grey(frame).shape, np.int32)
+    def _labelled(self, frame: int, before: np.ndarray | None) -> np.ndarray:
+        """Return the labels of a frame, (H, W) int32, after those of the frame before."""
+        grey = self._motion.grey(frame)
+        labels = np.zeros(grey.shape, np.int32)
         carried = np.zeros_like(labels) if before is None else self._carried(frame, before)
+        known = np.isin(carried, [k for k, thing in self._things.items() if thing.core >= LASTING])
+        parts = list(moving_parts(grey, self._evidence[frame], known))
         moves = Moves(self._motion, frame)
         for part, _ in parts:
             counts = np.bincount(carried[part], minlength=1)
@@ -206,21 +213,27 @@ class Identities:
     def _again(self, frame: int, part: np.ndarray, labels: np.ndarray, carried: np.ndarray) -> int:
         """Return the thing that a part is which was hidden; 0 if it is none."""
         there = set(np.unique(labels)) | set(np.unique(carried))
-        rows, columns = np.nonzero(part)
-        center = np.array([columns.mean(), rows.mean()])
+        place = np.array([*_center(part), part.sum() ** 0.5])
         look = self._look(frame, part)
         best, found = 0.0, 0
         for thing in self._things.values():
             away = frame - thing.seen
-            if thing.id in there or not 0 < away <= HIDDEN + 1 or not thing.whole.any():
+            hidden = thing.id not in there and 0 < away <= HIDDEN + 1
+            if not hidden or part.sum() <= REAPPEARED * thing.whole.sum():
                 continue
-            size = np.sqrt(max(part.sum(), thing.whole.sum()))
-            expected = thing.center() + away * thing.velocity
-            far = np.linalg.norm(center - expected) / (size * (1 + 0.1 * away))
-            alike = float(np.sqrt(look * thing.look).sum())
-            if far < 1.5 and alike > ALIKE and alike / (1 + far) > best:
-                best, found = alike / (1 + far), thing.id
+            alike = self._alike(thing, place, look, away)
+            if alike > best:
+                best, found = alike, thing.id
         return found
+
+    @staticmethod
+    def _alike(thing: _Thing, place: np.ndarray, look: np.ndarray, away: int) -> float:
+        """Return how far something is what a thing was so many frames ago; 0 if it is not."""
+        size = max(place[2], thing.whole.sum() ** 0.5)
+        expected = thing.center() + away * thing.velocity
+        far = float(np.linalg.norm(place[:2] - expected) / (size * (1 + FARTHER * away)))
+        alike = float(np.sqrt(look * thing.look).sum())
+        return alike / (1 + far) if far < NEAR and alike > ALIKE else 0.0
 
     def _begun(self, frame: int) -> int:
         number = 1 + max(self._things, default=0)
@@ -260,6 +273,7 @@ class Identities:
             around &= labels == 0
             rest = np.median(flow[around], axis=0) if around.any() else np.zeros(2)
             thing.motions[frame] = moved - rest
+            thing.places[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
         moving = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for part, core in parts:
             for number in np.unique(labels[part & (labels > 0)]):
@@ -282,6 +296,9 @@ class Identities:
                 whole[part] = max(larger, key=lambda k: self._times(self._touching, part, k))
         for part in reversed(by_size):  # the larger come first
             whole[part] = whole[whole[part]]
+        for late in sorted(self._things):  # whole things that are seen again
+            if whole[late] == late and (earlier := self._seen_before(late, whole)):
+                whole[whole == late] = whole[earlier]
         table, number = np.zeros(count, np.uint8), 0
         for thing in sorted(self._things):
             if whole[thing] != thing:
@@ -295,24 +312,54 @@ class Identities:
                 table[same] = number
         return table
 
+    def _seen_before(self, late: int, whole: np.ndarray) -> int:
+        """Return the thing that was hidden before another began, and looks like it; 0 if none."""
+        thing = self._things[late]
+        frames = [f for k in np.flatnonzero(whole == late) for f in self._things[int(k)].motions]
+        first = min(frames)
+        best, found = 0.0, 0
+        for other in self._things.values():
+            away = first - other.seen
+            if not 0 < away <= HIDDEN + 1 or first not in thing.places:
+                continue
+            alike = self._alike(other, thing.places[first], thing.look, away)
+            if alike > best:
+                best, found = alike, other.id
+        return found
+
     def _belongs(self, part: int, other: int) -> bool:
         """Return whether two things were hardly apart, and so are parts of one."""
         touching = self._times(self._touching, part, other)
         mine, others = self._things[part].motions, self._things[other].motions
-        if touching >= max(1, TOUCHING * len(mine), NEVER_APART * len(mine.keys() & others.keys())):
+        both = len(mine.keys() & others.keys())
+        if touching < max(1, TOUCHING * len(mine)) or not both:
+            return False
+        differing = self._differing(part, other)
+        if touching >= TOGETHER * len(mine) and differing < GOING_TOGETHER:
             return True
-        return touching >= TOGETHER * len(mine) and self._go_together(part, other)
+        never_apart = touching >= NEVER_APART * both
+        return never_apart and differing < ROUGHLY and self._shifted(part, other) < SHIFTED
 
     @staticmethod
     def _times(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
         return counts.get((min(first, second), max(first, second)), 0)
 
-    def _go_together(self, first: int, second: int) -> bool:
+    def _differing(self, first: int, second: int) -> float:
+        """Return how far the motions of two things differ, as a share of the faster one's."""
         one, two = self._things[first].motions, self._things[second].motions
         frames = sorted(one.keys() & two.keys())
         apart = np.linalg.norm([one[f] - two[f] for f in frames], axis=1)
         fast = np.maximum(*(np.linalg.norm([m[f] for f in frames], axis=1) for m in (one, two)))
-        return bool(np.median(apart) < GOING_TOGETHER * np.median(fast))
+        return float(np.median(apart) / max(np.median(fast), 1e-9))
+
+    def _shifted(self, first: int, second: int) -> float:
+        """Return how far two things move beside each other, in sizes of the larger."""
+        one, two = self._things[first].places, self._things[second].places
+        frames = sorted(one.keys() & two.keys())
+        sizes = [max(one[f][2], two[f][2]) for f in frames]
+        beside = np.array([(one[f] - two[f])[:2] for f in frames]) / np.array(sizes)[:, None]
+        least, most = np.quantile(beside, MIDDLE, axis=0)
+        return float(np.linalg.norm(most - least))
 
     def _carried(self, frame: int, before: np.ndarray) -> np.ndarray:
         """Return the labels of the frame before where the image motion carries them, or else 0."""
@@ -330,6 +377,12 @@ class Identities:
 
     def _smallest(self, image: np.ndarray) -> int:
         return smallest_object(image.size)
+
+
+def _center(mask: np.ndarray) -> np.ndarray:
+    """Return the centre of a mask, (x, y) px."""
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()])
 
 
 def _box(mask: np.ndarray) -> tuple[int, int, int, int]:

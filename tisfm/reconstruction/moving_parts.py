@@ -12,20 +12,32 @@ from tisfm.reconstruction.evidence import DOUBT, Evidence
 # Of mean evidence: where the boundary lies; of a core, which a thing has to have, with so many
 # frames that say something; and the share of the smallest thing that is core.
 BOUNDARY, CORE, CORE_WEIGHT, CORE_SHARE = -0.3, 0.3, 1.5, 0.25
+KNOWN = 0.4  # of mean evidence: so much more, where something was seen to move before
 SURE = 4.0  # frames that say something: more have no more say in the boundary
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh in the boundary: those of sure evidence, and others
 
 
-def moving_parts(grey: np.ndarray, evidence: Evidence) -> Iterator[tuple[np.ndarray, bool]]:
-    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
+def moving_parts(
+    grey: np.ndarray, evidence: Evidence, known: np.ndarray
+) -> Iterator[tuple[np.ndarray, bool]]:
+    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core.
+
+    Parameters
+    ----------
+    grey : (H, W) float32
+    evidence : Evidence
+    known : (H, W) bool
+        What belongs to things that were seen to move before.
+    """
     mean = evidence.mean()
+    core = (mean > CORE) & (evidence.weight > CORE_WEIGHT)
+    mean += np.float32(KNOWN) * known
     costs = np.stack([2 * np.clip(mean - BOUNDARY, 0, 3), 4 * np.clip(BOUNDARY - mean, 0, 1)])
     weight = SEEN * np.clip((evidence.weight + DOUBT) / SURE, UNSEEN, 1)
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(
         moving.astype(np.uint8), connectivity=4
     )
-    core = (mean > CORE) & (evidence.weight > CORE_WEIGHT)
     cores = np.bincount(parts[core], minlength=count)
     smallest = smallest_object(grey.size)
     for part in range(1, count):

@@ -65,7 +65,7 @@ class SequenceLabels:
             moving = self._together[frame].mean() > BOUNDARY
             more = path_evidence(self._motion, frame, poses, small, moving)
             if more is not None:
-                own = Evidence(moving=own.moving + more.moving, weight=own.weight + more.weight)
+                own = own.judged_by(more)
             both.append(own)
         self._evidence = both
 
