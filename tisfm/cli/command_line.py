@@ -307,7 +307,12 @@ class Reconstruct:
     """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found.
     Those of TUM go by their times where frames have times, else by their order."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
-    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere. With
+    --motion objects, a folder of pictures with a palette of colours is --labels instead."""
+    labels: Annotated[str | None, arg(metavar="LABELS")] = None
+    """With --motion objects, what moves, if that is known: a folder of pictures whose values, or
+    indices of a palette, are 0 at rest, 1 to 254 for the thing of this id, and 255 where ignored;
+    of every frame, or of some that they are called like, from which they are carried to others."""
     motion: Literal["camera", "objects"] = "camera"
     """What moves on its own is left out where it does not fit ('camera'); or found, labelled in
     masks/ and objects.json, and given a path and a depth of its own ('objects')."""
@@ -344,6 +349,7 @@ class Reconstruct:
             frames=self.frames,
             poses=self.poses,
             mask=self.mask,
+            labels=self.labels,
             depth_of=self.depth_of,
             scale=self.scale,
             ply=self.ply,

@@ -16,11 +16,12 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.folder import CACHE, begin
+from tisfm.reconstruction.folder import CACHE, begin, masks_of_result
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.labels import GivenLabels, holds_labels
 from tisfm.sources.masks import Mask
 from tisfm.trajectory import Trajectory
 
@@ -33,6 +34,7 @@ def reconstruct(
     settings: Settings | None = None,
     poses: npt.ArrayLike | Trajectory | None = None,
     mask: Mask | None = None,
+    labels: GivenLabels | None = None,
     depth_of: DepthOf = "all",
     step: int = 1,
     start: int = 0,
@@ -79,6 +81,18 @@ def reconstruct(
         gets the pose nearest in time, within half the time from a frame to the next.
     mask : optional
         Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
+        With ``motion="objects"``, masks of every frame that hold the numbers of several things are
+        `labels` instead: pictures with a palette of colours, or arrays of integers in which there
+        are several numbers from 1 to 254.
+    labels : optional
+        With ``motion="objects"``, what moves on its own, if that is known: 0 is at rest, 1 to 254
+        is the thing with this id, and 255 is ignored. Nothing is searched for then. A folder or
+        pattern of pictures, whose values or indices of a palette count, which belong to the frames
+        that they are called like, or else to all in order; the folder of a reconstruction; an
+        (N, H, W) array of integers; a list with None for frames without; or a mapping from numbers
+        or names of frames of the source, as ``{0: labels}``. They have the size of frames before
+        these are cropped and shrunk, or after. To frames without labels, those of the nearest frame
+        that has some are carried along the image motion.
     depth_of : {"all", "keyframes", "none"}
         The frames that depth is found of: every frame; keyframes alone, which takes less time and
         room; or none, for the path alone, whose unit is then the median depth of tracks in the
@@ -124,6 +138,7 @@ def reconstruct(
     if depth_of == "none" and poses is not None:
         raise ValueError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else _checked_poses(poses)
+    mask, labels = _mask_and_labels(mask, labels, settings)
     frames = FrameSource(
         source,
         step=step,
@@ -132,6 +147,7 @@ def reconstruct(
         size=size,
         crop=crop,
         mask=mask,
+        labels=labels,
         bad_frames=bad_frames,
     )
     if given is not None and bad_frames == "skip":
@@ -176,6 +192,23 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
     for file in files:
         if place in file.resolve().parents:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
+
+
+def _mask_and_labels(
+    mask: Mask | None, labels: GivenLabels | None, settings: Settings
+) -> tuple[Mask | None, GivenLabels | None]:
+    """Return what counts, and which things there are, where they are given as either."""
+    if settings.motion != "objects":
+        if labels is not None:
+            raise ValueError(
+                f'labels are given and motion is "{settings.motion}": expected motion="objects"'
+            )
+        return mask, None
+    if labels is None and mask is not None and holds_labels(mask):
+        mask, labels = None, mask
+    if isinstance(labels, (str, os.PathLike)):
+        labels = masks_of_result(Path(labels)) or labels
+    return mask, labels
 
 
 def _check_for_objects(camera: Camera | None, calibrate: Calibrate) -> None:

@@ -70,7 +70,7 @@ class PreparedFrames:
         image = check_frame(frame.image, frame.name)
         grey, _ = grey_pair(image, image, stretch=frame.stretch)
         picture = eight_bit(image, image, stretch=frame.stretch)
-        ignored = frame.ignored
+        ignored, labels = frame.ignored, frame.labels
         if ignored is not None and ignored.any():
             grey = filled(grey, ignored)
         if not self._taken.is_pinhole:
@@ -79,6 +79,8 @@ class PreparedFrames:
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
                 ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
+            if labels is not None:
+                labels = _moved(labels, self._lens)
             missing = ~self._lens.valid
             ignored = missing if ignored is None else ignored | missing
         self.shape = grey.shape
@@ -88,6 +90,8 @@ class PreparedFrames:
             np.save(self._mask_path(number), ignored)
             self._masked.add(number)
         write_picture(self._picture_path(number), picture)
+        if labels is not None:
+            self.label(number, labels)
         self.count += 1
         return whole, ignored
 
@@ -149,8 +153,7 @@ class PreparedFrames:
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), map_.apply(picture))
         if number in self._labelled:
-            moved = map_.nearest(self.labels(number).astype(np.float32))
-            self.label(number, np.nan_to_num(moved).astype(np.uint8))
+            self.label(number, _moved(self.labels(number), map_))
 
     def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
         """Return a frame as the tracker takes it, as `add` does."""
@@ -229,6 +232,11 @@ class PreparedFrames:
 
     def _picture_path(self, number: int) -> Path:
         return self._pictures / f"{number:06d}.jpg"
+
+
+def _moved(labels: np.ndarray, map_: Resampling) -> np.ndarray:
+    """Return labels, (H, W) uint8, of another grid; 0 where there are none."""
+    return np.nan_to_num(map_.nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
 def _as_it_was(path: Path) -> Path:

@@ -1,18 +1,21 @@
 """The path through what is at rest, where things move on their own."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
+import cv2
 import numpy as np
 
+from tisfm.reconstruction.carried_labels import carried_labels
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.path import CameraPath
-from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.reconstruction.image_motion import ImageMotion
+from tisfm.reconstruction.path import TRACKING, CameraPath
+from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
 
 
 def path_at_rest(
-    frames: PreparedFrames, labels: SequenceLabels, path_of: Callable[[], CameraPath]
+    frames: PreparedFrames, labels: SequenceLabels | None, path_of: Callable[[], CameraPath]
 ) -> CameraPath:
-    """Label what moves on its own, and return the path that is left.
+    """Label what moves on its own, unless it is, and return the path that is left.
 
     The first labels need no path. Under that which they leave, many frames say more.
 
@@ -20,16 +23,35 @@ def path_at_rest(
     ----------
     frames : PreparedFrames
         They take the labels.
-    labels : SequenceLabels
-        That has the frames.
+    labels : SequenceLabels or None
+        That has the frames; None where they have labels that are given.
     path_of : callable
         Returns the path of the frames as they are.
     """
+    if labels is None:
+        return path_of()
     _label(frames, labels.found())
     path = path_of()
     if _label(frames, labels.found(_poses(path, frames.count), path.camera.pinhole())):
         path = path_of()
     return path
+
+
+def label_others(frames: PreparedFrames, known: Sequence[int]) -> None:
+    """Carry the labels of frames that have some, in order, to those that have none."""
+    if len(known) == frames.count:
+        return
+    motion = ImageMotion(frames.camera, TRACKING)
+    for number in range(frames.count):
+        motion.add(frames.tracked(number)[0])
+    height, width = motion.grey(0).shape
+
+    def labelled(number: int) -> np.ndarray:
+        size = (width, height)
+        return cv2.resize(frames.labels(number), size, interpolation=cv2.INTER_NEAREST_EXACT)
+
+    for number, labels in carried_labels(motion, known, labelled):
+        frames.label(number, enlarged_labels(labels, motion.share, frames.shape))
 
 
 def _label(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:

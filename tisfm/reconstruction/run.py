@@ -19,7 +19,7 @@ from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.frames_path import FramesPath
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.path import CameraPath
-from tisfm.reconstruction.path_at_rest import path_at_rest
+from tisfm.reconstruction.path_at_rest import label_others, path_at_rest
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
@@ -140,8 +140,10 @@ class Run:
         names: list[str] = []
         times: list[float | None] = []
         indices: list[int] = []
+        things = self._settings.motion == "objects"
         found: FramesPath | None = None
         labels: SequenceLabels | None = None
+        labelled: list[int] = []  # frames whose labels are given
         total = _count(self._source)
         with closing(self._source.frames()) as frames:
             for frame in frames:
@@ -155,14 +157,17 @@ class Run:
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    found = self._frames_path()
-                    if self._settings.motion == "objects":
+                    if not things:
+                        found = self._frames_path()
+                    elif not self._source.has_labels:
                         labels = SequenceLabels(self._frames.camera)
                 grey, ignored = self._frames.add(frame)
                 if labels is not None:
                     labels.add(grey)
                 elif found is not None:
                     found.add(grey, ignored)
+                if frame.labels is not None:
+                    labelled.append(len(names))
                 names.append(frame.name)
                 times.append(frame.time)
                 indices.append(frame.index)
@@ -170,22 +175,33 @@ class Run:
                     self._progress("reading", len(names), total)
                 except Enough:
                     break
-        if len(names) < 2 or found is None:
+        if len(names) < 2:
             raise ValueError(
                 f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
         instants = instants_of(indices, times)
-        if labels is None:
+        if found is not None:
             path = found.finish(times, instants)
         else:
+            if labels is None:
+                self._complete(labelled)
             path = path_at_rest(
                 self._frames, labels, lambda: self._path_of_what_counts(times, instants)
             )
         self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
+
+    def _complete(self, labelled: Sequence[int]) -> None:
+        """Label the frames whose labels are not given, from those whose are."""
+        if not labelled:
+            raise ValueError(
+                f"labels has none of a frame of {self._source.title} that is taken: expected those "
+                "of one at least"
+            )
+        label_others(self._frames, labelled)
 
     def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
         """Return the things that move on their own; their depth is written into that of frames."""

@@ -1,0 +1,74 @@
+"""`tisfm reconstruct --labels`: things that move, whose labels are given."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.cli.command_line import assert_one_line
+from tisfm.formats import write_png
+from tisfm.formats.label_picture import read_label_picture, write_label_png
+from tisfm.scenes import bodies_film, bodies_path
+
+COUNT = 6
+OPTIONS = ("--preset", "fast", "--depth-of", "none", "--focal", "96", "--motion", "objects")
+
+
+@cache
+def film():
+    return bodies_film(bodies_path(COUNT), 120, 160)
+
+
+@pytest.fixture
+def clip(place):
+    """Folders `film` of frames and `things` of their labels, for which tests run."""
+    for name in ("film", "things"):
+        (place / name).mkdir()
+    for k, (frame, labels) in enumerate(zip(film().frames, film().labels, strict=True)):
+        cv2.imwrite(f"film/f{k}.png", frame)
+        write_label_png(f"things/f{k}.png", labels)
+
+
+def masks(folder):
+    return np.stack([read_label_picture(path) for path in sorted(Path(folder, "masks").iterdir())])
+
+
+@pytest.mark.parametrize("option", ["--labels", "--mask"])
+def test_labels_of_every_frame(tisfm_run, clip, option):
+    code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *OPTIONS, option, "things")
+    assert code == 0 and "object 3: labelled in 6 frames" in err
+    np.testing.assert_array_equal(masks("out"), film().labels)
+    assert [t["id"] for t in json.loads(Path("out/objects.json").read_text())["objects"]] == [
+        1,
+        2,
+        3,
+    ]
+    assert len(tisfm.Reconstruction.load("out").objects) == 3
+
+
+def test_labels_of_the_first_frame_and_of_a_result(tisfm_run, clip):
+    first = ("--labels", "things/f0.png")
+    assert tisfm_run("reconstruct", "film", "-o", "out", *OPTIONS, *first)[0] == 0
+    found = masks("out")
+    np.testing.assert_array_equal(found[0], film().labels[0])
+    assert all(set(np.unique(one)) == {0, 1, 2, 3} for one in found)
+    again = ("--labels", "out/masks")
+    assert tisfm_run("reconstruct", "film", "-o", "again", *OPTIONS, *again)[0] == 0
+    np.testing.assert_array_equal(masks("again"), found)
+
+
+def test_what_are_no_labels(tisfm_run, clip):
+    def refused(*options, words):
+        code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *OPTIONS, *options)
+        assert_one_line(code, err, words)
+
+    refused("--labels", "gone", words="there is no picture or folder of labels gone")
+    refused("--labels", "things", "--motion", "camera", words='expected motion="objects"')
+    write_png("things/f0.png", np.dstack([film().labels[0], *film().labels[1:3]]))
+    refused("--labels", "things", words="picture of mode RGB: expected labels")
+    write_png("things/f0.png", film().labels[0][1:])
+    refused("--labels", "things", words="(119, 160), but that of frame f0 is (120, 160)")
