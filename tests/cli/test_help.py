@@ -67,6 +67,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--motion",
                 "--mask",
                 "--labels",
+                "--object-sizes",
                 "--calibrate",
                 "--depth-of",
                 "--scale",

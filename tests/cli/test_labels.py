@@ -72,3 +72,29 @@ def test_what_are_no_labels(tisfm_run, clip):
     refused("--labels", "things", words="picture of mode RGB: expected labels")
     write_png("things/f0.png", film().labels[0][1:])
     refused("--labels", "things", words="(119, 160), but that of frame f0 is (120, 160)")
+
+
+def test_sizes(tisfm_run, clip):
+    labels = ("--labels", "things", "--object-sizes")
+    code, *_ = tisfm_run("reconstruct", "film", "-o", "out", *OPTIONS, *labels, "1=0.6", "3=0.41")
+    assert code == 0
+    for thing in tisfm.Reconstruction.load("out").objects:
+        expected = "size" if thing.id != 2 and np.isfinite(thing.extent).all() else "none"
+        assert thing.scale_from == expected  # without depth, nothing else tells
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("1",), "--object-sizes has '1': expected ID=LENGTH, such as 3=4.5"),
+        (("a=1",), "--object-sizes has 'a=1'"),
+        (("1=-1",), "object_sizes[1] is -1.0: expected a positive length"),
+        (("7=1",), "has one of 7, but the ids of what moves are: 1, 2, 3"),
+        (("1=1", "--scale", "0", "5", "1"), "--scale would change the unit"),
+        (("1=1", "--motion", "camera"), 'expected motion="objects"'),
+    ],
+)
+def test_what_are_no_sizes(tisfm_run, clip, more, words):
+    options = (*OPTIONS, *(() if "camera" in more else ("--labels", "things")))
+    code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *options, "--object-sizes", *more)
+    assert_one_line(code, err, words)

@@ -32,6 +32,7 @@ def found(tmp_path_factory):
         camera=film().camera,
         settings=OBJECTS,
         depth_of="keyframes",
+        object_sizes={1: 0.5},
         folder=tmp_path_factory.mktemp("objects") / "result",
     )
 
@@ -100,6 +101,12 @@ def test_a_result_is_loaded_as_it_was_saved(found, tmp_path):
         assert (one.id, one.frames, one.scale_from) == (two.id, two.frames, two.scale_from)
         np.testing.assert_array_equal(one.poses, two.poses)
         np.testing.assert_array_equal(one.extent, two.extent)
+
+
+def test_sizes_are_of_things_that_are_found(found):
+    for thing in found.objects:
+        expected = thing.id == 1 and np.isfinite(thing.extent).all()
+        assert (thing.scale_from == "size") == expected
 
 
 def test_rescaling_takes_things_along(found):

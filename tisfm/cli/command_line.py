@@ -316,6 +316,9 @@ class Reconstruct:
     motion: Literal["camera", "objects"] = "camera"
     """What moves on its own is left out where it does not fit ('camera'); or found, labelled in
     masks/ and objects.json, and given a path and a depth of its own ('objects')."""
+    object_sizes: Annotated[tuple[str, ...], arg(metavar="ID=LENGTH [ID=LENGTH ...]")] = ()
+    """With --motion objects, how long things are, by their ids: the longest side of the smallest
+    box around each, in the unit of --poses. It sets their scale."""
     depth_of: DepthOf = "all"
     """The frames that depth is found of: all, keyframes alone, or none, for the path alone."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
@@ -350,6 +353,7 @@ class Reconstruct:
             poses=self.poses,
             mask=self.mask,
             labels=self.labels,
+            object_sizes=_sizes(self.object_sizes),
             depth_of=self.depth_of,
             scale=self.scale,
             ply=self.ply,
@@ -372,6 +376,20 @@ class Reconstruct:
         if options.focal == "guess" and self.calibrate not in (None, "nothing"):
             raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")
         return None
+
+
+def _sizes(given: Sequence[str]) -> dict[int, float]:
+    """Return lengths by ids, of words such as 3=4.5."""
+    sizes = {}
+    for word in given:
+        number, _, length = word.partition("=")
+        try:
+            sizes[int(number)] = float(length)
+        except ValueError:
+            raise ValueError(
+                f"--object-sizes has {word!r}: expected ID=LENGTH, such as 3=4.5"
+            ) from None
+    return sizes
 
 
 @dataclass(kw_only=True)

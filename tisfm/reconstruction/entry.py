@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +17,7 @@ from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.folder import CACHE, begin, masks_of_result
+from tisfm.reconstruction.object_sizes import checked_object_sizes
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.settings import Settings
@@ -35,6 +36,7 @@ def reconstruct(
     poses: npt.ArrayLike | Trajectory | None = None,
     mask: Mask | None = None,
     labels: GivenLabels | None = None,
+    object_sizes: Mapping[int, float] | None = None,
     depth_of: DepthOf = "all",
     step: int = 1,
     start: int = 0,
@@ -93,6 +95,11 @@ def reconstruct(
         or names of frames of the source, as ``{0: labels}``. They have the size of frames before
         these are cropped and shrunk, or after. To frames without labels, those of the nearest frame
         that has some are carried along the image motion.
+    object_sizes : mapping of int to float, optional
+        With ``motion="objects"``, how long things are, by their ids: the longest side of the
+        smallest box around each, in the unit of the poses. It sets the scale of their path and
+        depth, and `MovingObject.scale_from` is ``"size"``. Where poses are given, that is their
+        unit; or else one in which the median depth of the first keyframe is 1.
     depth_of : {"all", "keyframes", "none"}
         The frames that depth is found of: every frame; keyframes alone, which takes less time and
         room; or none, for the path alone, whose unit is then the median depth of tracks in the
@@ -139,6 +146,11 @@ def reconstruct(
         raise ValueError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else _checked_poses(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
+    sizes = checked_object_sizes(object_sizes)
+    if sizes and settings.motion != "objects":
+        raise ValueError(
+            f'object_sizes are given and motion is "{settings.motion}": expected motion="objects"'
+        )
     frames = FrameSource(
         source,
         step=step,
@@ -176,7 +188,8 @@ def reconstruct(
 
     path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
-        result = Run(frames, camera, calibrate, settings, given, path, progress, depth_of).result()
+        run = Run(frames, camera, calibrate, settings, given, path, progress, depth_of, sizes)
+        result = run.result()
     except BaseException:
         if temporary is not None:
             temporary.cleanup()  # what was raised may be kept for long, and this with it

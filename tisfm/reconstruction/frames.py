@@ -182,6 +182,10 @@ class PreparedFrames:
             return np.zeros(self.shape, np.uint8)
         return read_labels(self._pictures.parent, number, self.shape)
 
+    def things(self) -> set[int]:
+        """Return the things that frames show, by their labels."""
+        return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
+
     def ignored(self, number: int) -> np.ndarray | None:
         """Return what is masked in a frame, (H, W) bool; None for nothing."""
         if number not in self._masked:

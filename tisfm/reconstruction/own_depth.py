@@ -1,5 +1,6 @@
 """The things of a sequence: each with its path, and its depth in that of the frames."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,8 +8,9 @@ import numpy as np
 
 from tisfm.reconstruction.folder import depth_path, read_depth, write_depth
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.moving_object import MovingObject, seen_objects
-from tisfm.reconstruction.own_path import own_path, placed
+from tisfm.reconstruction.moving_object import MovingObject, ScaleFrom, seen_objects
+from tisfm.reconstruction.own_path import OwnPath, own_path
+from tisfm.reconstruction.own_scale import own_scale, reach
 from tisfm.settings import Settings
 
 
@@ -20,6 +22,7 @@ def objects_with_depth(
     settings: Settings,
     *,
     with_depth: bool = True,
+    sizes: Mapping[int, float] | None = None,
 ) -> tuple[MovingObject, ...]:
     """Return the things that move on their own; their depth is written into that of frames.
 
@@ -36,6 +39,8 @@ def objects_with_depth(
     settings : Settings
     with_depth : bool
         Or the paths alone.
+    sizes : mapping of int to float, optional
+        Lengths of things by their ids, in the unit of the poses, where they are known.
     """
 
     def at_rest(frame: int) -> np.ndarray:
@@ -50,8 +55,9 @@ def objects_with_depth(
         if isinstance(own, str):
             found.append(replace(thing, message=own))
             continue
-        thing, scale = placed(thing, own, world, at_rest, frames.labels)
-        found.append(thing)
+        size = (sizes or {}).get(thing.id)
+        scale, scale_from = own_scale(own, thing.id, at_rest, frames.labels, size)
+        found.append(placed(thing, own, world, scale, scale_from))
         for depth in own.depths:
             frame = own.frames[depth.frame]
             if piece[frame] != largest or not depth_path(folder, frame).exists():
@@ -62,3 +68,31 @@ def objects_with_depth(
             deviation[mine] = depth.deviation[mine] / scale
             write_depth(folder, frame, inverse_depth, deviation)
     return tuple(found)
+
+
+def placed(
+    thing: MovingObject, own: OwnPath, poses: np.ndarray, scale: float, scale_from: ScaleFrom
+) -> MovingObject:
+    """Return a thing with its path in the world.
+
+    Parameters
+    ----------
+    thing : MovingObject
+    own : OwnPath
+    poses : (N, 4, 4) array
+        Of the camera, camera to world.
+    scale : float
+        What its own unit is in the world's.
+    scale_from : {"size", "contact", "around", "none"}
+    """
+    points = own.points()
+    moved = np.eye(4)
+    moved[:3, 3] = -np.median(points, axis=0)
+    at = {frame: k for k, frame in enumerate(thing.frames)}
+    found = thing.poses.copy()
+    for number, pose in own.piece.poses.items():
+        frame = own.frames[number]
+        own_to_camera = np.linalg.inv(moved @ pose)  # of the object, in its own unit
+        own_to_camera[:3, 3] *= scale
+        found[at[frame]] = poses[frame] @ own_to_camera
+    return replace(thing, poses=found, extent=scale * reach(points), scale_from=scale_from)

@@ -1,7 +1,7 @@
 """One reconstruction, from the source to the folder: reading, the path, depth."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_reco
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.frames_path import FramesPath
 from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.object_sizes import refuse_unknown
 from tisfm.reconstruction.path import CameraPath
 from tisfm.reconstruction.path_at_rest import label_others, path_at_rest
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
@@ -65,6 +66,8 @@ class Run:
         As for `tisfm.reconstruct`.
     depth_of : {"all", "keyframes", "none"}
         The frames that depth is found of.
+    object_sizes : mapping of int to float, optional
+        Lengths of things that move, by their ids.
     """
 
     def __init__(
@@ -77,10 +80,12 @@ class Run:
         folder: Path,
         progress: Progress | None,
         depth_of: DepthOf = "all",
+        object_sizes: Mapping[int, float] | None = None,
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._given, self._folder = poses, folder
         self._calibrate, self._depth_of = calibrate, depth_of
+        self._sizes = object_sizes or {}
         self._progress: Progress = progress or (lambda stage, done, total: None)
         self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
         self._guess: FocalGuess | None = None
@@ -190,6 +195,7 @@ class Run:
             path = path_at_rest(
                 self._frames, labels, lambda: self._path_of_what_counts(times, instants)
             )
+            refuse_unknown(self._sizes, self._frames.things())
         self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
@@ -202,6 +208,7 @@ class Run:
                 "of one at least"
             )
         label_others(self._frames, labelled)
+        refuse_unknown(self._sizes, self._frames.things())  # before what takes long
 
     def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
         """Return the things that move on their own; their depth is written into that of frames."""
@@ -209,9 +216,14 @@ class Run:
             return ()
         from tisfm.reconstruction.own_depth import objects_with_depth
 
-        with_depth = self._depth_of != "none"
         return objects_with_depth(
-            self._frames, self._folder, poses, piece, self._settings, with_depth=with_depth
+            self._frames,
+            self._folder,
+            poses,
+            piece,
+            self._settings,
+            with_depth=self._depth_of != "none",
+            sizes=self._sizes,
         )
 
     def _frames_path(self) -> FramesPath:
