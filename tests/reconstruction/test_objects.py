@@ -129,11 +129,6 @@ def test_a_result_without_objects_has_no_labels():
 
 def test_what_cannot_be_combined_is_refused():
     frames = list(film().frames[:4])
-    with pytest.raises(ValueError, match="radial"):
-        tisfm.reconstruct(frames, settings=OBJECTS, calibrate="radial")
-    rolling = tisfm.Camera(focal=200.0, readout=0.5)
-    with pytest.raises(ValueError, match="readout"):
-        tisfm.reconstruct(frames, settings=OBJECTS, camera=rolling)
     with pytest.raises(ValueError, match="motion"):
         tisfm.reconstruct(frames, settings=tisfm.Settings.preset("fast"))
     with pytest.raises(ValueError, match="motion"):

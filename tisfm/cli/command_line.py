@@ -44,8 +44,8 @@ class CameraOptions:
     resampled first."""
     readout: float | None = None
     """How long a frame is read, row after row, as a share of the time from a frame to the next; 0
-    where all rows are read at once. By default reconstruct finds it, and pairs take it as 0; what
-    it moves is undone for motion "camera"."""
+    where all rows are read at once. By default reconstruct finds it for motion 'camera'; elsewhere
+    it counts as 0. What it moves is undone by reconstruct, and in pairs for motion 'camera'."""
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""

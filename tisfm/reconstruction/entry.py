@@ -76,7 +76,8 @@ def reconstruct(
         By default the preset ``"balanced"`` with ``motion="camera"``: what moves on its own takes
         part in nothing, as far as it does not fit the rest. With ``motion="objects"`` it is found
         first, labelled in every frame, and left out of path and depth; each thing gets a path and
-        a depth of its own, as far as its motion shows them. Rows count as read at once then.
+        a depth of its own, as far as its motion shows them. A readout is undone then
+        if the camera states it, but not found.
     poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
         alone is found then, in their unit. Where a trajectory and all frames have times, each frame
@@ -129,10 +130,11 @@ def reconstruct(
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
-        settings ask for ``motion="field"``, or for ``"objects"`` with a readout or
-        ``calibrate="radial"``; if a file is no camera, or one of frames of another shape;
-        if poses are not (N, 4, 4), rigid, and as many as frames,
-        or none is near to a frame in time.
+        settings ask for ``motion="field"``; if a file is no camera, or one of frames of another
+        shape; if poses are not (N, 4, 4), rigid, and as many as frames, or none is near to a frame
+        in time; if labels or sizes are given without ``motion="objects"``; if labels are not
+        numbers from 0 to 255 of the size of the frames, or masks may be labels or not; if sizes are
+        not positive, or of what does not move.
     """
     settings = checked_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
@@ -174,8 +176,6 @@ def reconstruct(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
-    if settings.motion == "objects":
-        _check_for_objects(stated, calibrate)
     if folder is not None:
         files = [file_of(camera)] if isinstance(camera, Path) else []
         _refuse_inside([*frames.files, *files], Path(folder))
@@ -222,20 +222,6 @@ def _mask_and_labels(
     if isinstance(labels, (str, os.PathLike)):
         labels = masks_of_result(Path(labels)) or labels
     return mask, labels
-
-
-def _check_for_objects(camera: Camera | None, calibrate: Calibrate) -> None:
-    """Refuse what would move pixels after things have been labelled."""
-    if calibrate == "radial":
-        raise ValueError(
-            'calibrate is "radial" and motion "objects": find the lens with motion="camera" first, '
-            "and give that camera"
-        )
-    if camera is not None and camera.readout:
-        raise ValueError(
-            f'the camera has a readout of {camera.readout:g} and motion is "objects", which takes '
-            "rows as read at once: leave the readout out"
-        )
 
 
 def checked_camera(

@@ -1,10 +1,12 @@
 """The path through what is at rest, where things move on their own."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.carried_labels import carried_labels
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.image_motion import ImageMotion
@@ -13,11 +15,16 @@ from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
 
 
 def path_at_rest(
-    frames: PreparedFrames, labels: SequenceLabels | None, path_of: Callable[[], CameraPath]
+    frames: PreparedFrames,
+    labels: SequenceLabels | None,
+    path_of: Callable[[Calibrate | None], CameraPath],
+    take_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
     """Label what moves on its own, unless it is, and return the path that is left.
 
-    The first labels need no path. Under that which they leave, many frames say more.
+    The first labels need no path. Under that which they leave, many frames say more. If frames are
+    made anew for a lens or a shutter that was found with it, all begins again with these, as if
+    that camera had been given.
 
     Parameters
     ----------
@@ -26,15 +33,28 @@ def path_at_rest(
     labels : SequenceLabels or None
         That has the frames; None where they have labels that are given.
     path_of : callable
-        Returns the path of the frames as they are.
+        Returns the path of the frames as they are; what of the camera is found may be stated.
+    take_camera : callable
+        Lets frames have the camera of a path, and makes them anew where it asks for that.
     """
-    if labels is None:
-        return path_of()
-    _label(frames, labels.found())
-    path = path_of()
-    if _label(frames, labels.found(_poses(path, frames.count), path.camera.pinhole())):
-        path = path_of()
-    return path
+    if labels is not None:
+        _label(frames, labels.found())
+    path = path_of(None)
+    focal = path.focal
+    calibrate: Calibrate | None = None
+    if labels is not None and (path.rolling is not None or not path.camera.is_pinhole):
+        take_camera(path)
+        labels, calibrate = SequenceLabels(frames.camera), "nothing"
+        for number in range(frames.count):
+            labels.add(frames.tracked(number)[0])
+        _label(frames, labels.found())
+        path = path_of(calibrate)
+    if labels is not None and _label(
+        frames, labels.found(_poses(path, frames.count), path.camera.pinhole())
+    ):
+        path = path_of(calibrate)
+    take_camera(path)
+    return path if calibrate is None else replace(path, focal=focal)
 
 
 def label_others(frames: PreparedFrames, known: Sequence[int]) -> None:

@@ -189,14 +189,19 @@ class Run:
         instants = instants_of(indices, times)
         if found is not None:
             path = found.finish(times, instants)
+            self._take_camera(path)
         else:
             if labels is None:
                 self._complete(labelled)
-            path = path_at_rest(
-                self._frames, labels, lambda: self._path_of_what_counts(times, instants)
-            )
+
+            def path_of(calibrate: Calibrate | None) -> CameraPath:
+                anew = self._frames_path(calibrate)
+                for number in range(self._frames.count):
+                    anew.add(*self._frames.tracked(number))
+                return anew.finish(times, instants)
+
+            path = path_at_rest(self._frames, labels, path_of, self._take_camera)
             refuse_unknown(self._sizes, self._frames.things())
-        self._take_camera(path)
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
@@ -226,26 +231,19 @@ class Run:
             sizes=self._sizes,
         )
 
-    def _frames_path(self) -> FramesPath:
+    def _frames_path(self, calibrate: Calibrate | None = None) -> FramesPath:
         """Return what finds the path of the frames, or takes the one that is given."""
         stated = self._guess is not None and self._guess.origin == "exif"
-        together = self._settings.motion == "objects"  # rows count as read at once
+        readout = self._frames.camera.readout
+        if self._settings.motion == "objects":  # it is undone if it is given, but not looked for
+            readout = readout or 0.0
         return FramesPath(
             self._frames.camera,
             self._given,
-            self._calibrate,
+            calibrate or self._calibrate,
             limit=OF_EXIF if stated else WORTHLESS,
-            readout=0.0 if together else self._frames.camera.readout,
+            readout=readout,
         )
-
-    def _path_of_what_counts(
-        self, times: Sequence[float | None], instants: np.ndarray
-    ) -> CameraPath:
-        """Return the path that frames show which have been read."""
-        found = self._frames_path()
-        for number in range(self._frames.count):
-            found.add(*self._frames.tracked(number))
-        return found.finish(times, instants)
 
     def _take_camera(self, path: CameraPath) -> None:
         """Take what was found of the camera; frames are made anew where it asks for that."""
