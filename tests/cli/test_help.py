@@ -66,6 +66,8 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--poses",
                 "--motion",
                 "--mask",
+                "--labels",
+                "--object-sizes",
                 "--calibrate",
                 "--depth-of",
                 "--scale",

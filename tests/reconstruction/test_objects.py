@@ -32,6 +32,7 @@ def found(tmp_path_factory):
         camera=film().camera,
         settings=OBJECTS,
         depth_of="keyframes",
+        object_sizes={1: 0.5},
         folder=tmp_path_factory.mktemp("objects") / "result",
     )
 
@@ -102,6 +103,12 @@ def test_a_result_is_loaded_as_it_was_saved(found, tmp_path):
         np.testing.assert_array_equal(one.extent, two.extent)
 
 
+def test_sizes_are_of_things_that_are_found(found):
+    for thing in found.objects:
+        expected = thing.id == 1 and np.isfinite(thing.extent).all()
+        assert (thing.scale_from == "size") == expected
+
+
 def test_rescaling_takes_things_along(found):
     first, last = 0, len(found) - 1
     moved = np.linalg.norm(found.poses[last, :3, 3] - found.poses[first, :3, 3])
@@ -122,11 +129,6 @@ def test_a_result_without_objects_has_no_labels():
 
 def test_what_cannot_be_combined_is_refused():
     frames = list(film().frames[:4])
-    with pytest.raises(ValueError, match="radial"):
-        tisfm.reconstruct(frames, settings=OBJECTS, calibrate="radial")
-    rolling = tisfm.Camera(focal=200.0, readout=0.5)
-    with pytest.raises(ValueError, match="readout"):
-        tisfm.reconstruct(frames, settings=OBJECTS, camera=rolling)
     with pytest.raises(ValueError, match="motion"):
         tisfm.reconstruct(frames, settings=tisfm.Settings.preset("fast"))
     with pytest.raises(ValueError, match="motion"):

@@ -57,6 +57,21 @@ def test_the_room_is_the_one_without_bodies(film):
     assert (film.depth[:2] <= bare.depth).all()
 
 
+def test_rows_are_read_in_turn():
+    """The middle row is that of the truth; bodies and camera go on above and below."""
+    at_once, rolled = (
+        bodies_film(bodies_path(3), *SIZE, samples=1, noise=0, readout=readout)
+        for readout in (0.0, 0.9)
+    )
+    for name in ("depth", "labels", "poses", "body_poses"):
+        np.testing.assert_array_equal(getattr(rolled, name), getattr(at_once, name))
+    off = np.abs(rolled.frames[1].astype(float) - at_once.frames[1]).mean(axis=1)
+    middle = SIZE[0] // 2
+    assert off[middle - 2 : middle + 2].mean() < 0.3 * min(off[:6].mean(), off[-6:].mean())
+    with pytest.raises(ValueError, match=r"readout is 1\.5: expected a number from -1 to 1"):
+        bodies_film(bodies_path(2), *SIZE, readout=1.5)
+
+
 def test_paint_goes_with_the_body(clean):
     frame, after = clean.frames[0].astype(np.float32), clean.frames[1].astype(np.float32)
     height, width = frame.shape

@@ -44,8 +44,8 @@ class CameraOptions:
     resampled first."""
     readout: float | None = None
     """How long a frame is read, row after row, as a share of the time from a frame to the next; 0
-    where all rows are read at once. By default reconstruct finds it, and pairs take it as 0; what
-    it moves is undone for motion "camera"."""
+    where all rows are read at once. By default reconstruct finds it for motion 'camera'; elsewhere
+    it counts as 0. What it moves is undone by reconstruct, and in pairs for motion 'camera'."""
 
     def guess(self, motion: Motion) -> bool:
         """Tell whether the focal length is to be guessed."""
@@ -307,10 +307,18 @@ class Reconstruct:
     """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found.
     Those of TUM go by their times where frames have times, else by their order."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
-    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere. With
+    --motion objects, a folder of pictures with a palette of colours is --labels instead."""
+    labels: Annotated[str | None, arg(metavar="LABELS")] = None
+    """With --motion objects, what moves, if that is known: a folder of pictures whose values, or
+    indices of a palette, are 0 at rest, 1 to 254 for the thing of this id, and 255 where ignored;
+    of every frame, or of some that they are called like, from which they are carried to others."""
     motion: Literal["camera", "objects"] = "camera"
     """What moves on its own is left out where it does not fit ('camera'); or found, labelled in
     masks/ and objects.json, and given a path and a depth of its own ('objects')."""
+    object_sizes: Annotated[tuple[str, ...], arg(metavar="ID=LENGTH [ID=LENGTH ...]")] = ()
+    """With --motion objects, how long things are, by their ids: the longest side of the smallest
+    box around each, in the unit of --poses. It sets their scale."""
     depth_of: DepthOf = "all"
     """The frames that depth is found of: all, keyframes alone, or none, for the path alone."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
@@ -344,6 +352,8 @@ class Reconstruct:
             frames=self.frames,
             poses=self.poses,
             mask=self.mask,
+            labels=self.labels,
+            object_sizes=_sizes(self.object_sizes),
             depth_of=self.depth_of,
             scale=self.scale,
             ply=self.ply,
@@ -366,6 +376,20 @@ class Reconstruct:
         if options.focal == "guess" and self.calibrate not in (None, "nothing"):
             raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")
         return None
+
+
+def _sizes(given: Sequence[str]) -> dict[int, float]:
+    """Return lengths by ids, of words such as 3=4.5."""
+    sizes = {}
+    for word in given:
+        number, _, length = word.partition("=")
+        try:
+            sizes[int(number)] = float(length)
+        except ValueError:
+            raise ValueError(
+                f"--object-sizes has {word!r}: expected ID=LENGTH, such as 3=4.5"
+            ) from None
+    return sizes
 
 
 @dataclass(kw_only=True)

@@ -3,7 +3,7 @@
 import signal
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -42,6 +42,8 @@ def reconstruct(
     frames: FrameOptions,
     poses: Path | None = None,
     mask: str | None = None,
+    labels: str | None = None,
+    object_sizes: Mapping[int, float] | None = None,
     depth_of: DepthOf = "all",
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
@@ -61,6 +63,10 @@ def reconstruct(
     if depth_of == "none" and (ply or mesh is not None):
         raise ValueError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
     # What comes at the end may be refused now: the rest takes long.
+    if scale is not None and object_sizes:
+        raise ValueError(
+            "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
+        )
     if scale is not None:
         _check_scale(*scale)
     if mesh is not None:
@@ -91,6 +97,8 @@ def reconstruct(
             settings=settings,
             poses=given,
             mask=mask,
+            labels=labels,
+            object_sizes=object_sizes,
             depth_of=depth_of,
             folder=output,
             progress=tell_progress,

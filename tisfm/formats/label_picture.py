@@ -56,6 +56,31 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     return values.astype(np.uint8)
 
 
+def has_palette_of_labels(path: str | os.PathLike[str]) -> bool:
+    """Return whether a picture is indexed, with colours in its palette, as labels mostly are.
+
+    A picture of grey levels is not, though it may be indexed.
+
+    Raises
+    ------
+    FormatError
+        If it is not a picture.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    name = os.fspath(path)
+    data = read_bytes(name)
+    try:
+        with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
+            colours = picture.getpalette("RGB") if picture.mode == "P" else None
+    except MemoryError:
+        raise
+    except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
+        raise FormatError(f"{name} cannot be read as a picture: {error}") from error
+    table = np.array(colours or [0, 0, 0]).reshape(-1, 3)
+    return bool((table != table[:, :1]).any())
+
+
 def palette() -> NDArray[np.uint8]:
     """Return the colours of labels 0 to 255, (256, 3) uint8 RGB.
 

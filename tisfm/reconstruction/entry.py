@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,11 +16,13 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.folder import CACHE, begin
+from tisfm.reconstruction.folder import CACHE, begin, masks_of_result
+from tisfm.reconstruction.object_sizes import checked_object_sizes
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.labels import GivenLabels, holds_labels
 from tisfm.sources.masks import Mask
 from tisfm.trajectory import Trajectory
 
@@ -33,6 +35,8 @@ def reconstruct(
     settings: Settings | None = None,
     poses: npt.ArrayLike | Trajectory | None = None,
     mask: Mask | None = None,
+    labels: GivenLabels | None = None,
+    object_sizes: Mapping[int, float] | None = None,
     depth_of: DepthOf = "all",
     step: int = 1,
     start: int = 0,
@@ -72,13 +76,31 @@ def reconstruct(
         By default the preset ``"balanced"`` with ``motion="camera"``: what moves on its own takes
         part in nothing, as far as it does not fit the rest. With ``motion="objects"`` it is found
         first, labelled in every frame, and left out of path and depth; each thing gets a path and
-        a depth of its own, as far as its motion shows them. Rows count as read at once then.
+        a depth of its own, as far as its motion shows them. A readout is undone then
+        if the camera states it, but not found.
     poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
         alone is found then, in their unit. Where a trajectory and all frames have times, each frame
         gets the pose nearest in time, within half the time from a frame to the next.
     mask : optional
         Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
+        With ``motion="objects"``, masks of every frame that hold the numbers of several things are
+        `labels` instead: pictures with a palette of colours, or arrays of integers in which there
+        are several numbers from 1 to 254.
+    labels : optional
+        With ``motion="objects"``, what moves on its own, if that is known: 0 is at rest, 1 to 254
+        is the thing with this id, and 255 is ignored. Nothing is searched for then. A folder or
+        pattern of pictures, whose values or indices of a palette count, which belong to the frames
+        that they are called like, or else to all in order; the folder of a reconstruction; an
+        (N, H, W) array of integers; a list with None for frames without; or a mapping from numbers
+        or names of frames of the source, as ``{0: labels}``. They have the size of frames before
+        these are cropped and shrunk, or after. To frames without labels, those of the nearest frame
+        that has some are carried along the image motion.
+    object_sizes : mapping of int to float, optional
+        With ``motion="objects"``, how long things are, by their ids: the longest side of the
+        smallest box around each, in the unit of the poses. It sets the scale of their path and
+        depth, and `MovingObject.scale_from` is ``"size"``. Where poses are given, that is their
+        unit; or else one in which the median depth of the first keyframe is 1.
     depth_of : {"all", "keyframes", "none"}
         The frames that depth is found of: every frame; keyframes alone, which takes less time and
         room; or none, for the path alone, whose unit is then the median depth of tracks in the
@@ -108,10 +130,11 @@ def reconstruct(
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if
-        settings ask for ``motion="field"``, or for ``"objects"`` with a readout or
-        ``calibrate="radial"``; if a file is no camera, or one of frames of another shape;
-        if poses are not (N, 4, 4), rigid, and as many as frames,
-        or none is near to a frame in time.
+        settings ask for ``motion="field"``; if a file is no camera, or one of frames of another
+        shape; if poses are not (N, 4, 4), rigid, and as many as frames, or none is near to a frame
+        in time; if labels or sizes are given without ``motion="objects"``; if labels are not
+        numbers from 0 to 255 of the size of the frames, or masks may be labels or not; if sizes are
+        not positive, or of what does not move.
     """
     settings = checked_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
@@ -124,6 +147,12 @@ def reconstruct(
     if depth_of == "none" and poses is not None:
         raise ValueError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else _checked_poses(poses)
+    mask, labels = _mask_and_labels(mask, labels, settings)
+    sizes = checked_object_sizes(object_sizes)
+    if sizes and settings.motion != "objects":
+        raise ValueError(
+            f'object_sizes are given and motion is "{settings.motion}": expected motion="objects"'
+        )
     frames = FrameSource(
         source,
         step=step,
@@ -132,6 +161,7 @@ def reconstruct(
         size=size,
         crop=crop,
         mask=mask,
+        labels=labels,
         bad_frames=bad_frames,
     )
     if given is not None and bad_frames == "skip":
@@ -146,8 +176,6 @@ def reconstruct(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
-    if settings.motion == "objects":
-        _check_for_objects(stated, calibrate)
     if folder is not None:
         files = [file_of(camera)] if isinstance(camera, Path) else []
         _refuse_inside([*frames.files, *files], Path(folder))
@@ -160,7 +188,8 @@ def reconstruct(
 
     path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
-        result = Run(frames, camera, calibrate, settings, given, path, progress, depth_of).result()
+        run = Run(frames, camera, calibrate, settings, given, path, progress, depth_of, sizes)
+        result = run.result()
     except BaseException:
         if temporary is not None:
             temporary.cleanup()  # what was raised may be kept for long, and this with it
@@ -178,18 +207,21 @@ def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
             raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
 
 
-def _check_for_objects(camera: Camera | None, calibrate: Calibrate) -> None:
-    """Refuse what would move pixels after things have been labelled."""
-    if calibrate == "radial":
-        raise ValueError(
-            'calibrate is "radial" and motion "objects": find the lens with motion="camera" first, '
-            "and give that camera"
-        )
-    if camera is not None and camera.readout:
-        raise ValueError(
-            f'the camera has a readout of {camera.readout:g} and motion is "objects", which takes '
-            "rows as read at once: leave the readout out"
-        )
+def _mask_and_labels(
+    mask: Mask | None, labels: GivenLabels | None, settings: Settings
+) -> tuple[Mask | None, GivenLabels | None]:
+    """Return what counts, and which things there are, where they are given as either."""
+    if settings.motion != "objects":
+        if labels is not None:
+            raise ValueError(
+                f'labels are given and motion is "{settings.motion}": expected motion="objects"'
+            )
+        return mask, None
+    if labels is None and mask is not None and holds_labels(mask):
+        mask, labels = None, mask
+    if isinstance(labels, (str, os.PathLike)):
+        labels = masks_of_result(Path(labels)) or labels
+    return mask, labels
 
 
 def checked_camera(

@@ -108,6 +108,18 @@ def _mask_path(folder: Path, number: int) -> Path:
     return folder / MASKS / f"{number:06d}.png"
 
 
+def masks_of_result(path: Path) -> dict[str, Path] | None:
+    """Return the masks of a reconstruction by the names of its frames.
+
+    `path` is its folder, or the one of its masks; None if it is neither.
+    """
+    folder = path.parent if path.name == MASKS else path
+    if not (folder / RECORD).is_file() or not (folder / MASKS).is_dir():
+        return None
+    names = read_record(folder)["names"]
+    return {name: _mask_path(folder, number) for number, name in enumerate(names)}
+
+
 def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
     """Write what is known of things that move on their own, as JSON."""
     about = {"format": FORMAT, "objects": [thing.as_json() for thing in objects]}

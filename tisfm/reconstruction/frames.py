@@ -11,7 +11,7 @@ from tisfm.camera import Camera
 from tisfm.formats import atomic_write
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
-from tisfm.reconstruction.folder import read_picture
+from tisfm.reconstruction.folder import read_labels, read_picture, write_labels
 from tisfm.resampling import Resampling
 from tisfm.shutter import Rolling, UnrolledFrame
 from tisfm.solver.counted import filled
@@ -50,7 +50,7 @@ class PreparedFrames:
         self._taken, self._cache, self._pictures = camera, cache, pictures
         self._held: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
-        self._aside: set[int] = set()
+        self._labelled: set[int] = set()  # frames that show a thing
         self._as_read: set[int] = set()  # frames of which what was read is kept as well
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
@@ -70,7 +70,7 @@ class PreparedFrames:
         image = check_frame(frame.image, frame.name)
         grey, _ = grey_pair(image, image, stretch=frame.stretch)
         picture = eight_bit(image, image, stretch=frame.stretch)
-        ignored = frame.ignored
+        ignored, labels = frame.ignored, frame.labels
         if ignored is not None and ignored.any():
             grey = filled(grey, ignored)
         if not self._taken.is_pinhole:
@@ -79,6 +79,8 @@ class PreparedFrames:
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
                 ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
+            if labels is not None:
+                labels = _moved(labels, self._lens)
             missing = ~self._lens.valid
             ignored = missing if ignored is None else ignored | missing
         self.shape = grey.shape
@@ -88,6 +90,8 @@ class PreparedFrames:
             np.save(self._mask_path(number), ignored)
             self._masked.add(number)
         write_picture(self._picture_path(number), picture)
+        if labels is not None:
+            self.label(number, labels)
         self.count += 1
         return whole, ignored
 
@@ -148,6 +152,8 @@ class PreparedFrames:
             self._masked.add(number)
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), map_.apply(picture))
+        if number in self._labelled:
+            self.label(number, _moved(self.labels(number), map_))
 
     def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
         """Return a frame as the tracker takes it, as `add` does."""
@@ -155,19 +161,30 @@ class PreparedFrames:
         whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
         return whole, None if counted is None else ~counted
 
-    def set_aside(self, number: int, moving: np.ndarray) -> None:
-        """Let what moves on its own in a frame, (H, W) bool, count no more, and all else again."""
-        self._aside.discard(number)
-        if moving.any():
-            np.save(self._aside_path(number), np.packbits(moving, axis=1))
-            self._aside.add(number)
+    def label(self, number: int, labels: np.ndarray) -> bool:
+        """Take and write the labels of a frame, (H, W) uint8: what they name counts no more.
 
-    def aside(self, number: int) -> np.ndarray:
-        """Return what was set aside of a frame, (H, W) bool."""
-        if number not in self._aside:
-            return np.zeros(self.shape, bool)
-        packed = np.load(self._aside_path(number))
-        return np.unpackbits(packed, axis=1, count=self.shape[1]).astype(bool)
+        Return whether that is something else than before. What is masked belongs to nothing.
+        """
+        ignored = self.ignored(number)
+        if ignored is not None:
+            labels = np.where(ignored, np.uint8(0), labels)
+        before = self.labels(number) > 0
+        write_labels(self._pictures.parent, number, labels)
+        self._labelled.discard(number)
+        if labels.any():
+            self._labelled.add(number)
+        return not np.array_equal(before, labels > 0)
+
+    def labels(self, number: int) -> np.ndarray:
+        """Return which thing each pixel of a frame belongs to, (H, W) uint8; 0 is at rest."""
+        if number not in self._labelled:
+            return np.zeros(self.shape, np.uint8)
+        return read_labels(self._pictures.parent, number, self.shape)
+
+    def things(self) -> set[int]:
+        """Return the things that frames show, by their labels."""
+        return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
 
     def ignored(self, number: int) -> np.ndarray | None:
         """Return what is masked in a frame, (H, W) bool; None for nothing."""
@@ -180,7 +197,7 @@ class PreparedFrames:
         """Delete a frame; numbers of the others stay."""
         self._held.pop(number, None)
         self._masked.discard(number)
-        self._aside.discard(number)
+        self._labelled.discard(number)
         self._as_read.discard(number)
         for path in self._paths(number):
             path.unlink(missing_ok=True)
@@ -199,8 +216,8 @@ class PreparedFrames:
     def counted(self, number: int) -> np.ndarray | None:
         """Return where a frame counts, (H, W) bool; None where all of it does."""
         ignored = self.ignored(number)
-        if number in self._aside:
-            aside = self.aside(number)
+        if number in self._labelled:
+            aside = self.labels(number) > 0
             ignored = aside if ignored is None else ignored | aside
         return None if ignored is None else ~ignored
 
@@ -208,7 +225,6 @@ class PreparedFrames:
         return (
             self._grey_path(number),
             self._mask_path(number),
-            self._aside_path(number),
             self._picture_path(number),
         )
 
@@ -218,11 +234,13 @@ class PreparedFrames:
     def _mask_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}_ignored.npy"
 
-    def _aside_path(self, number: int) -> Path:
-        return self._cache / f"{number:06d}_aside.npy"
-
     def _picture_path(self, number: int) -> Path:
         return self._pictures / f"{number:06d}.jpg"
+
+
+def _moved(labels: np.ndarray, map_: Resampling) -> np.ndarray:
+    """Return labels, (H, W) uint8, of another grid; 0 where there are none."""
+    return np.nan_to_num(map_.nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
 def _as_it_was(path: Path) -> Path:

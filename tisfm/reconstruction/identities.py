@@ -35,7 +35,7 @@ CLEARLY = 0.5  # of what a motion of others misses: a motion of its own misses l
 FURTHEST, TOLERATED = 1e3, 0.5  # px; and of the least distance, what another one may be off by
 MOST, OTHER_THAN_CARRIED = 16.0, 2.0  # of costs: of a motion, and of another label than before
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is known, and others
-MOST_THINGS = 255
+MOST_THINGS = 254  # 255 is for what is ignored, where labels are given
 LASTING = 4  # frames, at least, of a thing
 # Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
 # they go together; or where they touch in as many of the frames that show both, go roughly together

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-ScaleFrom = Literal["contact", "around", "none"]
+ScaleFrom = Literal["size", "contact", "around", "none"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,11 +26,12 @@ class MovingObject:
         Object to world in each of them; NaN where that is not known. The origin is in the middle
         of the object, axes are those of the camera in the first frame with a pose.
     extent : (3,) float64
-        Its lengths along its axes, in the unit of the poses; NaN if it has none.
-    scale_from : {"contact", "around", "none"}
-        What its size is from, which motion alone does not show: where it stands on what is at
-        rest; or, roughly, the depth of what is around it. ``"none"`` if it has no poses,
-        or no depth to tell by.
+        Its lengths along its axes, in the unit of the poses; NaN if it has none. They are of its
+        points, without 3 % of them at both ends.
+    scale_from : {"size", "contact", "around", "none"}
+        What its size is from, which motion alone does not show: ``object_sizes`` of
+        `tisfm.reconstruct`; where it stands on what is at rest; or, roughly, the depth of what is
+        around it. ``"none"`` if it has no poses, or no depth to tell by.
     message : str
         Why it has no poses, or few.
     """

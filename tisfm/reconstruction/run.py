@@ -1,7 +1,7 @@
 """One reconstruction, from the source to the folder: reading, the path, depth."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,28 +14,19 @@ from tisfm.camera_file import read_camera, write_camera
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration, as_json, calibration_in
-from tisfm.reconstruction.folder import (
-    CACHE,
-    PICTURES,
-    depth_path,
-    read_depth,
-    read_labels,
-    write_depth,
-    write_labels,
-    write_record,
-)
+from tisfm.reconstruction.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.given_poses import poses_of_frames
-from tisfm.reconstruction.moving_object import MovingObject, seen_objects
-from tisfm.reconstruction.path import TRACKING, CameraPath, PathFinder
+from tisfm.reconstruction.frames_path import FramesPath
+from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.object_sizes import refuse_unknown
+from tisfm.reconstruction.path import CameraPath
+from tisfm.reconstruction.path_at_rest import label_others, path_at_rest
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.self_calibration import OF_EXIF, WORTHLESS, calibration_of
 from tisfm.reconstruction.sequence_labels import SequenceLabels
-from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.sparse_points import depths_of, triangulated
-from tisfm.reconstruction.tracks import Seen, Tracker
-from tisfm.reconstruction.unrolling import Unrolling
+from tisfm.reconstruction.sparse_points import depths_of
+from tisfm.reconstruction.tracks import Seen
 from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 from tisfm.shutter import instants_of
@@ -75,6 +66,8 @@ class Run:
         As for `tisfm.reconstruct`.
     depth_of : {"all", "keyframes", "none"}
         The frames that depth is found of.
+    object_sizes : mapping of int to float, optional
+        Lengths of things that move, by their ids.
     """
 
     def __init__(
@@ -87,10 +80,12 @@ class Run:
         folder: Path,
         progress: Progress | None,
         depth_of: DepthOf = "all",
+        object_sizes: Mapping[int, float] | None = None,
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._given, self._folder = poses, folder
         self._calibrate, self._depth_of = calibrate, depth_of
+        self._sizes = object_sizes or {}
         self._progress: Progress = progress or (lambda stage, done, total: None)
         self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
         self._guess: FocalGuess | None = None
@@ -150,10 +145,10 @@ class Run:
         names: list[str] = []
         times: list[float | None] = []
         indices: list[int] = []
-        finder: PathFinder | None = None
-        tracker: Tracker | None = None
+        things = self._settings.motion == "objects"
+        found: FramesPath | None = None
         labels: SequenceLabels | None = None
-        seen = Shelf(Seen.arrays, Seen.of_arrays)
+        labelled: list[int] = []  # frames whose labels are given
         total = _count(self._source)
         with closing(self._source.frames()) as frames:
             for frame in frames:
@@ -167,17 +162,17 @@ class Run:
                     self._frames = PreparedFrames(
                         camera, self._folder / CACHE, self._folder / PICTURES
                     )
-                    finder = self._finder()
-                    tracker = Tracker(self._frames.camera, TRACKING)
-                    if self._settings.motion == "objects":
+                    if not things:
+                        found = self._frames_path()
+                    elif not self._source.has_labels:
                         labels = SequenceLabels(self._frames.camera)
                 grey, ignored = self._frames.add(frame)
                 if labels is not None:
                     labels.add(grey)
-                elif self._given is None and finder is not None:
-                    finder.add(grey, ignored)
-                elif tracker is not None:
-                    seen.append(tracker.go_on(grey, ignored))
+                elif found is not None:
+                    found.add(grey, ignored)
+                if frame.labels is not None:
+                    labelled.append(len(names))
                 names.append(frame.name)
                 times.append(frame.time)
                 indices.append(frame.index)
@@ -185,128 +180,70 @@ class Run:
                     self._progress("reading", len(names), total)
                 except Enough:
                     break
-        if len(names) < 2 or finder is None:
+        if len(names) < 2:
             raise ValueError(
                 f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
         instants = instants_of(indices, times)
-        if labels is not None:
-            path = self._path_among_things(labels, len(names), times, instants)
-        elif self._given is None:
-            path = finder.finish(instants)
+        if found is not None:
+            path = found.finish(times, instants)
+            self._take_camera(path)
         else:
-            path = self._given_path(seen, self._given, times, instants)
-        self._take_camera(path)
+            if labels is None:
+                self._complete(labelled)
+
+            def path_of(calibrate: Calibrate | None) -> CameraPath:
+                anew = self._frames_path(calibrate)
+                for number in range(self._frames.count):
+                    anew.add(*self._frames.tracked(number))
+                return anew.finish(times, instants)
+
+            path = path_at_rest(self._frames, labels, path_of, self._take_camera)
+            refuse_unknown(self._sizes, self._frames.things())
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
 
-    def _finder(self) -> PathFinder:
-        """Return what finds the path of the frames."""
-        stated = self._guess is not None and self._guess.origin == "exif"
-        together = self._settings.motion == "objects"  # rows count as read at once
-        return PathFinder(
-            self._frames.camera,
-            self._calibrate,
-            limit=OF_EXIF if stated else WORTHLESS,
-            readout=0.0 if together else self._frames.camera.readout,
-        )
-
-    def _path_among_things(
-        self,
-        labels: SequenceLabels,
-        count: int,
-        times: Sequence[float | None],
-        instants: np.ndarray,
-    ) -> CameraPath:
-        """Label what moves on its own, and return the path that is left; write the labels.
-
-        The first labels need no path. Under that which they leave, many frames say more.
-        """
-        self._label(labels.found())
-        path = self._path_of_what_counts(count, times, instants)
-        poses: list[np.ndarray | None] = [None] * count
-        if path.pieces:
-            largest = max(path.pieces, key=lambda piece: len(piece.poses))
-            for frame, pose in largest.poses.items():
-                poses[frame] = pose
-        if self._label(labels.found(poses, path.camera.pinhole())):
-            path = self._path_of_what_counts(count, times, instants)
-        return path
-
-    def _path_of_what_counts(
-        self, count: int, times: Sequence[float | None], instants: np.ndarray
-    ) -> CameraPath:
-        """Return the path that frames show which have been read."""
-        if self._given is None:
-            finder = self._finder()
-            for number in range(count):
-                finder.add(*self._frames.tracked(number))
-            return finder.finish(instants)
-        tracker = Tracker(self._frames.camera, TRACKING)
-        seen = Shelf(Seen.arrays, Seen.of_arrays)
-        for number in range(count):
-            seen.append(tracker.go_on(*self._frames.tracked(number)))
-        return self._given_path(seen, self._given, times, instants)
-
-    def _label(self, labels: Iterable[np.ndarray]) -> bool:
-        """Write the labels of every frame, and return whether they are others than before.
-
-        What moves on its own counts no more.
-        """
-        changed = False
-        for number, labelled in enumerate(labels):
-            ignored = self._frames.ignored(number)
-            if ignored is not None:
-                labelled[ignored] = 0
-            before = self._frames.aside(number)
-            changed |= not np.array_equal(before, labelled > 0)
-            write_labels(self._folder, number, labelled)
-            self._frames.set_aside(number, labelled > 0)
-        return changed
+    def _complete(self, labelled: Sequence[int]) -> None:
+        """Label the frames whose labels are not given, from those whose are."""
+        if not labelled:
+            raise ValueError(
+                f"labels has none of a frame of {self._source.title} that is taken: expected those "
+                "of one at least"
+            )
+        label_others(self._frames, labelled)
+        refuse_unknown(self._sizes, self._frames.things())  # before what takes long
 
     def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
         """Return the things that move on their own; their depth is written into that of frames."""
         if self._settings.motion != "objects":
             return ()
-        from tisfm.reconstruction.own_path import own_path, placed
+        from tisfm.reconstruction.own_depth import objects_with_depth
 
-        folder, shape = self._folder, self._frames.shape
+        return objects_with_depth(
+            self._frames,
+            self._folder,
+            poses,
+            piece,
+            self._settings,
+            with_depth=self._depth_of != "none",
+            sizes=self._sizes,
+        )
 
-        def labelled(frame: int) -> np.ndarray:
-            return read_labels(folder, frame, shape)
-
-        def at_rest(frame: int) -> np.ndarray:
-            return read_depth(folder, frame, shape)[0]
-
-        known = piece[piece >= 0]
-        largest = int(np.bincount(known).argmax()) if len(known) else 0
-        world = np.where((piece == largest)[:, None, None], poses, np.nan)
-        found = []
-        for thing in seen_objects(len(poses), labelled):
-            own = own_path(
-                thing,
-                self._frames,
-                labelled,
-                self._settings,
-                with_depth=self._depth_of != "none",
-            )
-            if isinstance(own, str):
-                found.append(replace(thing, message=own))
-                continue
-            thing, scale = placed(thing, own, world, at_rest, labelled)
-            found.append(thing)
-            for depth in own.depths:
-                frame = own.frames[depth.frame]
-                if piece[frame] != largest or not depth_path(folder, frame).exists():
-                    continue
-                mine = (labelled(frame) == thing.id) & np.isfinite(depth.inverse_depth)
-                inverse_depth, deviation = read_depth(folder, frame, shape)
-                inverse_depth[mine] = depth.inverse_depth[mine] / scale
-                deviation[mine] = depth.deviation[mine] / scale
-                write_depth(folder, frame, inverse_depth, deviation)
-        return tuple(found)
+    def _frames_path(self, calibrate: Calibrate | None = None) -> FramesPath:
+        """Return what finds the path of the frames, or takes the one that is given."""
+        stated = self._guess is not None and self._guess.origin == "exif"
+        readout = self._frames.camera.readout
+        if self._settings.motion == "objects":  # it is undone if it is given, but not looked for
+            readout = readout or 0.0
+        return FramesPath(
+            self._frames.camera,
+            self._given,
+            calibrate or self._calibrate,
+            limit=OF_EXIF if stated else WORTHLESS,
+            readout=readout,
+        )
 
     def _take_camera(self, path: CameraPath) -> None:
         """Take what was found of the camera; frames are made anew where it asks for that."""
@@ -325,30 +262,6 @@ class Run:
         """Return the share of a frame's rows that is left of it, where it is cropped."""
         taken, shape = self._taken
         return self._source.camera_after(replace(taken, readout=1.0), shape).readout or 1.0
-
-    def _given_path(
-        self,
-        seen: Sequence[Seen],
-        given: Trajectory,
-        times: Sequence[float | None],
-        instants: np.ndarray,
-    ) -> CameraPath:
-        camera, shape = self._frames.camera, self._frames.shape
-        poses, lost = poses_of_frames(given, times)
-        known = {k: pose for k, pose in enumerate(poses) if k not in lost}
-        points = triangulated(seen, known, camera, shape)
-        piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
-        if known and camera.readout:  # poses are those of middle rows
-            unrolling = Unrolling(seen, [piece], instants, camera.readout, 0.0, camera, shape)
-            seen, rolling = unrolling.all_tracks(), unrolling.rolling
-            piece = replace(piece, points=triangulated(seen, known, camera, shape))
-        return CameraPath(
-            pieces=(piece,) if known else (),
-            lost=lost,
-            seen=seen,
-            camera=camera,
-            rolling=rolling,
-        )
 
     def _stated_camera(self, shape: tuple[int, int]) -> Camera | None:
         """Return the camera that was given, or is in a file, for frames of a shape."""

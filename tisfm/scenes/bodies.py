@@ -1,6 +1,7 @@
 """A ready scene with moving bodies: boxes that fly through the room, in front of each other."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,17 @@ from tisfm.rigid import pose_matrix
 
 from .geometry import Box
 from .render import Scene
-from .room import FOCAL, Film, check_film, detail_for, room_at_rest, taken, wavelength_at
+from .room import (
+    FOCAL,
+    Film,
+    check_film,
+    check_readout,
+    detail_for,
+    read_in_turn,
+    room_at_rest,
+    taken,
+    wavelength_at,
+)
 from .texture import Texture
 
 
@@ -111,6 +122,7 @@ def bodies_film(
     textured: bool = True,
     noise: float = 1.5,
     samples: int = 2,
+    readout: float = 0.0,
 ) -> BodiesFilm:
     """Render the room with boxes that fly through it and turn, from a path of the camera.
 
@@ -138,6 +150,9 @@ def bodies_film(
         Standard deviation, grey levels, of the noise, independent at every pixel of every frame.
     samples : int, default 2
         Rays per pixel side, as in `Scene.render`.
+    readout : float, default 0
+        As for `room_film`: bodies go on as well while a frame is read. The truth is that of the
+        middle row.
 
     Returns
     -------
@@ -150,6 +165,7 @@ def bodies_film(
         If an option is impossible, or a pose is no rigid motion or outside of the room.
     """
     path = check_film(poses, height, width, noise)
+    check_readout(readout)
     whole(0, bodies=bodies)
     if bodies > len(_FLIGHTS):
         raise ValueError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
@@ -164,13 +180,19 @@ def bodies_film(
     depth = np.empty((len(path), height, width), np.float32)
     labels = np.empty((len(path), height, width), np.uint8)
     random = np.random.default_rng(seed)
-    for k, pose in enumerate(path):
+
+    def later(frame: int, late: float) -> Scene:
+        places = [flight.pose(frame + late) for flight in flights]
         boxes = [
             Box(texture=paint, center=place[:3, 3], size=flight.size, axes=place[:3, :3])
-            for flight, paint, place in zip(flights, paints, body_poses[:, k], strict=True)
+            for flight, paint, place in zip(flights, paints, places, strict=True)
         ]
-        scene = Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
-        frame, depth[k], seen = scene.seen_with_labels(pose, samples=samples)
+        return Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
+
+    for k, pose in enumerate(path):
+        frame, depth[k], seen = later(k, 0.0).seen_with_labels(pose, samples=samples)
+        if readout:
+            frame = read_in_turn(partial(later, k), path, k, readout, samples)
         frames[k] = taken(frame, random, noise, 0.0, "uint8")
         labels[k] = np.maximum(seen - len(at_rest) + 1, 0)
     return BodiesFilm(

@@ -1,6 +1,7 @@
 """A ready scene indoors: bare walls, a tiled floor, a door, pictures and boxes, from inside."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -195,14 +196,13 @@ def room_film(
     objects = room_at_rest(width, seed, textured=textured)
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     random = np.random.default_rng(seed)
-    if not -1 <= readout <= 1:
-        raise ValueError(f"readout is {readout!r}: expected a number from -1 to 1")
+    check_readout(readout)
     frames = np.empty((len(path), height, width), np.uint8)
     depth = np.empty((len(path), height, width), np.float32)
     for k, pose in enumerate(path):
         frame, depth[k] = scene.seen_from(pose, samples=samples)
         if readout:
-            frame = _read_in_turn(scene, path, k, readout, samples)
+            frame = read_in_turn(lambda late: scene, path, k, readout, samples)
         frames[k] = taken(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
@@ -231,13 +231,26 @@ def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
             raise ValueError(f"{name} is {value!r}: expected a number of at least 0")
 
 
-def _read_in_turn(scene: Scene, path: Floats, number: int, readout: float, samples: int) -> NDArray:
-    """Return a frame, (H, W) float32, of which every few rows are seen from where they are read."""
-    cx, cy = scene.camera.center_for(scene.height, scene.width)
+def check_readout(readout: float) -> None:
+    """Raise ValueError unless a frame is read within the time to the next."""
+    if not -1 <= readout <= 1:
+        raise ValueError(f"readout is {readout!r}: expected a number from -1 to 1")
+
+
+def read_in_turn(
+    scene_at: Callable[[float], Scene], path: Floats, number: int, readout: float, samples: int
+) -> NDArray:
+    """Return a frame, (H, W) float32, of which every few rows are seen from where they are read.
+
+    `scene_at` returns the scene so much of an interval after the frame, or before it.
+    """
+    now = scene_at(0.0)
+    cx, cy = now.camera.center_for(now.height, now.width)
     parts = []
-    for top in range(0, scene.height, _ROWS):
-        rows = min(_ROWS, scene.height - top)
-        late = readout * (top + (rows - scene.height) / 2) / scene.height
+    for top in range(0, now.height, _ROWS):
+        rows = min(_ROWS, now.height - top)
+        late = readout * (top + (rows - now.height) / 2) / now.height
+        scene = scene_at(late)
         camera = replace(scene.camera, center=(cx, cy - top))
         part = replace(scene, camera=camera, height=rows)
         parts.append(part.seen_from(_between(path, number, late), samples=samples)[0])

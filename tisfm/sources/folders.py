@@ -1,6 +1,7 @@
 """The pictures of a folder and the files of a pattern, in natural order of their names."""
 
 import glob
+import os
 from pathlib import Path
 
 from tisfm.formats import IMAGE_SUFFIXES
@@ -28,3 +29,20 @@ def matching_files(pattern: str) -> list[Path]:
     if not files:
         raise FileNotFoundError(f"no file matches {pattern}: check the pattern")
     return sorted(files, key=natural_order)
+
+
+def several_pictures(path: str, name: str) -> list[Path]:
+    """Return the pictures of a folder or pattern, or the one of a file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none; `name` is what the error calls it.
+    """
+    if os.path.isdir(path):
+        return pictures_of(path)
+    if os.path.isfile(path):
+        return [Path(path)]
+    if glob.has_magic(path):
+        return matching_files(path)
+    raise FileNotFoundError(f"there is no {name} {path}: check the path")

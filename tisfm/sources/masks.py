@@ -1,6 +1,5 @@
 """Masks: which pixels of each frame are ignored."""
 
-import glob
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from tisfm.checks import unmasked_mask
 from tisfm.formats import read_image
-from tisfm.sources.folders import matching_files, pictures_of
+from tisfm.sources.folders import several_pictures
 from tisfm.sources.reading import is_path
 
 Mask = (
@@ -81,7 +80,7 @@ class Masks:
                 self.files = (Path(path),)
                 self._items = repeat(_Picture(path, _counted(read_image(path))))
             else:
-                self.files = _by_name(_several(path), frame_files, path)
+                self.files = _by_name(several_pictures(path, "mask"), frame_files, path)
                 self._items, number = self.files, len(self.files)
         elif isinstance(mask, Sequence) and mask and all(map(is_path, mask)):
             self.files = tuple(Path(os.fspath(item)) for item in mask)
@@ -152,15 +151,6 @@ class Ignored:
 def _counted(picture: np.ndarray) -> NDArray[np.bool_]:
     """Return where a picture, grey or colour, is not black."""
     return (picture if picture.ndim == 2 else picture.max(axis=-1)) != 0
-
-
-def _several(path: str) -> list[Path]:
-    """Return the pictures of a folder or pattern."""
-    if os.path.isdir(path):
-        return pictures_of(path)
-    if glob.has_magic(path):
-        return matching_files(path)
-    raise FileNotFoundError(f"there is no mask {path}: check the path")
 
 
 def _by_name(masks: list[Path], frames: Sequence[Path], title: str) -> tuple[Path, ...]:

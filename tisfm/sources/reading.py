@@ -47,6 +47,8 @@ class SourceFrame:
         Cropped and shrunk, where the source was told to.
     ignored : (H, W) bool array, or None
         Where pixels do not count; None where all do.
+    labels : (H, W) uint8 array, or None
+        Which thing each pixel belongs to, where that is given: 0 is at rest.
     stretch : bool
         False where the frames so far show that float frames of the source are on the 8-bit scale,
         though this one may look as if it were in [0, 1].
@@ -59,6 +61,7 @@ class SourceFrame:
     time: float | None
     image: np.ndarray
     ignored: NDArray[np.bool_] | None = None
+    labels: NDArray[np.uint8] | None = None
     stretch: bool = True
     full: tuple[int, int] | None = None
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
@@ -17,6 +18,7 @@ from tisfm.sources.ahead import read_ahead
 from tisfm.sources.arrays import Arrays
 from tisfm.sources.files import ImageFiles
 from tisfm.sources.folders import matching_files, pictures_of
+from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
 from tisfm.sources.masks import Ignored, Mask, Masks
 from tisfm.sources.pairs import Digest, FramePair
 from tisfm.sources.reading import BadFrame, RawFrame, Reader, SourceFrame, is_path, is_whole
@@ -53,14 +55,18 @@ class FrameSource:
         Pixels that count: black, zero or False are those that are ignored. A picture or an array
         for all frames, or one for every frame, as `tisfm.sources.masks.Masks` says. They have the
         size of the frames before these are cropped and shrunk.
+    labels : path, array, sequence, mapping, or iterable, optional
+        Which thing pixels belong to, as `tisfm.sources.labels.Labels` says: 0 is at rest, 1 to 254
+        a thing of this number, 255 is ignored. They have the size of the frames before these are
+        cropped and shrunk, or after.
     bad_frames : {"raise", "skip"}
         What becomes of frames that are damaged: an error, or they are left out.
 
     Attributes
     ----------
     files : tuple of Path
-        All files of the source: the images, those between the steps included, or the video, and
-        the masks.
+        All files of the source: the images, those between the steps included, or the video, the
+        masks and the labels.
     names : tuple of str or None
         Names of the frames that are read, where frames have files of their own.
     prefix : str
@@ -97,6 +103,7 @@ class FrameSource:
         size: int | None = None,
         crop: tuple[int, int, int, int] | None = None,
         mask: Mask | None = None,
+        labels: GivenLabels | None = None,
         bad_frames: BadFrames = "raise",
     ) -> None:
         self.chosen = _chosen(start, stop, step)
@@ -117,7 +124,22 @@ class FrameSource:
             frame_files = () if reader.names is None else reader.files
             self._masks = Masks(mask, frame_files=frame_files, count=reader.count)
             self.files += self._masks.files
+        self._labels: Labels | None = None
+        if labels is not None:
+            self._labels = Labels(
+                labels,
+                names=reader.names,
+                frame_files=() if reader.names is None else reader.files,
+                prefix=reader.prefix,
+                count=reader.count,
+            )
+            self.files += self._labels.files
         self.skipped: list[tuple[int, str]] = []
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether labels are given, of some frames at least."""
+        return self._labels is not None
 
     @property
     def frame_files(self) -> tuple[Path, ...]:
@@ -196,12 +218,12 @@ class FrameSource:
         OSError, tisfm.formats.FormatError
             If a frame cannot be read; only where bad frames raise, if it is damaged.
         TypeError, ValueError
-            If frames differ in size, do not contain the crop, or have no mask of their size; if a
-            video is cut off.
+            If frames differ in size, do not contain the crop, or have no mask of their size; if
+            labels are none; if a video is cut off.
         """
         self.skipped = []
         found = self._found()
-        ahead = self._reader.ahead and (self._masks is None or self._masks.ahead)
+        ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
         stretch = True
         with closing(read_ahead(found) if ahead else found) as frames:
             for frame in frames:
@@ -228,6 +250,7 @@ class FrameSource:
     def _found(self) -> Generator[BadFrame | SourceFrame, None, None]:
         """Yield the frames with their masks, cropped and shrunk, and those that are damaged."""
         masks = None if self._masks is None else self._masks.ignored()
+        labels = None if self._labels is None else self._labels.in_turn()
         before: tuple[str, tuple[int, ...]] | None = None
         for raw in self._reader.read(self.chosen):
             if isinstance(raw, BadFrame):
@@ -239,10 +262,14 @@ class FrameSource:
                     f"{raw.image.shape}, but they must have the same size and channels"
                 )
             before = raw.name, raw.image.shape
-            yield self._seen(raw, masks)
+            yield self._seen(raw, masks, labels)
             del raw  # or it would be held while the next one is read
+        if labels is not None:
+            labels.check()
 
-    def _seen(self, raw: RawFrame, masks: Ignored | None) -> SourceFrame:
+    def _seen(
+        self, raw: RawFrame, masks: Ignored | None, given: LabelsInTurn | None
+    ) -> SourceFrame:
         """Return a frame as it is yielded."""
         image, full = raw.image, None
         if not self._view.is_all:
@@ -251,12 +278,24 @@ class FrameSource:
         if masks is not None:
             ignored = masks.of(raw.index, raw.name, raw.image.shape)
             ignored = self._view.apply_to_mask(ignored, raw.name)
+        labels = None
+        if given is not None:
+            labels = given.of(raw.index, raw.name, (raw.image.shape, image.shape))
+        if labels is not None:
+            void = labels == VOID
+            labels = np.where(void, np.uint8(0), labels)
+            if labels.shape != image.shape[:2]:
+                void = self._view.apply_to_mask(void, raw.name)
+                labels = self._view.apply_to_labels(labels, raw.name)
+            if void.any():
+                ignored = void if ignored is None else ignored | void
         return SourceFrame(
             index=raw.index,
             name=raw.name,
             time=raw.time,
             image=image,
             ignored=ignored,
+            labels=labels,
             full=full,
         )
 

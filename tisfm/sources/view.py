@@ -80,6 +80,15 @@ class View:
             return np.ascontiguousarray(part)
         return _shrunk(part.astype(np.float32), scale) > 0
 
+    def apply_to_labels(self, labels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+        """Return the labels of the view's pixels: those of the nearest of the frame."""
+        part = labels[self._window(labels.shape, name)]
+        scale = self._scale(part.shape, name)
+        if scale == 1:
+            return np.ascontiguousarray(part)
+        size = _shrunk(np.empty(part.shape, np.uint8), scale).shape[::-1]
+        return cv2.resize(part, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
+
     def camera_after(self, camera: Camera, height: int, width: int) -> Camera:
         """Return the camera of the view.
 

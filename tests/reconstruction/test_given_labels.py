@@ -1,0 +1,208 @@
+"""Things that move, whose labels are given."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import path_error
+from tisfm.formats.label_picture import write_label_png
+from tisfm.reconstruction.carried_labels import carried_labels
+from tisfm.reconstruction.image_motion import ImageMotion
+from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.scenes import bodies_film, bodies_path
+
+OBJECTS = tisfm.Settings.preset("fast", motion="objects")
+COUNT = 16
+IDS = np.array([0, 5, 3, 254], np.uint8)  # of the bodies
+
+
+@cache
+def film(count=COUNT):
+    return bodies_film(bodies_path(count), 240, 320)
+
+
+def labels(count=COUNT):
+    return IDS[film(count).labels]
+
+
+def reconstructed(count=COUNT, **options):
+    options = {"depth_of": "none", "camera": film(count).camera, "settings": OBJECTS} | options
+    return tisfm.reconstruct(list(film(count).frames), **options)
+
+
+def labels_of(result):
+    return np.stack([result.labels(k) for k in range(len(result))])
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    """Return the reconstruction of the film with its true labels."""
+    folder = tmp_path_factory.mktemp("given") / "result"
+    return reconstructed(labels=labels(), folder=folder, depth_of="keyframes")
+
+
+def test_labels_are_those_that_are_given(given):
+    np.testing.assert_array_equal(labels_of(given), labels())
+    assert [thing.id for thing in given.objects] == [3, 5, 254]
+    for thing in given.objects:
+        shown = [k for k in range(COUNT) if (labels()[k] == thing.id).any()]
+        assert list(thing.frames) == shown
+        for frame, box in zip(thing.frames, thing.boxes, strict=True):
+            assert tuple(box) == cv2.boundingRect(np.uint8(labels()[frame] == thing.id))
+
+
+def test_nothing_is_searched_for(monkeypatch):
+    def never(*arguments):
+        raise AssertionError
+
+    monkeypatch.setattr(SequenceLabels, "add", never)
+    monkeypatch.setattr(ImageMotion, "add", never)
+    assert len(reconstructed(labels=labels()).objects) == 3
+
+
+def test_the_path_is_without_them(given):
+    assert path_error(given.poses, film().poses) < 0.003
+    depth, at_rest = given.depth(given.keyframes[0]), labels()[given.keyframes[0]] == 0
+    true = film().depth[given.keyframes[0]]
+    ratio = (true / depth)[at_rest & np.isfinite(depth)]
+    assert np.abs(ratio / np.median(ratio) - 1).mean() < 0.03
+
+
+def angle(first, last):
+    turn = np.linalg.inv(first) @ last
+    return np.arccos((np.trace(turn[:3, :3]) - 1) / 2)
+
+
+def test_a_thing_has_a_path(given):
+    thing, true = given.objects[1], film().body_poses[0]
+    assert thing.id == 5 and np.isfinite(thing.poses).all()
+    assert angle(thing.poses[0], thing.poses[-1]) == pytest.approx(
+        angle(true[0], true[-1]), rel=0.4
+    )
+
+
+def test_masks_that_hold_labels_are_labels(given):
+    result = reconstructed(mask=labels())
+    np.testing.assert_array_equal(labels_of(result), labels())
+    assert [thing.id for thing in result.objects] == [thing.id for thing in given.objects]
+
+
+def test_masks_of_a_result_are_labels_of_the_next(given):
+    result = reconstructed(labels=given.folder)
+    np.testing.assert_array_equal(labels_of(result), labels())
+    half = reconstructed(mask=given.folder / "masks", step=2)
+    np.testing.assert_array_equal(labels_of(half), labels()[::2])
+
+
+def test_masks_of_every_second_frame_go_by_names(tmp_path):
+    reconstructed(labels=labels(), step=2, folder=tmp_path / "half")
+    again = reconstructed(labels=tmp_path / "half", step=2)
+    np.testing.assert_array_equal(labels_of(again), labels()[::2])
+
+
+def test_numbers_that_are_ignored_are_no_thing():
+    void = labels()
+    void[:, :20] = 255
+    result = reconstructed(labels=void, depth_of="keyframes")
+    np.testing.assert_array_equal(labels_of(result), np.where(void == 255, 0, void))
+    key = result.keyframes[0]
+    assert np.isinf(result.inverse_depth_std(key)[:20]).all()
+    assert not np.isinf(result.inverse_depth_std(key)[30:]).all()
+
+
+def test_labels_move_with_the_lens():
+    camera = tisfm.Camera(focal=film().camera.focal, distortion=(-0.1, 0, 0, 0))
+    result = reconstructed(labels=labels(), camera=camera)
+    height, width = film().frames.shape[1:]
+    matrix = np.array([[camera.focal, 0, (width - 1) / 2], [0, camera.focal, (height - 1) / 2],
+                       [0, 0, 1]])  # fmt: skip
+    x, y = cv2.initUndistortRectifyMap(
+        matrix, np.array(camera.distortion), None, matrix, (width, height), cv2.CV_32FC1
+    )
+    inside = (x > 1) & (x < width - 2) & (y > 1) & (y < height - 2)
+    expected = cv2.remap(labels()[4], x, y, cv2.INTER_NEAREST)
+    found = result.labels(4)
+    assert (found == expected)[inside].mean() > 0.995
+    assert (found != labels()[4]).mean() > 0.005
+
+
+def test_known_poses_and_labels():
+    result = reconstructed(labels=labels(), poses=film().poses, depth_of="keyframes")
+    np.testing.assert_array_equal(labels_of(result), labels())
+    np.testing.assert_allclose(result.poses, film().poses)
+
+
+# Frames without labels
+
+
+def iou(one, two):
+    return (one & two).sum() / max(1, (one | two).sum())
+
+
+@pytest.mark.parametrize(("known", "least"), [((0, COUNT - 1), 0.85), ((2,), 0.65)])
+def test_labels_are_carried_to_frames_without(known, least):
+    """From a single frame, what hides another thing for a while may take what comes out."""
+    result = reconstructed(labels={k: labels()[k] for k in known})
+    found = labels_of(result)
+    for k in known:
+        np.testing.assert_array_equal(found[k], labels()[k])
+    assert [thing.id for thing in result.objects] == [3, 5, 254]
+    for number in (3, 5, 254):
+        scores = [iou(a == number, b == number) for a, b in zip(found, labels(), strict=True)]
+        assert np.mean(scores) > least
+        assert np.mean(scores[:6]) > 0.85
+
+
+def test_a_thing_at_rest_is_followed_as_well():
+    """Nothing is searched for: labels say what is set aside."""
+    box = np.zeros_like(labels()[0])
+    box[60:100, 100:140] = 9
+    result = reconstructed(labels={0: box})
+    assert {thing.id for thing in result.objects} == {9}
+    assert all((result.labels(k) == 9).sum() > 800 for k in range(COUNT))
+
+
+def test_labels_come_from_the_nearest_frame():
+    motion = ImageMotion(tisfm.Camera(focal=50.0), TRACKING)
+    random = np.random.default_rng(5)
+    grey = cv2.GaussianBlur(random.integers(0, 256, (40, 48), np.uint8), (0, 0), 1.5)
+    for _ in range(9):
+        motion.add(grey)
+    of = {2: np.zeros((40, 48), np.uint8), 6: np.zeros((40, 48), np.uint8)}
+    of[2][10:30, 10:30], of[6][10:30, 10:30] = 1, 2
+    found = {k: int(labels.max()) for k, labels in carried_labels(motion, [2, 6], of.get)}
+    assert found == {0: 1, 1: 1, 3: 1, 4: 1, 5: 2, 7: 2, 8: 2}
+
+
+# Errors
+
+
+def test_what_cannot_be():
+    with pytest.raises(ValueError, match=r'motion is "camera": expected motion="objects"'):
+        reconstructed(labels=labels(), settings=None)
+    with pytest.raises(ValueError, match=r"labels has none of a frame of frames that is taken"):
+        reconstructed(labels={1: labels()[1]}, step=2)
+    with pytest.raises(ValueError, match="give booleans"):
+        reconstructed(mask=np.uint8(labels() > 0))
+    with pytest.raises(ValueError, match="0 or 255 everywhere"):
+        reconstructed(labels=np.where(labels() > 0, 255, 0))
+
+
+def test_a_result_does_not_replace_its_labels(given):
+    before = labels_of(given)
+    with pytest.raises(ValueError, match="which is written to: give another folder"):
+        reconstructed(labels=given.folder, folder=given.folder)
+    np.testing.assert_array_equal(labels_of(given), before)
+
+
+def test_pictures_of_one_thing_with_a_palette(tmp_path):
+    """Indexed pictures of a single thing, as DAVIS has them."""
+    for k, one in enumerate(labels()):
+        write_label_png(tmp_path / f"{k:05d}.png", np.uint8(one == 5))
+    result = reconstructed(mask=tmp_path)
+    np.testing.assert_array_equal(labels_of(result), labels() == 5)
+    assert [thing.id for thing in result.objects] == [1]
