@@ -4,8 +4,10 @@ from functools import cache
 
 import numpy as np
 
+from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
+from tisfm.scenes import Box, Film, Scene, Texture, bodies_path, room_film
+from tisfm.scenes.room import FOCAL, room_at_rest, taken, wavelength_at
 
 STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
 
@@ -19,6 +21,33 @@ def along(count, step=STEP):
 def walk(count=9, height=180, width=240):
     """Return a film of so many frames."""
     return room_film(along(count), height, width, samples=2)
+
+
+@cache
+def board_film(count=20, height=240, width=320, *, with_board=True):
+    """Return a film of a papered room, and where a board is seen, (N, H, W) bool.
+
+    The board fills a third of the frames, has more contrast than the room, and moves on its own.
+    """
+    path, camera, random = bodies_path(count), Camera(focal=FOCAL * width), np.random.default_rng(0)
+    room = room_at_rest(width, 0, textured=True)
+    paint = Texture(wavelength=wavelength_at(1.6), octaves=4, mean=120, contrast=60, seed=100)
+    frames, depth, seen = [], [], []
+    for k, pose in enumerate(path):
+        board = Box(
+            texture=paint,
+            center=np.array((-0.2, -0.05, 1.6)) + k * np.array((0.03, -0.012, 0.0)),
+            size=(1.15, 1.035, 0.5),
+            axes=pose_matrix(k * np.array((0, 0, 0, 0.006, -0.012, 0.008)))[:3, :3],
+        )
+        objects = [*room, board] if with_board else room
+        scene = Scene(objects=objects, camera=camera, height=height, width=width)
+        frame, far, labels = scene.seen_with_labels(pose, samples=2)
+        frames.append(taken(frame, random, 1.5, 0.0, "uint8"))
+        depth.append(far)
+        seen.append(labels >= len(room))
+    film = Film(frames=np.stack(frames), depth=np.stack(depth), poses=path, camera=camera)
+    return film, np.stack(seen)
 
 
 def path_error(found, true):

@@ -6,6 +6,7 @@ import re
 import warnings
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -173,6 +174,45 @@ def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer
     assert len(caught) == 1  # and no word of a path that was not found
     assert result.camera.focal == 1.2 * SIZE[1]
     assert (result.piece == 0).any()
+
+
+@pytest.mark.parametrize(("first", "best"), [(40, 60), (55, 55), (0, 60)])
+def test_what_explains_little_is_begun_elsewhere(first, best):
+    """Focal lengths of 100, 42 and 240 px explain 45, 60 and 30 of 100 observations."""
+    explained = {90.0: first, 100.0: 45, 42.0: 60, 240.0: 30}
+
+    def grown(camera, calibrate):
+        count = explained[round(camera.focal, 6)]
+        lens = SimpleNamespace(params=[camera.focal, 50.0, 40.0])
+        one = SimpleNamespace(cameras={1: lens}, compute_num_observations=lambda: count)
+        return [one] if count else []
+
+    shared = SimpleNamespace(grown=grown, matched=lambda: 100)
+    (found,) = self_calibration._grown(shared, Camera(focal=100.0), 90.0, "focal")
+    assert found.compute_num_observations() == best
+
+
+@pytest.mark.parametrize(("counts", "kept"), [([49], True), ([30, 20], False), ([], False)])
+def test_what_is_grown_again_has_to_explain_half_as_much(monkeypatch, counts, kept):
+    """The motion hardly shows the focal length: models are grown again with it; 100 count before.
+
+    None at all is what a turn of the camera leads to.
+    """
+    before = SimpleNamespace(compute_num_observations=lambda: 100)
+    shared = SimpleNamespace(models=lambda *_: ["before"])
+    again = [SimpleNamespace(explained=count) for count in counts]
+    hardly = FocalEstimate(focal=100.0, deviation=10.0)
+    for name, answer in (
+        ("Shared", SimpleNamespace(of=lambda *_: shared)),
+        ("_best_start", lambda *_: 100.0),
+        ("_grown", lambda *_: [before]),
+        ("_adjust", lambda *_: None),
+        ("_estimate", lambda *_: hardly),
+        ("models_of", lambda *_: again),
+    ):
+        monkeypatch.setattr(self_calibration, name, answer)
+    models, _ = self_calibration.models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
+    assert models == (["before"] if kept else again)
 
 
 def test_a_guess_is_told_before_depth_is_found():

@@ -12,6 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.cover import Cover
 from tisfm.reconstruction.database import (
     CENTRE,
     Directions,
@@ -24,6 +25,8 @@ from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, g
 from tisfm.reconstruction.lasting import lasting
 from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
 from tisfm.reconstruction.tracks import Seen
+
+MOST = 0.75  # of the frames, by area: what explains as much is the world
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +92,38 @@ class Shared:
         """Return pycolmap's reconstructions, the largest first.
 
         Each has the focal length of the camera, or one of its own if that is to be found, and maybe
-        a radial coefficient.
+        a radial coefficient. What moves on its own, but has more points than the rest, may have
+        been taken for the world: where they leave much of the frames unexplained, others are grown
+        from that alone, and those count that explain more.
         """
+        found = self._grown(self.pairs, camera, calibrate)
+        cover = Cover(self.views, self.pairs, self.shape)
+        explained = cover.explained(found)
+        while found and cover.share(explained) < MOST:
+            rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
+            rest = {pair: both for pair, both in rest.items() if len(both) >= FEWEST}
+            others = self._grown(rest, camera, calibrate)
+            by_others = cover.explained(others)
+            if cover.share(by_others) <= cover.share(explained):
+                break
+            found, explained = others, by_others
+        return found
+
+    def _grown(
+        self, pairs: Mapping[tuple[int, int], np.ndarray], camera: Camera, calibrate: Calibrate
+    ) -> list[Any]:
         known = colmap_camera(camera, self.shape, calibrate)
-        directions = Directions(self.views, self.pairs, camera, self.shape)
-        with database_of(self.views, self.pairs, known) as database:
+        directions = Directions(self.views, pairs, camera, self.shape)
+        with database_of(self.views, pairs, known) as database:
             return grown(database, directions, len(self.views), calibrate)
+
+    def matched(self) -> int:
+        """Return how many points of views pairs match."""
+        points: dict[int, list[np.ndarray]] = {}
+        for (one, other), both in self.pairs.items():
+            points.setdefault(one, []).append(both[:, 0])
+            points.setdefault(other, []).append(both[:, 1])
+        return sum(len(np.unique(np.concatenate(few))) for few in points.values())
 
     def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
         """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""

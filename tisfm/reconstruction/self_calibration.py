@@ -24,6 +24,7 @@ from tisfm.reconstruction.mapping import Model, Shared, models_of
 from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
+WELL = 0.5  # of all matched observations: what explains as many is not bent
 WINDOW = 16  # views: of each of the two windows that beginnings are compared on
 ENOUGH = 6000  # observations that parts are made of
 STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
@@ -168,7 +169,7 @@ def models_and_focal(
     """
     shared = Shared.of(views, matches, shape)
     begun = _best_start(shared, camera, calibrate)
-    found = [] if begun is None else shared.grown(replace(camera, focal=begun), calibrate)
+    found = [] if begun is None else _grown(shared, camera, begun, calibrate)
     if not found:
         models = models_of(views, matches, camera, shape)
         return models, _unknown(camera) if models else None
@@ -178,8 +179,10 @@ def models_and_focal(
         return models_of(views, matches, camera, shape), estimate
     if not estimate.is_seen and not estimate.radial:
         # What a wrong focal length has made of a turn may look like a path: from the one that was
-        # found it is not begun.
-        return models_of(views, matches, estimate.taken(camera), shape), estimate
+        # found it is not begun. But what comes of the same focal length may be bent as well.
+        again = models_of(views, matches, estimate.taken(camera), shape)
+        if not again or sum(model.explained for model in again) >= WELL * _explained(found):
+            return again, estimate
     for other in found[1:]:
         _set(other, estimate.focal, estimate.radial)
         _adjust(other, "nothing")
@@ -258,6 +261,26 @@ def _bend(whole: Any) -> float:
     _adjust(bent, "radial")
     focal = _found(bent)[0]
     return math.log(focal / _found(whole)[0]) if _is_possible(focal) else math.inf
+
+
+def _grown(shared: Shared, camera: Camera, begun: float, calibrate: Calibrate) -> list[Any]:
+    """Return reconstructions from a focal length, or from another if they explain too little.
+
+    Windows may be explained by what is bent, as where the camera follows something that moves.
+    """
+    best = shared.grown(replace(camera, focal=begun), calibrate)
+    if best and _explained(best) >= WELL * shared.matched():
+        return best
+    for times in STARTS:
+        others = shared.grown(replace(camera, focal=times * camera.focal), calibrate)
+        if others and _explained(others) > _explained(best) and _is_possible(_found(others[0])[0]):
+            best = others
+    return best
+
+
+def _explained(found: Sequence[Any]) -> int:
+    """Return how many observations reconstructions explain."""
+    return sum(one.compute_num_observations() for one in found)
 
 
 def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float | None:
