@@ -229,6 +229,8 @@ class Identities:
     @staticmethod
     def _alike(thing: _Thing, place: np.ndarray, look: np.ndarray, away: int) -> float:
         """Return how far something is what a thing was so many frames ago; 0 if it is not."""
+        if not thing.whole.any():
+            return 0.0
         size = max(place[2], thing.whole.sum() ** 0.5)
         expected = thing.center() + away * thing.velocity
         far = float(np.linalg.norm(place[:2] - expected) / (size * (1 + FARTHER * away)))
@@ -316,6 +318,8 @@ class Identities:
         """Return the thing that was hidden before another began, and looks like it; 0 if none."""
         thing = self._things[late]
         frames = [f for k in np.flatnonzero(whole == late) for f in self._things[int(k)].motions]
+        if not frames:  # its outline left nothing of it
+            return 0
         first = min(frames)
         best, found = 0.0, 0
         for other in self._things.values():
