@@ -122,8 +122,8 @@ class Identities:
         grey = self._motion.grey(frame)
         labels = np.zeros(grey.shape, np.int32)
         carried = np.zeros_like(labels) if before is None else self._carried(frame, before)
-        known = np.isin(carried, [k for k, thing in self._things.items() if thing.core >= LASTING])
-        parts = list(moving_parts(grey, self._evidence[frame], known))
+        sure = [number for number, thing in self._things.items() if thing.core >= LASTING]
+        parts = list(moving_parts(grey, self._evidence[frame], np.isin(carried, sure)))
         moves = Moves(self._motion, frame)
         for part, _ in parts:
             counts = np.bincount(carried[part], minlength=1)

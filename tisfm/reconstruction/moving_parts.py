@@ -13,6 +13,7 @@ from tisfm.reconstruction.evidence import DOUBT, Evidence
 # frames that say something; and the share of the smallest thing that is core.
 BOUNDARY, CORE, CORE_WEIGHT, CORE_SHARE = -0.3, 0.3, 1.5, 0.25
 KNOWN = 0.4  # of mean evidence: so much more, where something was seen to move before
+CORE_PART = 0.15  # and of the part itself: what is hardly shown anywhere is no thing
 SURE = 4.0  # frames that say something: more have no more say in the boundary
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh in the boundary: those of sure evidence, and others
 
@@ -42,4 +43,5 @@ def moving_parts(
     smallest = smallest_object(grey.size)
     for part in range(1, count):
         if statistics[part, cv2.CC_STAT_AREA] >= smallest:
-            yield parts == part, bool(cores[part] >= CORE_SHARE * smallest)
+            enough = max(CORE_SHARE * smallest, CORE_PART * statistics[part, cv2.CC_STAT_AREA])
+            yield parts == part, bool(cores[part] >= enough)
