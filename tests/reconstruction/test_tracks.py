@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.reconstruction.walks import CAMERA
+from tisfm.reconstruction.found_flow import FoundFlow
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.tracks import Tracker, seeds, share_of, smaller, spread
 
@@ -28,6 +29,30 @@ def test_tracks_follow_a_shift():
     assert len(before) > 0.95 * len(spread(inside, 6.0))
     away = second.points[after] - first.points[before] - (-3.25, 1.5)
     assert np.median(np.hypot(*away.T)) < 0.1  # px
+
+
+def test_tracks_are_the_same_along_image_motion_that_is_found_before():
+    frames = [picture(shift) for shift in ((0, 0), (3.25, -1.5), (6.5, -3.0))]
+    asked = []
+
+    def grey(number):
+        asked.append(number)
+        return frames[number]
+
+    flow = FoundFlow(CAMERA, grey)
+    found, given = Tracker(CAMERA, TRACKING), Tracker(CAMERA, TRACKING)
+    for number, frame in enumerate(frames):
+        one = found.go_on(frame)
+        two = given.go_on(frame, flow=flow.to(number) if number else None)
+        np.testing.assert_array_equal(one.tracks, two.tracks)
+        np.testing.assert_allclose(one.points, two.points, atol=0.02)  # 3 px have 11 bits
+    times = len(asked)
+    np.testing.assert_array_equal(flow.to(1), flow.to(1))
+    assert len(asked) == times
+    misled = Tracker(CAMERA, TRACKING)
+    first = misled.go_on(frames[0])
+    here, _ = first.shared(misled.go_on(frames[1], flow=flow.to(1) + 50))
+    assert len(here) < 0.1 * len(first.tracks)
 
 
 def test_of_tracks_that_meet_the_first_goes_on():

@@ -84,6 +84,9 @@ class PieceDepths:
         A keyframe that is known already, and its depth: those of later frames are found.
     after : int, optional
         Frames between keyframes are left out up to this one.
+    whole : (int, int), optional
+        Height and width of the frames that these are cut from: depth is then found as in those. By
+        default they are whole.
 
     Attributes
     ----------
@@ -104,16 +107,18 @@ class PieceDepths:
         *,
         before: tuple[int, WindowDepth] | None = None,
         after: int = -1,
+        whole: tuple[int, int] | None = None,
     ) -> None:
         self._frames, self._piece, self._seen = frames, piece, seen
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
+        self._whole = whole or frames.shape
         self._previous, self._after = None if before is None else before[0], after
         # Of the keyframes in use: as their windows have it (that of `before` apart), and as it is
         # written.
         self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
         self.settled = dict(self._known)
-        self.keyframes = chosen_keyframes(piece, seen, max(frames.shape), self._previous)
+        self.keyframes = chosen_keyframes(piece, seen, max(self._whole), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:
         """Yield the depth of every frame that has any: keyframes once the next one is known."""
@@ -213,6 +218,7 @@ class PieceDepths:
             self._camera,
             self._frames.shape,
             most=MOST[effort],
+            whole=self._whole,
         )
         chosen = [near[k] for k in neighbours]
         if not chosen:
@@ -227,6 +233,7 @@ class PieceDepths:
             effort=effort,
             key_mask=self._frames.counted(key),
             masks=[self._frames.counted(f) for f in chosen],
+            whole=self._whole,
         )
 
     def _shown(self, known: WindowDepth, key: int, frame: int, stride: int) -> View:

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -16,6 +17,9 @@ from tisfm.resampling import Resampling
 from tisfm.shutter import Rolling, UnrolledFrame
 from tisfm.solver.counted import filled
 from tisfm.sources.reading import SourceFrame
+
+if TYPE_CHECKING:
+    from tisfm.reconstruction.found_flow import FoundFlow
 
 QUALITY = 95  # of the JPEG pictures that colours are taken from
 HELD = 24  # frames in memory at a time
@@ -52,6 +56,7 @@ class PreparedFrames:
         self._masked: set[int] = set()
         self._labelled: set[int] = set()  # frames that show a thing
         self._as_read: set[int] = set()  # frames of which what was read is kept as well
+        self._flow: FoundFlow | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare a frame and keep it; return it as the tracker takes it.
@@ -139,7 +144,21 @@ class PreparedFrames:
                 _as_it_was(path).unlink(missing_ok=True)
             self._as_read.discard(number)
 
+    def flow(self, number: int) -> np.ndarray | None:
+        """Return the image motion to a frame from that before; None for the first frame.
+
+        It is found once, as long as frames stay as they are, and is as `FoundFlow.to` returns it.
+        """
+        if number == 0:
+            return None
+        if self._flow is None:
+            from tisfm.reconstruction.found_flow import FoundFlow
+
+            self._flow = FoundFlow(self.camera, lambda one: self.tracked(one)[0])
+        return self._flow.to(number)
+
     def _make_anew(self, number: int, map_: Resampling) -> None:
+        self._flow = None
         ignored = ~map_.valid
         if number in self._masked:
             before = np.load(self._mask_path(number)).astype(np.float32)

@@ -50,13 +50,18 @@ class FramesPath:
         self._tracker = Tracker(camera, TRACKING)
         self._finder = PathFinder(camera, calibrate, limit=limit, readout=readout)
 
-    def add(self, grey: np.ndarray, ignored: np.ndarray | None = None) -> None:
-        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool."""
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> None:
+        """Take the next frame, as `tisfm.reconstruction.path.PathFinder.add` does."""
         self._shape = grey.shape
         if self._given is None:
-            self._finder.add(grey, ignored)
+            self._finder.add(grey, ignored, flow)
         else:
-            self._seen.append(self._tracker.go_on(grey, ignored))
+            self._seen.append(self._tracker.go_on(grey, ignored, flow))
 
     def finish(self, times: Sequence[float | None], instants: np.ndarray) -> CameraPath:
         """Return the path of the frames.

@@ -164,10 +164,16 @@ def returning(there: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Return where the way there and back ends where it began, (H, W) float32: 1, or else 0."""
     height, width = there.shape[:2]
     places = places_of((height, width)) + there
-    missed = np.linalg.norm(there + at_places(back, places), axis=-1)
-    fits = missed < RETURN + RETURN_SHARE * np.linalg.norm(there, axis=-1)
-    inside = (places >= 0).all(axis=-1) & (places <= [width - 1, height - 1]).all(axis=-1)
+    missed = length_of(there + at_places(back, places))
+    fits = missed < RETURN + RETURN_SHARE * length_of(there)
+    x, y = cv2.split(places)
+    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     return np.float32(fits & inside)
+
+
+def length_of(vectors: np.ndarray) -> np.ndarray:
+    """Return the lengths, (H, W) float32, of vectors, (H, W, 2) float32."""
+    return cv2.magnitude(*cv2.split(vectors))  # many times as fast as `np.linalg.norm`
 
 
 def places_of(shape: tuple[int, ...]) -> np.ndarray:

@@ -19,6 +19,7 @@ def choose_neighbours(
     shape: tuple[int, int],
     *,
     most: int = 4,
+    whole: tuple[int, int] | None = None,
 ) -> list[int]:
     """Choose frames by how much parallax they give each part of a keyframe, from both sides.
 
@@ -43,6 +44,8 @@ def choose_neighbours(
         Height and width of the frames, px.
     most : int
         How many are chosen at most.
+    whole : (int, int), optional
+        Height and width of the frames that these are cut from: parallax is a share of that width.
 
     Returns
     -------
@@ -61,7 +64,7 @@ def choose_neighbours(
     known = np.isfinite(poses).all(axis=(1, 2))
     known[key] = False
     candidates = np.flatnonzero(known)
-    shown, side = _shown(poses, key, candidates, rays, depth, camera, shape)
+    shown, side = _shown(poses, key, candidates, rays, depth, camera, shape, (whole or shape)[1])
     chosen: list[int] = []
     sums = np.zeros((2, rays.shape[1]))
     reference = None
@@ -114,8 +117,12 @@ def _shown(
     depth: np.ndarray,
     camera: Camera,
     shape: tuple[int, int],
+    full: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how well each candidate shows each point (J, P), and where it moves, (J, 2, P)."""
+    """Return how well each candidate shows each point (J, P), and where it moves, (J, 2, P).
+
+    Parallax is a share of a `full` width, px.
+    """
     height, width = shape
     cx, cy = camera.center_for(height, width)
     motions = np.linalg.inv(poses[candidates]) @ poses[key]
@@ -128,7 +135,7 @@ def _shown(
         inside = (moved[:, 2] > 0) & (turned[:, 2] > 0)
         inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
     apart = np.where(inside[:, None], apart, 0)
-    parallax = np.hypot(apart[:, 0], apart[:, 1]) / width
+    parallax = np.hypot(apart[:, 0], apart[:, 1]) / full
     shown = np.minimum(1, parallax / ENOUGH) * np.minimum(1, WIDE / np.maximum(parallax, 1e-9))
-    direction = apart / np.maximum(width * parallax, 1e-9)[:, None]
+    direction = apart / np.maximum(full * parallax, 1e-9)[:, None]
     return shown * inside, direction

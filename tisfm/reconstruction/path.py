@@ -95,9 +95,17 @@ class PathFinder:
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
-    def add(self, grey: np.ndarray, ignored: np.ndarray | None = None) -> None:
-        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool."""
-        seen = self._tracker.go_on(grey, ignored)
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> None:
+        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool.
+
+        And the image motion from the frame before, where it is known, as `Tracker.go_on` does.
+        """
+        seen = self._tracker.go_on(grey, ignored, flow)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self._seen), grey, seen, ignored)
         self._seen.append(seen)

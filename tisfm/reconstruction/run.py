@@ -197,7 +197,7 @@ class Run:
             def path_of(calibrate: Calibrate | None) -> CameraPath:
                 anew = self._frames_path(calibrate)
                 for number in range(self._frames.count):
-                    anew.add(*self._frames.tracked(number))
+                    anew.add(*self._frames.tracked(number), self._frames.flow(number))
                 return anew.finish(times, instants)
 
             path = path_at_rest(self._frames, labels, path_of, self._take_camera)

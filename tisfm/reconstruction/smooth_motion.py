@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from tisfm.reconstruction.image_motion import ImageMotion, places_of
+from tisfm.reconstruction.image_motion import ImageMotion, length_of, places_of
 
 FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
 STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first
@@ -59,7 +59,7 @@ class Moves:
                 continue
             sign = 1 if self._later and way == 0 else -1
             start = None if velocity is None else sign * velocity
-            missed = np.linalg.norm(flow - smooth_motion(flow, inside, start, terms), axis=-1)
+            missed = length_of(flow - smooth_motion(flow, inside, start, terms))
             deviations.append(1.48 * float(np.median(missed[inside])))
             total += np.where(found, missed, 0)
             count += found

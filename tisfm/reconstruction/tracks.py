@@ -78,7 +78,12 @@ class Tracker:
         self._seen = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
         self._count = 0
 
-    def go_on(self, grey: np.ndarray, ignored: np.ndarray | None = None) -> Seen:
+    def go_on(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> Seen:
         """Take the next frame, (H, W) uint8, and return where tracks are in it.
 
         Parameters
@@ -86,11 +91,17 @@ class Tracker:
         grey : (H, W) uint8
         ignored : (H, W) bool, optional
             Pixels that no track may lie on.
+        flow : (h, w, 2) float32, optional
+            Image motion from the frame before, px of its own size, which is that of `smaller`. By
+            default it is found.
         """
         small = smaller(grey)
         points, tracks = self._seen.points, self._seen.tracks
         if self._grey is not None and self._small is not None:
-            points, kept = carried(self._grey, grey, points, self._flow(self._small, small))
+            if flow is None:
+                share = share_of(small, grey)
+                flow = flow_between(self._small, small, share, self._camera, self._settings)
+            points, kept = carried(self._grey, grey, points, flow)
             points, tracks = points[kept], tracks[kept]
             kept = spread(points, APART * _cell(grey, self._cells))
             points, tracks = points[kept], tracks[kept]
@@ -104,19 +115,36 @@ class Tracker:
         self._seen = Seen(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
         return self._seen
 
-    def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
-        """Return the image motion, (h, w, 2) float32, px of the small frames."""
-        scale = share_of(small0, self._grey) if self._grey is not None else 1.0
-        camera = Camera(focal=self._camera.focal * scale)
-        pyramid = ImagePyramid(
-            small0,
-            small1,
-            camera,
-            factor=self._settings.pyramid_factor,
-            presmoothing=self._settings.presmoothing,
-        )
-        problem = flow_problem(self._settings, camera.focal)
-        return cv2.merge(list(coarse_to_fine(pyramid, problem).unknowns.flow()))
+
+def flow_between(
+    small0: np.ndarray, small1: np.ndarray, share: float, camera: Camera, settings: Settings
+) -> np.ndarray:
+    """Return the image motion from one of two `smaller` frames to the other.
+
+    Parameters
+    ----------
+    small0, small1 : (h, w) float32
+    share : float
+        Px of theirs to a px of the frames.
+    camera : Camera
+        A pinhole, of the frames.
+    settings : Settings
+
+    Returns
+    -------
+    (h, w, 2) float32
+        Px of the smaller frames.
+    """
+    scaled = Camera(focal=camera.focal * share)
+    pyramid = ImagePyramid(
+        small0,
+        small1,
+        scaled,
+        factor=settings.pyramid_factor,
+        presmoothing=settings.presmoothing,
+    )
+    problem = flow_problem(settings, scaled.focal)
+    return cv2.merge(list(coarse_to_fine(pyramid, problem).unknowns.flow()))
 
 
 def carried(

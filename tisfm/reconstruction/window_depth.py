@@ -93,6 +93,7 @@ def window_depth(
     effort: Effort = "balanced",
     key_mask: np.ndarray | None = None,
     masks: Sequence[np.ndarray | None] | None = None,
+    whole: tuple[int, int] | None = None,
 ) -> WindowDepth | None:
     """Estimate the inverse depth of every pixel of a keyframe.
 
@@ -114,6 +115,8 @@ def window_depth(
         Where the keyframe counts; elsewhere depth is carried.
     masks : sequence of (H, W) bool or None, optional
         The same of every other frame.
+    whole : (int, int), optional
+        H and W of the frames that these are cut from, as for `Window`.
 
     Returns
     -------
@@ -132,7 +135,14 @@ def window_depth(
     motions = _checked(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
-        key, others, motions, camera, cells=CELLS[effort], key_mask=key_mask, masks=masks
+        key,
+        others,
+        motions,
+        camera,
+        cells=CELLS[effort],
+        key_mask=key_mask,
+        masks=masks,
+        whole=whole,
     )
     planes = window_planes(window)
     anchors = anchors_of(window, planes)

@@ -78,6 +78,9 @@ class Window:
         Where the keyframe counts; by default everywhere.
     masks : sequence of (H, W) bool or None, optional
         Where each of the others counts.
+    whole : (int, int), optional
+        H and W of the frames that these are cut from: cells are as dense, and planes are looked
+        for as far, as in those. By default they are whole.
 
     Attributes
     ----------
@@ -109,18 +112,20 @@ class Window:
         cells: int,
         key_mask: np.ndarray | None = None,
         masks: Sequence[np.ndarray | None] | None = None,
+        whole: tuple[int, int] | None = None,
     ) -> None:
         self.camera = camera
+        height, width = whole or key.shape
         self.unit = self._unit(motions, key.shape)
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
         self.size = key.shape
         met = float(np.median([_where_axes_meet(motion) for motion in self.motions]))
-        self.largest = LARGEST * max(key.shape) + camera.focal * met
+        self.largest = LARGEST * max(height, width) + camera.focal * met
         self.finest = self.level = 0
-        while key.size >> 2 * self.finest > MOST:
+        while height * width >> 2 * self.finest > MOST:
             self.finest += 1
-        while key.size >> 2 * self.level > cells or self.level < self.finest:
+        while height * width >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
         smallest = int(np.log2(max(1, min(key.shape))))
         levels = min(self.level + COARSER + 1, smallest + 1)

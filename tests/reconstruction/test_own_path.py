@@ -1,0 +1,92 @@
+"""Depth of a thing is found in the part of the frames that it is in, as in whole frames."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tisfm.camera import Camera
+from tisfm.reconstruction import own_path
+from tisfm.reconstruction.depths import PieceDepths, effort_of
+from tisfm.reconstruction.frames import PreparedFrames
+from tisfm.reconstruction.own_path import ALIGNED, own_depths
+from tisfm.reconstruction.path import TRACKING
+from tisfm.reconstruction.sparse_points import triangulated
+from tisfm.reconstruction.tracks import Tracker
+from tisfm.reconstruction.way import Piece
+from tisfm.scenes import bodies_film, bodies_path
+from tisfm.settings import Settings
+from tisfm.sources.reading import SourceFrame
+
+SETTINGS = Settings.preset("fast")
+SIZE = 181, 243
+COUNT = 8
+
+
+@cache
+def film():
+    """Return a film of a room at rest."""
+    return bodies_film(bodies_path(16), *SIZE, bodies=0)
+
+
+class Part:
+    """Frames of which a part counts, that stays where it is."""
+
+    def __init__(self, counted):
+        self.camera, self.shape = film().camera, SIZE
+        self._counted = counted
+
+    def grey(self, number):
+        return film().frames[number].astype(np.float32)
+
+    def counted(self, number):
+        return self._counted
+
+
+def part(where):
+    """Return where a thing is: in the midst, or up to a corner."""
+    rows, columns = np.indices(SIZE)
+    if where == "midst":
+        return ((rows - 91) / 37) ** 2 + ((columns - 118) / 45) ** 2 < 1
+    return (rows > 109) & (columns > 160)
+
+
+@pytest.mark.parametrize("where", ["midst", "corner"])
+def test_depth_is_as_of_whole_frames(where):
+    counted = part(where)
+    frames = Part(counted)
+    tracker = Tracker(frames.camera, TRACKING, cells=48)
+    seen = [tracker.go_on(np.uint8(frames.grey(k)), ~counted) for k in range(COUNT)]
+    poses = {k: film().poses[k] for k in range(COUNT)}
+    points = triangulated(seen, poses, frames.camera, SIZE)
+    piece = Piece(poses=poses, views=tuple(poses), points=points)
+    cut = own_depths(frames, piece, seen, SETTINGS)
+    whole = list(PieceDepths(frames, piece, seen, SETTINGS, effort=effort_of(SETTINGS)))
+    assert [one.frame for one in cut] == [one.frame for one in whole]
+    for one, other in zip(cut, whole, strict=True):
+        assert one.inverse_depth.shape == one.deviation.shape == SIZE
+        differ = np.abs(one.inverse_depth / other.inverse_depth - 1)[counted]
+        assert np.median(differ) < 0.01  # planes are drawn at random
+        true = film().depth[one.frame][counted]
+        off, off_whole = (np.abs(d.inverse_depth[counted] * true - 1).mean() for d in (one, other))
+        assert off < 1.3 * off_whole + 0.003
+        known = np.isfinite(one.inverse_depth)
+        assert known[counted].all() and known.mean() < 0.6
+        assert not np.isfinite(one.deviation[~counted]).any()
+    rows, columns = own_path._box_of(frames, range(COUNT))
+    assert rows.start % ALIGNED == columns.start % ALIGNED == 0
+    assert rows.stop <= SIZE[0] and columns.stop <= SIZE[1]
+
+
+def test_image_motion_is_found_anew_with_frames_that_are_made_anew(tmp_path):
+    for name in ("cache", "frames"):
+        (tmp_path / name).mkdir()
+    frames = PreparedFrames(Camera(focal=90.0), tmp_path / "cache", tmp_path / "frames")
+    for k in range(2):
+        image = film().frames[4 * k]
+        frames.add(SourceFrame(index=k, name=str(k), time=None, image=image))
+    assert frames.flow(0) is None
+    before = frames.flow(1)
+    np.testing.assert_array_equal(frames.flow(1), before)
+    frames.take(Camera(focal=90.0, distortion=(0.15, 0, 0, 0)))
+    assert np.abs(frames.flow(1) - before).max() > 0.1
