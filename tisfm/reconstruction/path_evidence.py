@@ -33,10 +33,8 @@ def path_evidence(
     poses: Sequence[np.ndarray | None],
     camera: Camera,
     moving: np.ndarray,
-) -> tuple[Evidence, np.ndarray] | None:
+) -> Evidence | None:
     """Return what many frames say of a frame's pixels, under known poses; None if that is nothing.
-
-    And the inverse depth, (H, W) float32, that serves them.
 
     Parameters
     ----------
@@ -78,8 +76,7 @@ def path_evidence(
     ]
     clear = shown(motion.grey(frame), compared, inverse_depth, near)
     weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
-    found = Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
-    return found, inverse_depth
+    return Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
 
 
 def _joint_depth(

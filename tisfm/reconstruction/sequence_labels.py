@@ -6,16 +6,13 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.below_ground import BelowGround, Depth
-from tisfm.reconstruction.evidence import AT_REST, Evidence, accumulated, evidence_of
+from tisfm.reconstruction.evidence import Evidence, accumulated, evidence_of
 from tisfm.reconstruction.identities import Identities
 from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.moving_parts import BOUNDARY
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.path_evidence import path_evidence
 from tisfm.reconstruction.shelf import Shelf
-
-KNOWN, HALF = 0.3, AT_REST / 2  # frames that say something, and what they say of what is at rest
 
 
 class SequenceLabels:
@@ -64,29 +61,11 @@ class SequenceLabels:
         """Let the path say what it can."""
         small = camera.scaled(self._motion.share, *self._motion.grey(0).shape)
         both = Shelf(Evidence.arrays, Evidence.of_arrays)
-        depths = Shelf(Depth.arrays, Depth.of_arrays)
         for frame, own in enumerate(self._evidence):
-            moving = self._moving(frame)
-            more = path_evidence(self._motion, frame, poses, small, moving)
-            if more is None:
-                depths.append(
-                    Depth(inverse_depth=np.zeros_like(own.moving), at_rest=moving & False)
-                )
-            else:
-                many, inverse_depth = more
-                own = own.judged_by(many)
-                at_rest = ~moving & (many.weight > KNOWN) & (many.moving < HALF * many.weight)
-                depths.append(Depth(inverse_depth=inverse_depth, at_rest=at_rest))
-            both.append(own)
-        ground = BelowGround(self._motion, poses, small, depths)
-        self._evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
-        for frame, own in enumerate(both):
-            below = ground.evidence(frame, self._moving(frame))
-            self._evidence.append(own if below is None else own.overruled_by(below))
-
-    def _moving(self, frame: int) -> np.ndarray:
-        """Return what is known to move, (H, W) bool."""
-        return self._together[frame].mean() > BOUNDARY
+            moving = self._together[frame].mean() > BOUNDARY
+            many = path_evidence(self._motion, frame, poses, small, moving)
+            both.append(own if many is None else own.judged_by(many))
+        self._evidence = both
 
 
 def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
