@@ -29,6 +29,8 @@ from tisfm.reconstruction.way import Piece, Way
 from tisfm.settings import Settings
 from tisfm.shutter import Rolling
 
+# Where fewer views are found, those count between which tracks move by this share of a frame.
+FEW, CLOSER = 4, 0.0125
 TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
 
 
@@ -92,6 +94,7 @@ class PathFinder:
         self._tracker = Tracker(camera, TRACKING, cells)
         self._seen = Shelf(Seen.arrays, Seen.of_arrays)
         self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
+        self._closer: Views | None = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -108,6 +111,10 @@ class PathFinder:
         seen = self._tracker.go_on(grey, ignored, flow)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self._seen), grey, seen, ignored)
+        if len(self._views.chosen) >= FEW:
+            self._closer = None
+        elif self._closer is not None and self._closer.needs(seen, max(grey.shape), CLOSER):
+            self._closer.add(len(self._seen), grey, seen, ignored)
         self._seen.append(seen)
         self._last = grey, ignored
 
@@ -128,6 +135,8 @@ class PathFinder:
         if self._last is None:
             return CameraPath(pieces=(), lost={}, seen=(), camera=self._camera)
         last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
+        if self._closer is not None:  # there are few others
+            views = self._closer
         different = len(views.chosen)
         if not views.chosen or views.chosen[-1].frame != last:
             views.add(last, grey, self._seen[last], ignored)

@@ -11,10 +11,8 @@ from tisfm.reconstruction.shelf import Shelf
 from tisfm.reconstruction.tracks import Seen, share_of, smaller
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
-# view, or fewer than this share of its tracks are still seen. The first ones lie closer, so that
-# short sequences have enough of them.
+# view, or fewer than this share of its tracks are still seen.
 MOVED, KEPT = 0.025, 0.35
-FIRST, FIRST_MOVED = 4, 0.0125
 PER_CELL = 4  # points of a cell: fewer than for pairs, since views are matched with several
 MATCHED = 3  # views before, that a view is matched with by what points look like
 FEWEST_MATCHES = 15
@@ -63,7 +61,7 @@ class Views:
         """Let matches from now on fit a camera whose focal length is known."""
         self._camera, self._focal_known = camera, True
 
-    def needs(self, seen: Seen, longer_side: int) -> bool:
+    def needs(self, seen: Seen, longer_side: int, share: float = MOVED) -> bool:
         """Return whether a frame shows enough that is new to become a view."""
         if not self.chosen:
             return len(seen.tracks) > 0
@@ -74,8 +72,7 @@ class Views:
         if len(index0) == 0:
             return len(seen.tracks) > 0
         moved = np.hypot(*(seen.points[index1] - before.points[index0]).T)
-        least = MOVED if len(self.chosen) >= FIRST else FIRST_MOVED
-        return bool(np.median(moved) > least * longer_side)
+        return bool(np.median(moved) > share * longer_side)
 
     def add(self, frame: int, grey: np.ndarray, seen: Seen, ignored: np.ndarray | None) -> None:
         """Make a view of a frame, (H, W) uint8, without its ignored pixels, (H, W) bool."""
