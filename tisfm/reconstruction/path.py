@@ -136,7 +136,7 @@ class PathFinder:
             return CameraPath(pieces=(), lost={}, seen=(), camera=self._camera)
         last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
         if self._closer is not None:  # there are few others
-            views = self._closer
+            views = self._views = self._closer
         different = len(views.chosen)
         if not views.chosen or views.chosen[-1].frame != last:
             views.add(last, grey, self._seen[last], ignored)
