@@ -30,7 +30,7 @@ from tisfm.settings import Settings
 from tisfm.shutter import Rolling
 
 # Where fewer views are found, those count between which tracks move by this share of a frame.
-FEW, CLOSER = 4, 0.0125
+FEW, CLOSER = 3, 0.0125
 TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
 
 
