@@ -7,13 +7,9 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.flow_proposals import proposals
-from tisfm.motion.problems import flow_problem
 from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.tracks import share_of, smaller
+from tisfm.reconstruction.tracks import flow_between, share_of, smaller
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import coarse_to_fine
-from tisfm.solver.image_pyramid import ImagePyramid
 
 # There and back, a point ends no further from where it was: px, and a share of the way.
 RETURN, RETURN_SHARE = 0.5, 0.05
@@ -148,16 +144,9 @@ class ImageMotion:
         return self._held[frame]
 
     def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
-        pyramid = ImagePyramid(
-            small0,
-            small1,
-            Camera(focal=self._camera.focal * self.share),
-            factor=self._settings.pyramid_factor,
-            presmoothing=self._settings.presmoothing,
+        return flow_between(
+            small0, small1, self.share, self._camera, self._settings, fast_things=True
         )
-        problem = flow_problem(self._settings, pyramid.cameras[0].focal)
-        solution = coarse_to_fine(pyramid, problem, amendment=proposals(pyramid, problem))
-        return cv2.merge(list(solution.unknowns.flow()))
 
 
 def returning(there: np.ndarray, back: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.motion.flow_proposals import proposals
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
@@ -117,7 +118,13 @@ class Tracker:
 
 
 def flow_between(
-    small0: np.ndarray, small1: np.ndarray, share: float, camera: Camera, settings: Settings
+    small0: np.ndarray,
+    small1: np.ndarray,
+    share: float,
+    camera: Camera,
+    settings: Settings,
+    *,
+    fast_things: bool = False,
 ) -> np.ndarray:
     """Return the image motion from one of two `smaller` frames to the other.
 
@@ -129,6 +136,8 @@ def flow_between(
     camera : Camera
         A pinhole, of the frames.
     settings : Settings
+    fast_things : bool
+        Whether things that move far for their size are looked for.
 
     Returns
     -------
@@ -144,7 +153,9 @@ def flow_between(
         presmoothing=settings.presmoothing,
     )
     problem = flow_problem(settings, scaled.focal)
-    return cv2.merge(list(coarse_to_fine(pyramid, problem).unknowns.flow()))
+    amendment = proposals(pyramid, problem) if fast_things else None
+    solution = coarse_to_fine(pyramid, problem, amendment=amendment)
+    return cv2.merge(list(solution.unknowns.flow()))
 
 
 def carried(
