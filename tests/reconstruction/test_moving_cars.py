@@ -70,12 +70,6 @@ def test_cars_that_stand_are_not_labelled(labels, car):
     assert labelled.mean() <= 0.1
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="the estate ahead drives along the epipolar lines, nearly as fast as the camera: it is "
-    "taken for something at rest that is further away",
-)
 def test_cars_that_move_are_labelled(labels):
     found = []
     for car in MOVING:

@@ -72,6 +72,21 @@ class Evidence:
             weight=borne_out * self.weight + many.weight,
         )
 
+    def at_rest_in(self, place: np.ndarray) -> "Evidence":
+        """Return this where a place, (H, W) bool, is at rest."""
+        return Evidence(
+            moving=np.where(place, np.float32(AT_REST), self.moving),
+            weight=np.where(place, np.float32(1), self.weight),
+        )
+
+    def overruled_by(self, other: "Evidence") -> "Evidence":
+        """Return this with what says that something moves which looks at rest anyway."""
+        counts = (self.moving > 0) | (other.weight == 0)
+        return Evidence(
+            moving=counts * self.moving + other.moving,
+            weight=counts * self.weight + other.weight,
+        )
+
 
 def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     """Return what a frame's motion to others says.
@@ -182,6 +197,11 @@ class AtRest:
         x, y = self._center
         return cv2.merge([moved[0] * scale + x, moved[1] * scale + y])
 
+    def inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
+        """Return the inverse depth in the other frame, (H, W) float32, of points of one in this."""
+        ahead = self._turned[..., 2] + inverse_depth * self._translation[2]
+        return inverse_depth / np.maximum(ahead, np.float32(NEAREST))
+
     def slope_and_missed(
         self, inverse_depth: np.ndarray, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -267,7 +287,14 @@ def _missed(
     """Return by how many grey levels places in other frames differ, (H, W) float32, on average."""
     total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
     for other, places, found in views:
-        off = cv2.blur(np.abs(at_places(other, places) - grey), (WINDOW, WINDOW))
-        total += found * off
+        total += found * missed_by(other, places, grey)
         count += found
     return total / np.maximum(count, 1)
+
+
+def missed_by(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
+    """Return by how many grey levels another frame at places differs from a frame, (H, W) float32.
+
+    On average over windows.
+    """
+    return cv2.blur(np.abs(at_places(other, places) - grey), (WINDOW, WINDOW))

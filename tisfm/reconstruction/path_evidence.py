@@ -33,8 +33,10 @@ def path_evidence(
     poses: Sequence[np.ndarray | None],
     camera: Camera,
     moving: np.ndarray,
-) -> Evidence | None:
+) -> tuple[Evidence, np.ndarray] | None:
     """Return what many frames say of a frame's pixels, under known poses; None if that is nothing.
+
+    And the inverse depth, (H, W) float32, that serves them.
 
     Parameters
     ----------
@@ -76,7 +78,8 @@ def path_evidence(
     ]
     clear = shown(motion.grey(frame), compared, inverse_depth, near)
     weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
-    return Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
+    found = Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
+    return found, inverse_depth
 
 
 def _joint_depth(

@@ -6,13 +6,16 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.evidence import Evidence, accumulated, evidence_of
-from tisfm.reconstruction.identities import Identities
+from tisfm.reconstruction.below_ground import BelowGround, Depth
+from tisfm.reconstruction.evidence import AT_REST, Evidence, accumulated, evidence_of
+from tisfm.reconstruction.identities import MOST_THINGS, Identities
 from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.moving_parts import BOUNDARY
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.path_evidence import path_evidence
 from tisfm.reconstruction.shelf import Shelf
+
+KNOWN, HALF = 0.3, AT_REST / 2  # frames that say something, and what they say of what is at rest
 
 
 class SequenceLabels:
@@ -48,24 +51,61 @@ class SequenceLabels:
         camera : Camera, optional
             A pinhole, of the frames, that the path was found with.
         """
+        ground = None
         if poses is not None and camera is not None:
-            self._add_path(poses, camera)
+            ground = self._add_path(poses, camera)
         elif not len(self._evidence):
             for frame in range(len(self._motion)):
                 self._evidence.append(evidence_of(self._motion, frame))
         self._together = accumulated(self._motion, self._evidence)
-        for labelled in Identities(self._motion, self._together).labels():
+        labels = Identities(self._motion, self._together).labels()
+        for labelled in labels if ground is None else self._with_ground(labels, ground):
             yield enlarged_labels(labelled, self._motion.share, self._shape)
 
-    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> None:
-        """Let the path say what it can."""
+    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
+        """Let the path say what it can, and return what may lie below the ground under it."""
         small = camera.scaled(self._motion.share, *self._motion.grey(0).shape)
         both = Shelf(Evidence.arrays, Evidence.of_arrays)
+        depths = Shelf(Depth.arrays, Depth.of_arrays)
         for frame, own in enumerate(self._evidence):
             moving = self._together[frame].mean() > BOUNDARY
-            many = path_evidence(self._motion, frame, poses, small, moving)
-            both.append(own if many is None else own.judged_by(many))
+            more = path_evidence(self._motion, frame, poses, small, moving)
+            if more is None:
+                both.append(own)
+                depths.append(Depth.unknown(moving.shape))
+                continue
+            many, inverse_depth = more
+            both.append(own.judged_by(many))
+            at_rest = ~moving & (many.weight > KNOWN) & (many.moving < HALF * many.weight)
+            depths.append(Depth(inverse_depth=inverse_depth, at_rest=at_rest))
         self._evidence = both
+        return BelowGround(self._motion, poses, small, depths)
+
+    def _with_ground(
+        self, labels: Iterator[np.ndarray], ground: BelowGround
+    ) -> Iterator[np.ndarray]:
+        """Yield labels of every frame with what seems to lie below the ground beside them.
+
+        Those are things of their own: nothing shows where they end on the ground, which may lead to
+        what moves otherwise.
+        """
+        known: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
+        evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        count, is_any = 0, False
+        for frame, labelled in enumerate(labels):
+            known.append(labelled)
+            count = max(count, int(labelled.max()))
+            own = self._evidence[frame].at_rest_in(labelled > 0)
+            below = ground.evidence(frame, labelled > 0)
+            is_any |= below is not None
+            evidence.append(own if below is None else own.overruled_by(below))
+        if not is_any:
+            yield from known
+            return
+        more = Identities(self._motion, accumulated(self._motion, evidence)).labels()
+        for labelled, others in zip(known, more, strict=True):
+            is_new = (labelled == 0) & (others > 0) & (others <= MOST_THINGS - count)
+            yield np.where(is_new, others + np.uint8(count), labelled)
 
 
 def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:

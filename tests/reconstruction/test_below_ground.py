@@ -1,0 +1,65 @@
+"""A car that goes ahead of the camera, along its own path, in a rendered street."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.scenes import Box, Plane, Scene, Texture
+
+HEIGHT, WIDTH, FRAMES = 160, 400, 16
+CAMERA = tisfm.Camera(focal=300.0)
+OURS = 0.4  # m a frame, straight ahead; the road is 1.6 m below
+CAR, PARKED = 4, 5  # places among the objects
+
+
+def street(number, speed):
+    """Return the street in a frame, the car having gone on at a speed, m a frame."""
+
+    def paint(seed, wavelength, mean=128.0):
+        return Texture(wavelength=wavelength, detail=3, mean=mean, contrast=90, seed=seed)
+
+    objects = [
+        Plane(texture=paint(1, 0.5), point=(0, 1.6, 0), normal=(0, -1, 0)),
+        Plane(texture=paint(2, 1.5), point=(-8, 0, 0), normal=(1, 0, 0)),
+        Plane(texture=paint(3, 1.5), point=(8, 0, 0), normal=(-1, 0, 0)),
+        Plane(texture=paint(4, 12.0), point=(0, 0, 90), normal=(0, 0, -1)),
+        Box(texture=paint(5, 0.4, 90), center=(0.3, 0.9, 10 + speed * number), size=(1.8, 1.4, 4)),
+        Box(texture=paint(6, 0.4, 90), center=(-3.5, 0.9, 14), size=(1.8, 1.4, 4)),
+    ]
+    return Scene(objects=objects, camera=CAMERA, height=HEIGHT, width=WIDTH)
+
+
+@cache
+def labelled(speed):
+    """Return what is found in every frame, and what is true, (N, H, W) each."""
+    finder, poses, true = SequenceLabels(CAMERA), [], []
+    for number in range(FRAMES):
+        pose = np.eye(4)
+        pose[2, 3] = OURS * number
+        frame, _, labels = street(number, speed).seen_with_labels(pose, samples=2)
+        finder.add(np.rint(frame).astype(np.uint8))
+        poses.append(pose)
+        true.append(labels)
+    list(finder.found())
+    return np.stack(list(finder.found(poses, CAMERA))), np.stack(true)
+
+
+@pytest.mark.parametrize("speed", [0.25, 0.35])
+def test_a_car_that_goes_ahead_is_labelled(speed):
+    found, true = labelled(speed)
+    car = found[true == CAR]
+    own = np.bincount(car[car > 0]).argmax()
+    assert own > 0
+    shares = [(f[t == CAR] == own).mean() for f, t in zip(found, true, strict=True)]
+    assert np.mean(shares) > 0.4
+    assert (found[true == PARKED] > 0).mean() < 0.05
+    assert (found[true < CAR] > 0).mean() < 0.05
+
+
+def test_a_car_that_stands_is_not():
+    found, true = labelled(0.0)
+    assert (found[true >= CAR] > 0).mean() < 0.1
+    assert (found > 0).mean() < 0.02
