@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tisfm import Camera
+from tisfm.camera_file import write_camera
 from tisfm.evaluation import compare_masks
 from tisfm.formats import FormatError
 from tisfm.formats.label_picture import read_label_picture
+from tisfm.lens import Undistortion
 
 PALETTE = [0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0]  # the first colours of DAVIS
 
@@ -105,3 +108,17 @@ def test_kinds_of_pictures(tmp_path):
     Image.fromarray(labels.astype(np.uint16)).save(tmp_path / "c.png")
     with pytest.raises(FormatError, match="indexed or grey of 8 bits"):
         read_label_picture(tmp_path / "c.png")
+
+
+def test_true_masks_are_seen_through_the_lens_of_the_result(tmp_path):
+    true = np.zeros((2, 60, 80), np.uint8)
+    true[:, 2:30, 3:40] = 255
+    camera = Camera(focal=60.0, distortion=(-0.2, 0, 0, 0))
+    lens = Undistortion(camera, 60, 80)
+    seen = np.stack([np.nan_to_num(lens.nearest(np.float32(one))) for one in true])
+    labels = np.where(lens.valid, seen / 255, 0).astype(np.uint8)
+    save(tmp_path / "clip" / "masks", true)
+    save(tmp_path / "result" / "masks", labels, indexed=True)
+    assert compare_masks(tmp_path / "result", tmp_path / "clip").iou < 0.95
+    write_camera(tmp_path / "result" / "camera.json", camera, (60, 80))
+    assert compare_masks(tmp_path / "result", tmp_path / "clip").iou == 1

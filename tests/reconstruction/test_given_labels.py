@@ -8,9 +8,12 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tisfm.evaluation.object_paths import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
 from tisfm.reconstruction.carried_labels import carried_labels
+from tisfm.reconstruction.folder import write_objects
 from tisfm.reconstruction.image_motion import ImageMotion
+from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sequence_labels import SequenceLabels
 from tisfm.scenes import bodies_film, bodies_path
@@ -206,3 +209,70 @@ def test_pictures_of_one_thing_with_a_palette(tmp_path):
     result = reconstructed(mask=tmp_path)
     np.testing.assert_array_equal(labels_of(result), labels() == 5)
     assert [thing.id for thing in result.objects] == [1]
+
+
+def test_labels_of_a_result_stay_where_its_lens_put_them(tmp_path):
+    camera = tisfm.Camera(focal=film().camera.focal, distortion=(-0.15, 0, 0, 0))
+    first = reconstructed(labels=labels(), camera=camera, folder=tmp_path / "one")
+    again = reconstructed(labels=first.folder, camera=camera)
+    np.testing.assert_array_equal(labels_of(again), labels_of(first))
+    anew = tisfm.reconstruct(
+        first.folder / "frames",
+        labels=first.folder,
+        camera=first.camera,
+        settings=OBJECTS,
+        depth_of="none",
+    )
+    np.testing.assert_array_equal(labels_of(anew), labels_of(first))
+    for options in ({}, {"camera": None}, {"camera": camera.with_focal(300.0)}):
+        with pytest.raises(ValueError, match="whose lens or readout is undone: give its camera"):
+            reconstructed(labels=first.folder, **options)
+
+
+def test_a_thing_that_only_another_piece_shows_has_no_path():
+    frames = [*film().frames[:10], *(255 - film().frames[:6, :, ::-1])]
+    last = np.where(labels()[:6, :, ::-1] > 0, 7, 0)
+    result = tisfm.reconstruct(
+        frames,
+        labels=[*labels()[:10], *last.astype(np.uint8)],
+        camera=film().camera,
+        settings=OBJECTS,
+        depth_of="keyframes",
+        object_sizes={7: 0.4},
+    )
+    (thing,) = (thing for thing in result.objects if thing.id == 7)
+    assert np.isnan(thing.poses).all() and np.isnan(thing.extent).all()
+    assert thing.scale_from == "none" and thing.message
+
+
+def test_paths_against_true_ones(given, tmp_path):
+    things = [
+        MovingObject(
+            id=body,
+            frames=tuple(range(COUNT)),
+            boxes=np.zeros((COUNT, 4), np.int32),
+            poses=poses,
+            extent=size,
+        )
+        for body, (poses, size) in enumerate(
+            zip(film().body_poses, film().body_sizes, strict=True), start=1
+        )
+    ]
+    assert not has_true_paths(tmp_path)
+    write_objects(tmp_path, things)
+    np.savetxt(tmp_path / "poses.txt", film().poses[:, :3].reshape(-1, 12))
+    assert has_true_paths(tmp_path)
+    errors = compare_object_paths(given.folder, tmp_path, {1: 5, 2: 99, 3: 254})
+    assert set(errors) == {1}  # the third hardly turns in so few frames
+    assert errors[1].frames == COUNT and errors[1].share < 0.1
+    with pytest.raises(ValueError, match="has 8 frames at a step of 2"):
+        compare_object_paths(given.folder, tmp_path, {1: 5}, step=2)
+
+
+def test_masks_as_they_come_hold_no_labels():
+    with pytest.raises(ValueError, match="numbers other than 0 and 255: give them as labels="):
+        reconstructed(mask=iter(labels()))
+    result = reconstructed(mask=[one.tolist() for one in labels(6)], count=6)
+    np.testing.assert_array_equal(labels_of(result), labels(6))
+    with pytest.raises(ValueError, match="mask has numbers of things, and labels are given"):
+        reconstructed(mask=labels(), labels=labels())

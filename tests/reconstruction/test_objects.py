@@ -1,6 +1,7 @@
 """Things that move on their own in a sequence."""
 
 import json
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,10 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tisfm.formats import FormatError
+from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
 from tisfm.scenes import bodies_film, bodies_path
 
@@ -104,9 +108,37 @@ def test_a_result_is_loaded_as_it_was_saved(found, tmp_path):
 
 
 def test_sizes_are_of_things_that_are_found(found):
-    for thing in found.objects:
-        expected = thing.id == 1 and np.isfinite(thing.extent).all()
-        assert (thing.scale_from == "size") == expected
+    from_sizes = [thing for thing in found.objects if thing.scale_from == "size"]
+    assert [thing.id for thing in from_sizes] == [1]
+    assert 0.3 < from_sizes[0].extent.max() < 0.55  # its axes are not those of the smallest box
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda folder: (folder / "objects.json").unlink(), "has no objects.json"),
+        (lambda folder: shutil.rmtree(folder / "masks"), "has no masks"),
+        (lambda folder: altered(folder, format=99), "objects.json is damaged .*format 99"),
+        (lambda folder: altered(folder, scale_from="x"), "scale_from is 'x'"),
+        (lambda folder: altered(folder, frames=[16]), "seen in other frames"),
+    ],
+)
+def test_a_folder_that_lacks_a_part_is_refused(found, tmp_path, damage, words):
+    found.save(tmp_path / "copy")
+    damage(tmp_path / "copy")
+    with pytest.raises(FormatError, match=words):
+        tisfm.Reconstruction.load(tmp_path / "copy")
+
+
+def altered(folder, **about):
+    """Change what is told of the first thing, or of all."""
+    record = json.loads((folder / "objects.json").read_text())
+    thing = record["objects"][0]
+    if "frames" in about:
+        thing.update(boxes=thing["boxes"][:1], poses=thing["poses"][:1])
+    target = record if "format" in about else thing
+    target.update(about)
+    (folder / "objects.json").write_text(json.dumps(record))
 
 
 def test_rescaling_takes_things_along(found):
@@ -216,3 +248,14 @@ def test_clips_of_one_thing_that_moves(clip, least):
         np.mean([iou(a == k, b) for a, b in zip(labels, true, strict=True)]) for k in range(1, 4)
     ]
     assert max(scores) > least
+
+
+@pytest.mark.parametrize("shape", [(120, 161), (480, 640), (1081, 1919)])
+def test_the_camera_of_smaller_frames_has_its_center_in_their_middle(shape):
+    motion = ImageMotion(tisfm.Camera(focal=500.0), TRACKING)
+    motion.add(np.zeros(shape, np.uint8))
+    height, width = motion.grey(0).shape
+    x, y = motion.camera().center_for(height, width)
+    assert abs(x - (width - 1) / 2) <= 0.5
+    assert abs(y - (height - 1) / 2) <= 0.5
+    assert motion.camera(tisfm.Camera(focal=300.0)).focal == 300.0 * motion.share

@@ -168,6 +168,12 @@ def test_things_of_255_are_said():
     assert len(labels_of(FRAMES, [0 * labels for labels in LABELS])) == 6  # nothing moves
 
 
+@pytest.mark.parametrize("key", [0.5, (1, 2), None])
+def test_what_names_no_frame(key):
+    with pytest.raises(TypeError, match=r"labels has the key .* expected the number or name"):
+        FrameSource(FRAMES, labels={key: LABELS[0]})
+
+
 def test_labels_that_end_early():
     frames = FrameSource(iter(FRAMES), labels=iter(LABELS[:1])).frames()
     next(frames)
@@ -181,7 +187,7 @@ def test_labels_that_end_early():
 @pytest.mark.parametrize(
     "mask",
     [FIRST, FIRST > 0, [labels > 0 for labels in LABELS], [255 * (FIRST > 0)] * 2,
-     [FIRST.astype(float)] * 2, iter(LABELS), [[[0, 1], [1, 7]]], [], np.zeros((2, H, W), int)],
+     [FIRST.astype(float)] * 2, iter(LABELS), [], np.zeros((2, H, W), int)],
 )  # fmt: skip
 def test_what_says_what_counts(mask):
     assert not holds_labels(mask)
@@ -189,6 +195,7 @@ def test_what_says_what_counts(mask):
 
 def test_numbers_of_several_things_are_labels():
     assert holds_labels(LABELS)
+    assert holds_labels([[[0, 1], [1, 7]]])
     assert holds_labels(np.stack(LABELS).astype(int))
     assert holds_labels([np.where(FIRST == 7, 255, FIRST), np.where(FIRST == 1, 255, FIRST)])
 

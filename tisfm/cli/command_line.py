@@ -286,8 +286,8 @@ class Reconstruct:
     reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load; the path as
     trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
     world), of the largest piece where the sequence fell into several; with --ply points.ply, a
-    coloured point cloud, and with --mesh a surface, of what its keyframes agree on. Motion is that
-    of the camera alone.
+    coloured point cloud, and with --mesh a surface, of what its keyframes agree on; with --motion
+    objects masks/, which thing each pixel belongs to, and objects.json, their paths.
     """
 
     source: Annotated[

@@ -8,6 +8,11 @@ from pathlib import Path
 from tisfm.cli.console import print_whole, tell
 from tisfm.evaluation.files import EVALUATION_RECORD
 from tisfm.evaluation.masks import compare_masks, mask_table, true_masks
+from tisfm.evaluation.object_paths import (
+    compare_object_paths,
+    has_true_paths,
+    object_path_table,
+)
 from tisfm.formats import atomic_write
 from tisfm.formats.outputs import make_folder
 from tisfm.version import __version__
@@ -34,6 +39,11 @@ def evaluate_objects(
     scores = compare_masks(result, folder, step=1 if step is None else step)
     masks = true_masks(folder).resolve()
     name = masks.parent.name if masks.name == "masks" else masks.name
+    labels = {thing.thing: thing.label for thing in scores.things if thing.label is not None}
+    true_folder = masks.parent if masks.name == "masks" else masks
+    paths = None
+    if has_true_paths(true_folder):
+        paths = compare_object_paths(result, true_folder, labels, step=step or 1)
     if output is not None:
         make_folder(output)
         record = {
@@ -43,12 +53,17 @@ def evaluate_objects(
                 "iou": scores.iou,
                 "switches": scores.switches,
                 **asdict(scores),
+                **(
+                    {"paths": {k: asdict(v) for k, v in paths.items()}} if paths is not None else {}
+                ),
             },
         }
         text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         with atomic_write(output / EVALUATION_RECORD) as file:
             file.write(text.encode("utf-8"))
     print_whole(mask_table(name, scores))
+    if paths is not None:
+        print_whole(object_path_table(name, paths))
     where = "" if output is None else f" Every number in {output}."
     count = len(scores.things)
     tell(f"{count} thing{'s' * (count != 1)} in {scores.frames} frames.{where}")

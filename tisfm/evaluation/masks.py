@@ -1,16 +1,21 @@
 """Labels of a reconstruction against the true masks of moving things."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import tee
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import read_camera
 from tisfm.checks import whole
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.formats.images import natural_order
 from tisfm.formats.label_picture import read_label_picture
+from tisfm.lens import Undistortion
 from tisfm.metrics import LabelScores, label_scores
 
 MASKS = "masks"
@@ -36,6 +41,8 @@ def compare_masks(
     Returns
     -------
     LabelScores
+        Where the result says that its frames had distortion, which it undid, that is done to the
+        true masks as well, and what lies outside counts in neither.
 
     Raises
     ------
@@ -67,7 +74,25 @@ def compare_masks(
             f"{folder} has masks of {len(files)} frames, but there are {len(true_files)} true ones "
             f"at a step of {step}: expected one for each frame that was reconstructed"
         )
-    return label_scores(map(read_label_picture, files), map(read_label_picture, true_files))
+    pairs = _in_one_grid(folder, files, true_files)
+    found, true = tee(pairs)
+    return label_scores((one for one, _ in found), (one for _, one in true))
+
+
+def _in_one_grid(
+    folder: Path, files: Sequence[Path], true_files: Sequence[Path]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield labels and true ones, (H, W) each: where distortion is undone, in both of them."""
+    lens = None
+    for file, true_file in zip(files, true_files, strict=True):
+        labels, true = read_label_picture(file), read_label_picture(true_file)
+        if (folder / CAMERA).is_file() and labels.shape == true.shape:
+            camera = read_camera(folder, true.shape)
+            if not camera.is_pinhole:
+                lens = lens or Undistortion(camera, *true.shape)
+                seen = np.nan_to_num(lens.nearest(np.float32(true))).astype(true.dtype)
+                labels, true = (np.where(lens.valid, one, 0) for one in (labels, seen))
+        yield labels, true
 
 
 def true_masks(folder: str | os.PathLike[str]) -> Path:

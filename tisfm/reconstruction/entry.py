@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,13 +16,14 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.folder import CACHE, begin, masks_of_result
+from tisfm.reconstruction.folder import CACHE, begin
 from tisfm.reconstruction.object_sizes import checked_object_sizes
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result_labels import labels_of_result
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.labels import GivenLabels, holds_labels
+from tisfm.sources.labels import GivenLabels, holds_labels, without_labels
 from tisfm.sources.masks import Mask
 from tisfm.trajectory import Trajectory
 
@@ -148,6 +149,7 @@ def reconstruct(
         raise ValueError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else _checked_poses(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
+    of_result = labels_of_result(labels, source)
     sizes = checked_object_sizes(object_sizes)
     if sizes and settings.motion != "objects":
         raise ValueError(
@@ -161,7 +163,7 @@ def reconstruct(
         size=size,
         crop=crop,
         mask=mask,
-        labels=labels,
+        labels=labels if of_result is None else of_result.files,
         bad_frames=bad_frames,
     )
     if given is not None and bad_frames == "skip":
@@ -176,6 +178,8 @@ def reconstruct(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
+    if of_result is not None:
+        of_result.check(stated, calibrate)
     if folder is not None:
         files = [file_of(camera)] if isinstance(camera, Path) else []
         _refuse_inside([*frames.files, *files], Path(folder))
@@ -188,7 +192,18 @@ def reconstruct(
 
     path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
-        run = Run(frames, camera, calibrate, settings, given, path, progress, depth_of, sizes)
+        run = Run(
+            frames,
+            camera,
+            calibrate,
+            settings,
+            given,
+            path,
+            progress,
+            depth_of,
+            sizes,
+            labels_stay=of_result is not None and of_result.camera is not None,
+        )
         result = run.result()
     except BaseException:
         if temporary is not None:
@@ -217,10 +232,17 @@ def _mask_and_labels(
                 f'labels are given and motion is "{settings.motion}": expected motion="objects"'
             )
         return mask, None
-    if labels is None and mask is not None and holds_labels(mask):
-        mask, labels = None, mask
-    if isinstance(labels, (str, os.PathLike)):
-        labels = masks_of_result(Path(labels)) or labels
+    if mask is None:
+        return None, labels
+    if isinstance(mask, Iterable) and not isinstance(mask, (str, Sequence, np.ndarray)):
+        return without_labels(mask), labels
+    if holds_labels(mask):
+        if labels is not None:
+            raise ValueError(
+                "mask has numbers of things, and labels are given as well: expected these there, "
+                "and booleans in the mask"
+            )
+        return None, mask
     return mask, labels
 
 

@@ -90,12 +90,12 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
 def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
     """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
     (folder / MASKS).mkdir(exist_ok=True)
-    write_label_png(_mask_path(folder, number), labels)
+    write_label_png(mask_path(folder, number), labels)
 
 
 def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray:
     """Return which thing each pixel of a frame belongs to, (H, W) uint8: 0 if there are none."""
-    path = _mask_path(folder, number)
+    path = mask_path(folder, number)
     if not (folder / MASKS).is_dir():
         return np.zeros(shape, np.uint8)
     labels = read_label_picture(path)
@@ -104,20 +104,9 @@ def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray
     return labels
 
 
-def _mask_path(folder: Path, number: int) -> Path:
+def mask_path(folder: Path, number: int) -> Path:
+    """Return the path of the labels of a frame."""
     return folder / MASKS / f"{number:06d}.png"
-
-
-def masks_of_result(path: Path) -> dict[str, Path] | None:
-    """Return the masks of a reconstruction by the names of its frames.
-
-    `path` is its folder, or the one of its masks; None if it is neither.
-    """
-    folder = path.parent if path.name == MASKS else path
-    if not (folder / RECORD).is_file() or not (folder / MASKS).is_dir():
-        return None
-    names = read_record(folder)["names"]
-    return {name: _mask_path(folder, number) for number, name in enumerate(names)}
 
 
 def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
@@ -127,12 +116,26 @@ def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
         file.write(json.dumps(about, allow_nan=False).encode())
 
 
-def _read_objects(folder: Path) -> tuple[MovingObject, ...]:
-    """Return what `write_objects` wrote; nothing if it wrote nothing."""
-    if not (folder / OBJECTS).exists():
+def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingObject, ...]:
+    """Return what `write_objects` wrote of so many frames; nothing if nothing was to be found."""
+    path = folder / OBJECTS
+    if settings.motion != "objects":
         return ()
-    about = json.loads((folder / OBJECTS).read_text(encoding="utf-8"))
-    return tuple(MovingObject.of_json(thing) for thing in about["objects"])
+    for part in (path, folder / MASKS):
+        if not part.exists():
+            raise FormatError(f"{folder} has no {part.name}: it is not complete")
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        if about["format"] != FORMAT:
+            raise ValueError(f"it is of format {about['format']}, this version reads {FORMAT}")
+        things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
+        for thing in things:
+            if not set(thing.frames) <= set(range(count)):
+                raise ValueError(f"thing {thing.id} is seen in other frames than those there are")
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
+    return things
 
 
 def depth_path(folder: Path, number: int) -> Path:
@@ -245,7 +248,8 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         if not set(about["keyframes"]) <= set(range(count)):
             raise ValueError(f"a keyframe is none of its {count} frames")
         camera = about["camera"]
-        settings = {**about["settings"], "stiffness": tuple(about["settings"]["stiffness"])}
+        stiffness = tuple(about["settings"]["stiffness"])
+        settings = Settings(**{**about["settings"], "stiffness": stiffness})
         return dict(
             poses=poses.astype(np.float64),
             piece=piece.astype(np.int32),
@@ -264,10 +268,12 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 readout=camera.get("readout"),
             ),
             calibration=from_json(about["calibration"]) if "calibration" in about else GIVEN,
-            settings=Settings(**settings),
+            settings=settings,
             version=str(about["version"]),
-            objects=_read_objects(path),
+            objects=_read_objects(path, settings, count),
         )
+    except FormatError:
+        raise
     except (ValueError, KeyError, TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error

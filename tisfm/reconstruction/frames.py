@@ -36,6 +36,8 @@ class PreparedFrames:
         Folder for grey levels, which may be deleted afterwards.
     pictures : Path
         Folder for pictures, (H, W[, 3]) with 8 bits.
+    labels_stay : bool, default False
+        Whether labels are of prepared frames already.
 
     Attributes
     ----------
@@ -46,11 +48,14 @@ class PreparedFrames:
     count : int
     """
 
-    def __init__(self, camera: Camera, cache: Path, pictures: Path) -> None:
+    def __init__(
+        self, camera: Camera, cache: Path, pictures: Path, *, labels_stay: bool = False
+    ) -> None:
         self.camera = camera.pinhole()
         self.shape = (0, 0)
         self.count = 0
         self._lens: Undistortion | None = None
+        self._labels_stay = labels_stay
         self._taken, self._cache, self._pictures = camera, cache, pictures
         self._held: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
@@ -84,7 +89,7 @@ class PreparedFrames:
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
                 ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
-            if labels is not None:
+            if labels is not None and not self._labels_stay:
                 labels = _moved(labels, self._lens)
             missing = ~self._lens.valid
             ignored = missing if ignored is None else ignored | missing
@@ -171,7 +176,7 @@ class PreparedFrames:
             self._masked.add(number)
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), map_.apply(picture))
-        if number in self._labelled:
+        if number in self._labelled and not self._labels_stay:
             self.label(number, _moved(self.labels(number), map_))
 
     def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:

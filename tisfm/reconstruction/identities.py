@@ -38,10 +38,9 @@ SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is k
 MOST_THINGS = 254  # 255 is for what is ignored, where labels are given
 LASTING = 4  # frames, at least, of a thing
 # Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
-# they go together; or where they touch in as many of the frames that show both, go roughly together
-# and stay where they are beside each other, but for so many times the larger one's size.
-TOGETHER, TOUCHING, NEVER_APART, SHIFTED = 0.7, 0.5, 0.9, 1.5
-MIDDLE = (0.1, 0.9)  # of frames: what the others show does not count for that
+# they go together; or where it does in fewer, but in most that show both, and they go roughly
+# together.
+TOGETHER, TOUCHING, HARDLY_APART = 0.7, 0.3, 0.75
 GOING_TOGETHER, ROUGHLY = 0.3, 0.9  # of the faster one's motion: how far that of parts may differ
 
 
@@ -54,10 +53,8 @@ class _Thing:
     id : int
     seen : int
         The frame in which it was labelled last.
-    mask : (H, W) bool
-        Where it was then.
     whole : (H, W) bool
-        Where it was then with what others hid of it.
+        Where it was then, with what others hid of it.
     velocity : (2,) float64
         Its mean motion then, px/frame.
     look : (BINS,) float64
@@ -74,7 +71,6 @@ class _Thing:
 
     id: int
     seen: int
-    mask: np.ndarray
     whole: np.ndarray
     velocity: np.ndarray
     look: np.ndarray
@@ -243,7 +239,6 @@ class Identities:
         self._things[number] = _Thing(
             id=number,
             seen=frame,
-            mask=nowhere,
             whole=nowhere,
             velocity=np.zeros(2),
             look=np.zeros(BINS),
@@ -266,7 +261,7 @@ class Identities:
             kept = self._reach(thing, grown=False) if thing.seen == frame - 1 else mask
             known_well = is_whole or mask.sum() >= HALF * kept.sum()
             thing.whole = mask if is_whole else kept | mask if known_well else kept
-            thing.seen, thing.mask = frame, mask
+            thing.seen = frame
             thing.pixels += int(mask.sum())
             moved = np.median(flow[mask], axis=0).astype(np.float64)
             if known_well:
@@ -341,8 +336,7 @@ class Identities:
         differing = self._differing(part, other)
         if touching >= TOGETHER * len(mine) and differing < GOING_TOGETHER:
             return True
-        never_apart = touching >= NEVER_APART * both
-        return never_apart and differing < ROUGHLY and self._shifted(part, other) < SHIFTED
+        return touching >= HARDLY_APART * both and differing < ROUGHLY
 
     @staticmethod
     def _times(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
@@ -355,15 +349,6 @@ class Identities:
         apart = np.linalg.norm([one[f] - two[f] for f in frames], axis=1)
         fast = np.maximum(*(np.linalg.norm([m[f] for f in frames], axis=1) for m in (one, two)))
         return float(np.median(apart) / max(np.median(fast), 1e-9))
-
-    def _shifted(self, first: int, second: int) -> float:
-        """Return how far two things move beside each other, in sizes of the larger."""
-        one, two = self._things[first].places, self._things[second].places
-        frames = sorted(one.keys() & two.keys())
-        sizes = [max(one[f][2], two[f][2]) for f in frames]
-        beside = np.array([(one[f] - two[f])[:2] for f in frames]) / np.array(sizes)[:, None]
-        least, most = np.quantile(beside, MIDDLE, axis=0)
-        return float(np.linalg.norm(most - least))
 
     def _carried(self, frame: int, before: np.ndarray) -> np.ndarray:
         """Return the labels of the frame before where the image motion carries them, or else 0."""

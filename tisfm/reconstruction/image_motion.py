@@ -82,10 +82,12 @@ class ImageMotion:
         self._greys = Shelf(lambda grey: (grey,), lambda grey: grey)
         self._steps = Shelf(Step.arrays, Step.of_arrays)
         self._held: dict[int, tuple[Step, np.ndarray, np.ndarray]] = {}
+        self._shape = (0, 0)  # of the sequence's frames
         self.share = 1.0
 
     def add(self, grey: np.ndarray) -> None:
         """Take the next frame, (H, W) uint8."""
+        self._shape = grey.shape
         small = smaller(grey)
         self.share = share_of(small, grey)
         if len(self._greys):
@@ -103,9 +105,9 @@ class ImageMotion:
         """Return a frame, (H, W) float32."""
         return self._greys[frame]
 
-    def camera(self) -> Camera:
-        """Return the camera of its frames."""
-        return self._camera.scaled(self.share, *self.grey(0).shape)
+    def camera(self, of_frames: Camera | None = None) -> Camera:
+        """Return the camera of its frames; that of the sequence's may be known better by now."""
+        return (of_frames or self._camera).scaled(self.share, *self._shape)
 
     def forward(self, frame: int) -> np.ndarray:
         """Return the motion from a frame to the next, (H, W, 2) float32."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
@@ -75,6 +75,8 @@ class MovingObject:
             If it is something else.
         """
         count = len(about["frames"])
+        if about["scale_from"] not in get_args(ScaleFrom):
+            raise ValueError(f"scale_from is {about['scale_from']!r}")
         nowhere = np.full((4, 4), np.nan)
         poses = [nowhere if pose is None else pose for pose in about["poses"]]
         extent = [np.nan] * 3 if about["extent"] is None else about["extent"]

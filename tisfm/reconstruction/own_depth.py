@@ -13,6 +13,8 @@ from tisfm.reconstruction.own_path import OwnPath, own_path
 from tisfm.reconstruction.own_scale import own_scale, reach
 from tisfm.settings import Settings
 
+NO_PATH = "the camera has no path where it is seen, or another one than the longest"
+
 
 def objects_with_depth(
     frames: PreparedFrames,
@@ -55,12 +57,25 @@ def objects_with_depth(
         if isinstance(own, str):
             found.append(replace(thing, message=own))
             continue
+        in_world = {
+            number: pose
+            for number, pose in own.piece.poses.items()
+            if np.isfinite(world[own.frames[number]]).all()
+        }
+        if not in_world:
+            found.append(replace(thing, message=NO_PATH))
+            continue
+        own = replace(
+            own,
+            piece=replace(own.piece, poses=in_world),
+            depths=[depth for depth in own.depths if depth.frame in in_world],
+        )
         size = (sizes or {}).get(thing.id)
         scale, scale_from = own_scale(own, thing.id, at_rest, frames.labels, size)
         found.append(placed(thing, own, world, scale, scale_from))
         for depth in own.depths:
             frame = own.frames[depth.frame]
-            if piece[frame] != largest or not depth_path(folder, frame).exists():
+            if not depth_path(folder, frame).exists():
                 continue
             mine = (frames.labels(frame) == thing.id) & np.isfinite(depth.inverse_depth)
             inverse_depth, deviation = read_depth(folder, frame, frames.shape)

@@ -68,6 +68,8 @@ class Run:
         The frames that depth is found of.
     object_sizes : mapping of int to float, optional
         Lengths of things that move, by their ids.
+    labels_stay : bool, default False
+        Whether labels that are given are of frames whose lens and readout are undone.
     """
 
     def __init__(
@@ -81,11 +83,13 @@ class Run:
         progress: Progress | None,
         depth_of: DepthOf = "all",
         object_sizes: Mapping[int, float] | None = None,
+        *,
+        labels_stay: bool = False,
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._given, self._folder = poses, folder
         self._calibrate, self._depth_of = calibrate, depth_of
-        self._sizes = object_sizes or {}
+        self._sizes, self._labels_stay = object_sizes or {}, labels_stay
         self._progress: Progress = progress or (lambda stage, done, total: None)
         self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
         self._guess: FocalGuess | None = None
@@ -160,7 +164,10 @@ class Run:
                     self._taken = camera, (height, width)
                     camera = self._source.camera_after(camera, frame.full)
                     self._frames = PreparedFrames(
-                        camera, self._folder / CACHE, self._folder / PICTURES
+                        camera,
+                        self._folder / CACHE,
+                        self._folder / PICTURES,
+                        labels_stay=self._labels_stay,
                     )
                     if not things:
                         found = self._frames_path()

@@ -64,7 +64,7 @@ class SequenceLabels:
 
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
         """Let the path say what it can, and return what may lie below the ground under it."""
-        small = camera.scaled(self._motion.share, *self._motion.grey(0).shape)
+        small = self._motion.camera(camera)
         both = Shelf(Evidence.arrays, Evidence.of_arrays)
         depths = Shelf(Depth.arrays, Depth.of_arrays)
         for frame, own in enumerate(self._evidence):

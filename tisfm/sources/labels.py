@@ -1,7 +1,7 @@
 """Labels that are given: which thing each pixel of a frame belongs to, with a number for each."""
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -119,6 +119,8 @@ class Labels:
 
     def _number(self, key: Any) -> int:
         """Return the number of the frame that a key of a mapping names."""
+        if not is_whole(key) and not isinstance(key, str):
+            raise TypeError(f"labels has the key {key!r}: expected the number or name of a frame")
         number = int(key) if is_whole(key) else self._number_of(key)
         if number is None or number < 0 or (self._count is not None and number >= self._count):
             raise ValueError(f"labels has some of frame {key!r}, but there is no such frame")
@@ -248,11 +250,37 @@ def holds_labels(mask: Any) -> bool:
         return has_palette_of_labels(mask[0])
     numbers: set[int] = set()
     for one in mask:
-        if isinstance(one, np.ndarray) and one.ndim == 2 and one.dtype.kind in "iu":
-            numbers |= set(np.unique(one).tolist()) - {0, VOID}
+        numbers |= _numbers_in(one)
     if len(numbers) == 1:
         raise ValueError(
             f"mask has one number for every pixel that is not 0, {numbers.pop()}: give booleans "
             "if 0 is to be ignored, or labels= if it is the number of a thing that moves"
         )
     return bool(numbers)
+
+
+def without_labels(masks: Iterable[Any]) -> Iterator[Any]:
+    """Yield masks as they come, of which it cannot be told beforehand whether they hold labels.
+
+    Raises
+    ------
+    ValueError
+        If they do.
+    """
+    for mask in masks:
+        if _numbers_in(mask):
+            raise ValueError(
+                "mask has numbers other than 0 and 255: give them as labels= if they are those of "
+                "things that move, or booleans if 0 is to be ignored"
+            )
+        yield mask
+
+
+def _numbers_in(mask: Any) -> set[int]:
+    """Return the numbers from 1 to 254 in a mask of integers, (H, W); none in anything else."""
+    if mask is None or is_path(mask):
+        return set()
+    array = np.asarray(mask)
+    if array.ndim != 2 or array.dtype.kind not in "iu":
+        return set()
+    return set(np.unique(array).tolist()) - {0, VOID}
