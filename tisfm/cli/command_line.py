@@ -193,7 +193,8 @@ class Eval:
 
     With --objects, the masks of moving things that a reconstruction saved are compared with the
     true ones of a sequence, as those of DAVIS: the intersection over union of each thing, and how
-    often it got another label.
+    often it got another label. Where FOLDER has an objects.json, as a reconstruction writes it, and
+    poses.txt of the camera, so are the paths of things.
 
     With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
     (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or

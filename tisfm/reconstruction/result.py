@@ -120,7 +120,8 @@ class Reconstruction:
     def labels(self, frame: int) -> np.ndarray:
         """Return which thing each pixel of a frame belongs to, (H, W) uint8.
 
-        0 is what is at rest; other numbers are the ids of `objects`.
+        0 is what is at rest; other numbers are the ids of `objects`. They are of the frame without
+        distortion, as `picture` returns it.
         """
         from tisfm.reconstruction.folder import read_labels
 
