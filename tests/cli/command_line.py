@@ -11,6 +11,7 @@ import tisfm
 
 H, W = 24, 40
 ENDINGS = {".npz", "_depth.png", "_depth16.png", "_flow.flo", "_anaglyph.png", "_figure.png"}
+RECORDS = {"run.json", "run.csv"}
 # -c so that a test does not depend on where scripts were installed.
 TISFM = (
     sys.executable,
@@ -32,12 +33,15 @@ FRAMES = make_frames(4)
 
 
 def files(folder):
-    return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
+    """Return what lies in a folder, but for how long things took."""
+    found = {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
+    found.pop("timings.csv", None)
+    return found
 
 
 def promised(*names, figures=True):
     endings = ENDINGS if figures else ENDINGS - {"_figure.png"}
-    return {name + ending for name in names for ending in endings} | {"run.json"}
+    return {name + ending for name in names for ending in endings} | RECORDS
 
 
 def record(folder):

@@ -7,12 +7,13 @@ import sys
 import threading
 import time
 import weakref
+from pathlib import Path
 
 import pytest
 
 from tests.cli.command_line import assert_one_line, files, promised, record
 from tisfm import pair
-from tisfm.cli import outputs
+from tisfm.cli import outputs, run_record
 from tisfm.cli.background import Background
 from tisfm.formats.atomic import atomic_write
 
@@ -152,14 +153,16 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
 def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, frames, monkeypatch):
     written = []
 
-    def counted(path):
-        written.append(str(path))
-        return atomic_write(path)
+    def counted(path, **options):
+        written.append(Path(path).name)
+        return atomic_write(path, **options)
 
-    monkeypatch.setattr(outputs, "atomic_write", counted)
-    monkeypatch.setattr(outputs, "_RENEWED", 1000.0)
+    monkeypatch.setattr(run_record, "atomic_write", counted)
+    monkeypatch.setattr(run_record, "_LEAST_APART", 1000.0)
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
-    assert len(written) == 2  # after the first pair, and at the end
+    assert (
+        written == ["timings.csv", "run.csv", "run.json"] * 2
+    )  # after the first pair, and at the end
     assert list(record("out")["pairs"]) == ["f0", "f1", "f2"]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.cli.command_line import files, load, record
+from tests.cli.command_line import RECORDS, files, load, record
 from tisfm.cli import demo, outputs, paper_figures
 from tisfm.cli.motion_text import motion_rows
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
@@ -66,7 +66,7 @@ def test_all_files_of_camera_motion_agree(tisfm_run):
     assert code == 0 and out == ""
     assert err.startswith("2 pairs: 2 converged, ")
     names = ("f0", "f1")
-    promised = {name + end for name in names for end in (*ENDINGS, ".ply")} | {"run.json"}
+    promised = {name + end for name in names for end in (*ENDINGS, ".ply")} | RECORDS
     assert set(files("out")) == promised
     about = record("out")
     assert about["settings"]["motion"] == "camera"
@@ -152,7 +152,7 @@ def test_outputs_without_depth(tisfm_run, place, status):
     first, advice = err.splitlines()
     assert first.startswith(f"1 pair: 1 {status}")
     assert advice.startswith(f"{status}: ") and len(advice) > 40
-    assert set(files("out")) == {f"a{ending}" for ending in (*ENDINGS, ".ply")} | {"run.json"}
+    assert set(files("out")) == {f"a{ending}" for ending in (*ENDINGS, ".ply")} | RECORDS
     result = load("out", "a")
     assert result.status == status
     assert not read_image("out/a_depth.png").any()
@@ -405,7 +405,7 @@ def test_demo_compares_readings_of_motion(tisfm_run):
     assert field[5] == camera[5] == "converged"
     objects = rows["objects, moving"]
     assert float(objects[0]) < 0.1 and 40 < float(objects[1].removesuffix(" %")) < 95
-    expected = {f"demo{ending}" for ending in ENDINGS} | {"run.json"}
+    expected = {f"demo{ending}" for ending in ENDINGS} | RECORDS
     assert set(files("out/camera")) == set(files("out/objects")) == expected
     result = load("out/camera", "demo")
     assert result.settings == tisfm.Settings(motion="camera")

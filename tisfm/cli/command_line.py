@@ -10,7 +10,7 @@ from typing import Annotated, Literal, get_args
 
 import cv2
 import tyro
-from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
 
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
@@ -116,8 +116,13 @@ class Run:
     """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
-    figures: bool = True
-    """Draw NAME_figure.png (the slowest output)."""
+    outputs: str | None = None
+    """What is written of each pair, with commas: some of depth, depth16, flow, anaglyph, figure,
+    ply, pose, npz. By default all but ply."""
+    figures: int = 1
+    """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
+    no_figures: Annotated[bool, FlagCreatePairsOff] = False
+    """Draw none: the same as --figures 0."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     arch: Arch | None = None
@@ -148,11 +153,20 @@ class Run:
             mask=self.mask,
             window=self.window,
             resume=self.resume,
-            figures=self.figures,
-            ply=self.ply,
+            outputs=self._outputs(),
+            figures=0 if self.no_figures else self.figures,
             arch=self.arch,
             threads=self.threads,
         )
+
+    def _outputs(self) -> tuple[str, ...]:
+        """Return what is written, or raise ValueError."""
+        from tisfm.cli.outputs import USUAL, checked_outputs
+
+        if self.figures < 0:
+            raise ValueError(f"figures is {self.figures}: expected a number of pairs, or 0")
+        chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
+        return checked_outputs([*filter(None, chosen), *["ply"] * self.ply])
 
 
 @dataclass(kw_only=True)

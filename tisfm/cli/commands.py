@@ -4,9 +4,9 @@ import fnmatch
 import glob
 import os
 import re
-import time
+import shutil
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import chain, pairwise
@@ -20,8 +20,10 @@ from tisfm.camera_file import read_camera
 from tisfm.cli.background import Background
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.outputs import RECORD, PairWriter
+from tisfm.cli.outputs import USUAL, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.cli.run_progress import RunProgress
+from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.datasets.trajectories import motion_between, read_poses
@@ -42,6 +44,8 @@ from tisfm.settings import Settings
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.window import WindowSize, window_of
 
+_MUCH = 2e8  # bytes: a run that writes more says so beforehand
+
 
 def run(
     source: Source,
@@ -55,8 +59,8 @@ def run(
     mask: str | None = None,
     window: WindowSize = 2,
     resume: bool = False,
-    figures: bool = True,
-    ply: bool = False,
+    outputs: Collection[str] = USUAL,
+    figures: int = 1,
     arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
@@ -69,6 +73,11 @@ def run(
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
     kept = window_of(window, settings)
+    if kept is not None and resume and "npz" not in outputs:
+        raise ValueError(
+            "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
+            "the outputs"
+        )
     pairs = frames.open(source, mask=mask)
     _refuse_mixing(source, pairs.frame_files, output)
     if mask is not None:
@@ -91,8 +100,8 @@ def run(
         camera=camera,
         settings=settings,
         window=window,
+        outputs=outputs,
         figures=figures,
-        ply=ply,
         resume=resume,
         inputs=InputFiles([*pairs.files, *([] if poses is None else [poses])]),
         names=_names(pairs, output),
@@ -101,12 +110,11 @@ def run(
         total: int | None = len(pairs)
     except TypeError:
         total = None
-    seconds, finished = [], None
-    with closing(posed), progress_bar() as progress, writer, Background() as background:
-        task = progress.add_task("interpreting", total=total)
-        for pair in following:
-            progress.update(task, description=pair.name0)
-            if writer.knows(pair.name0) and writer.is_complete(pair.name0, pair.digest):
+    seconds, finished, is_announced = [], None, False
+    with closing(posed), writer, RunProgress(total) as progress, Background() as background:
+        for number, pair in enumerate(progress.timed("decoding", following)):
+            name = pair.name0
+            if writer.knows(name) and writer.is_complete(name, pair.digest):
                 finished = None if kept is None else pair
             else:
                 if kept is not None and finished is not None:
@@ -114,18 +122,24 @@ def run(
                     finished.keep(kept, before, camera=camera)
                     del before
                 finished = None
-                begin = time.perf_counter()
-                result = pair.interpret(camera=camera, settings=settings, window=kept)
-                seconds.append(time.perf_counter() - begin)
-                compared = figures and settings.motion == "field"
-                baseline = _baseline(pair, camera, settings) if compared else None
-                background.submit(_write, writer, pair, result, baseline)
+                with progress.stage("interpreting"):
+                    result = pair.interpret(camera=camera, settings=settings, window=kept)
+                seconds.append(progress.last)
+                writer.took(name, progress.last)
+                compared = settings.motion == "field" and writer.has_figure(number)
+                with progress.stage("interpreting"):
+                    baseline = _baseline(pair, camera, settings) if compared else None
+                with progress.stage("writing"):
+                    background.submit(_write, writer, number, pair, result, baseline)
                 del result  # or it would be held while the next is computed
-            progress.advance(task)
+            progress.finish(name, writer.statuses)
+            if not is_announced and total is not None and writer.statuses:
+                is_announced = True
+                _announce(writer, total)
             del pair
-    statuses = ", ".join(f"{count} {code}" for code, count in Counter(writer.statuses).items())
+    statuses = ", ".join(f"{count} {code}" for code, count in writer.statuses.items())
     typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
-    number = len(writer.statuses)
+    number = sum(writer.statuses.values())
     tell(
         f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {output}, settings "
         f"and scales in {output / RECORD}."
@@ -232,16 +246,37 @@ def figures(
 
 
 def _write(
-    writer: PairWriter, pair: FramePair, result: Interpretation, baseline: np.ndarray | None
+    writer: PairWriter,
+    number: int,
+    pair: FramePair,
+    result: Interpretation,
+    baseline: np.ndarray | None,
 ) -> None:
     writer.write(
         pair.name0,
         result,
+        number=number,
         digest=pair.digest,
         times=pair.times,
         pose=None if pair.pose is None else np.asarray(pair.pose),
         baseline_flow=baseline,
     )
+
+
+def _announce(writer: PairWriter, total: int) -> None:
+    """Say how much a long run will write, and whether the disk has room for it."""
+    expected, free = writer.expected_bytes(total), shutil.disk_usage(writer.folder).free
+    if expected > free:
+        tell(
+            f"about {_size(expected)} for {total} pairs, but {_size(free)} are free: see --outputs"
+        )
+    elif expected > _MUCH:
+        tell(f"about {_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
+
+
+def _size(count: float) -> str:
+    """Return a number of bytes as it is read."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
 def _require_writable(loaded: LoadedPair) -> None:

@@ -134,7 +134,7 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
     for folder in folders:
         if (folder / RECORD).is_file():
             continue
-        for name in (*(f"{NAME}{ending}" for ending in ENDINGS), *PAPER_FIGURES):
+        for name in (*(f"{NAME}{ending}" for ending in ENDINGS.values()), *PAPER_FIGURES):
             if (folder / name).exists():
                 raise ValueError(
                     f"the demo would replace {folder / name}, which is not of a demo: give "

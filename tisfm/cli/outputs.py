@@ -1,9 +1,7 @@
 """The files that `tisfm run` and `tisfm demo` write for every pair."""
 
-import json
-import math
-import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -13,13 +11,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.cli.motion_text import motion_rows, write_motions
+from tisfm.cli.run_record import RECORD, TABLE, TIMINGS, RunRecord, read_record
 from tisfm.formats import (
-    atomic_write,
     choose_depth_scale,
     write_depth_png,
     write_flo,
     write_png,
 )
+from tisfm.formats.folder_lock import locked_folder
 from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings
@@ -37,13 +36,20 @@ from tisfm.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RECORD = "run.json"
-_RENEWED = 1.0  # s: the record of a long run takes longer to write than a pair
-ENDINGS = (
-    "_depth16.png", "_depth.png", "_flow.flo", "_anaglyph.png", "_figure.png", ".ply", "_pose.txt",
-    ".npz",
-)  # fmt: skip
-"""What names of a pair's files end in."""
+ENDINGS = {
+    "depth": "_depth.png",
+    "depth16": "_depth16.png",
+    "flow": "_flow.flo",
+    "anaglyph": "_anaglyph.png",
+    "figure": "_figure.png",
+    "ply": ".ply",
+    "pose": "_pose.txt",
+    "npz": ".npz",
+}
+"""What names of a pair's files end in, by outputs."""
+
+USUAL = tuple(output for output in ENDINGS if output != "ply")
+"""What is written by default."""
 
 
 class PairWriter:
@@ -52,10 +58,12 @@ class PairWriter:
     For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
     and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
     ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, of rigid motions ``name_pose.txt``,
-    and last ``name.npz``, which therefore marks a complete pair. The record, ``run.json``, holds
-    settings, camera, ranges, and of every finished pair its status, its rigid motions and a hash
-    of its frames. It is renewed after a pair where the last time was a second ago, and when the
-    writer, which is a context manager, is left. A pair that is not in the record is not complete.
+    and last ``name.npz``. The record, ``run.json``, holds settings, camera, ranges, and of every
+    finished pair its status, its rigid motions, a hash of its frames, and what its files are; a
+    pair that is not in it is not complete.
+
+    The writer is a context manager. Within the block nobody else writes to the folder. What an
+    earlier run wrote into it is removed with the first pair, unless that run is continued.
 
     Parameters
     ----------
@@ -65,10 +73,10 @@ class PairWriter:
     settings : Settings
     window : int
         How many frames an interpretation sees.
-    figures : bool
-        Whether to draw the figure.
-    ply : bool
-        Whether to write the point cloud.
+    outputs : collection of str
+        What is written of a pair: the keys of `ENDINGS`.
+    figures : int
+        Figures are drawn of every so many pairs, from the first on; 0 for none.
     resume : bool
         Continue a run that was interrupted: keep its ranges and the pairs it finished.
     inputs : InputFiles
@@ -80,10 +88,11 @@ class PairWriter:
     Raises
     ------
     OSError
-        If the folder cannot be made or written to.
+        If the folder cannot be made or written to; where the block begins, if another run writes to
+        it.
     ValueError
-        If a file to be written is one of `inputs`, or if `resume` is set and the folder holds a
-        run with another camera or other options.
+        If a file to be written is one of `inputs`; where the block begins, if `resume` is set and
+        the folder holds a run with another camera or other options.
     """
 
     def __init__(
@@ -93,77 +102,59 @@ class PairWriter:
         camera: Camera,
         settings: Settings,
         window: int = 2,
-        figures: bool = True,
-        ply: bool = False,
+        outputs: Collection[str] = USUAL,
+        figures: int = 1,
         resume: bool = False,
         inputs: InputFiles | None = None,
         names: Iterable[str] = (),
     ) -> None:
         self.folder = Path(folder)
+        self._outputs = checked_outputs(outputs)
+        self._figures = figures if "figure" in self._outputs else 0
         self._inputs = inputs or InputFiles()
         self._inputs.refuse(
-            self.folder / RECORD, *(file for name in names for file in self._files(name))
+            *(self.folder / name for name in (RECORD, TABLE, TIMINGS)),
+            *(file for name in names for file in self._files(name)),
         )
         make_folder(folder)
-        self._record: dict[str, Any] = {
+        asked = {
             "version": __version__,
             "camera": asdict(camera),
             "settings": asdict(settings),
             "window": window,
-            "figures": figures,
-            "ply": ply,
-            "depth16_values_per_unit": None,
-            "depth_range": None,
-            "flow_limit": None,
-            "pairs": {},
+            "outputs": list(self._outputs),
+            "figures": self._figures,
         }
-        self._renewed, self._recorded = -math.inf, True
-        if resume:
-            self._continue()
+        self._record = RunRecord(self.folder, asked)
+        self._with = ExitStack()
+        self._resume = self._is_begun = resume
 
-    @property
-    def figures(self) -> bool:
-        """Whether figures are drawn."""
-        return bool(self._record["figures"])
+    def has_figure(self, number: int) -> bool:
+        """Return whether the figure of a pair, by its number in the run, is drawn."""
+        return bool(self._figures) and number % self._figures == 0
 
     def result_of(self, name: str) -> Path:
         """Return the file of a pair's interpretation."""
         return self.folder / f"{name}.npz"
 
+    def is_complete(self, name: str, digest: str) -> bool:
+        """Return whether an earlier run finished this pair, as `RunRecord.is_complete` says."""
+        return self._record.is_complete(name, digest)
+
     def knows(self, name: str) -> bool:
         """Return whether a pair of this name was written, by this run or the one continued."""
-        return name in self._record["pairs"]
+        return name in self._record.pairs
 
-    def is_complete(self, name: str, digest: str) -> bool:
-        """Return whether an earlier run finished this pair.
-
-        Parameters
-        ----------
-        name : str
-        digest : str
-            Hash of the pair's frames, and of its pose and masks if those were given.
-
-        Raises
-        ------
-        ValueError
-            If it finished a pair of this name, but of other frames, or with another pose or mask.
-        """
-        pair = self._record["pairs"].get(name)
-        if pair is None or not (self.folder / f"{name}.npz").is_file():
-            return False
-        if pair["frames"] != digest:
-            raise ValueError(
-                f"{self.folder} holds a run in which {name} was another pair of frames, or had "
-                "another pose or mask: give the same frames and step again, and the same poses and "
-                "masks, or run without --resume to start again"
-            )
-        return True
+    def took(self, name: str, seconds: float) -> None:
+        """Take down how long a pair was interpreted."""
+        self._record.took(name, seconds)
 
     def write(
         self,
         name: str,
         result: Interpretation,
         *,
+        number: int = 0,
         digest: str | None = None,
         times: tuple[float, float] | None = None,
         pose: np.ndarray | None = None,
@@ -178,6 +169,8 @@ class PairWriter:
         name : str
             Beginning of the file names.
         result : Interpretation
+        number : int
+            Of the pair in the run, by which it has a figure or not.
         digest : str, optional
             Hash of the pair's frames and pose, for `is_complete`.
         times : (float, float), optional
@@ -199,95 +192,120 @@ class PairWriter:
         ValueError
             If one of them is an input.
         """
-        record = self._record
-        wrong = result.status in ("diverged", "pose_mismatch")
-        usable = not wrong and bool((result.inverse_depth > 0).any())
-        # Each pair has a scale of its own, ‖T‖ = 1, which is taken out first: a camera that speeds
-        # up would make everything brighter. Not so with known poses.
-        level = 1.0 if pose is not None else _mean_inverse_depth(result) if usable else 0.0
-        if usable and record["depth_range"] is None:
-            # The first pair that moves sets the ranges: one for a whole sequence, no flicker.
-            record["depth_range"] = inverse_depth_limit(result.inverse_depth) / level
-            record["depth16_values_per_unit"] = choose_depth_scale(result.depth)
-            record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
-        limit = record["depth_range"] * level if usable else None
-        scale = record["depth16_values_per_unit"] or 1.0
+        if not self._is_begun:
+            self._remove_earlier()
+        limit = self._limit(result, pose)
+        scale = self._record["depth16_values_per_unit"] or 1.0
         self._inputs.refuse(*self._files(name))
         path = self.folder / name
         # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
-        write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
-        write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
-        write_flo(f"{path}_flow.flo", result.flow)
-        write_png(f"{path}_anaglyph.png", anaglyph(result.frame, result.inverse_depth, limit=limit))
-        if self.figures:
+        motions = motion_rows(result, pose=pose)
+        left_out = {"figure"} if not self.has_figure(number) else set()
+        if motions is None:
+            left_out.add("pose")
+        wanted = [output for output in self._outputs if output not in left_out]
+        if "depth16" in wanted:
+            write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
+        if "depth" in wanted:
+            write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
+        if "flow" in wanted:
+            write_flo(f"{path}_flow.flo", result.flow)
+        if "anaglyph" in wanted:
+            picture = anaglyph(result.frame, result.inverse_depth, limit=limit)
+            write_png(f"{path}_anaglyph.png", picture)
+        if "figure" in wanted:
             figure = _figure(
                 name,
                 result,
                 baseline_flow=baseline_flow,
                 depth_limit=limit,
-                flow_limit=record["flow_limit"],
+                flow_limit=self._record["flow_limit"],
                 truth_flow=truth_flow,
                 truth_inverse_depth=truth_inverse_depth,
             )
             save_figure(f"{path}_figure.png", figure)
-        if record["ply"]:
+        if "ply" in wanted:
             result.points().save(f"{path}.ply")
-        motions = motion_rows(result, pose=pose)
-        if motions is not None:
+        if "pose" in wanted and motions is not None:
             write_motions(f"{path}_pose.txt", motions)
-        result.save(f"{path}.npz")
-        self._recorded = False
-        record["pairs"][name] = {
+        if "npz" in wanted:
+            result.save(f"{path}.npz")
+        about = {
             "status": str(result.status),
             "message": result.status.message,
             "motions": _finite_list(motions),
             "frames": digest,
             "times": times,
+            **_summary(result),
         }
-        if time.monotonic() - self._renewed > _RENEWED:
-            self.write_record()
+        self._record.finish(name, about, [ENDINGS[output] for output in wanted])
+
+    def _limit(self, result: Interpretation, pose: np.ndarray | None) -> float | None:
+        """Return the inverse depth that is shown brightest; the first that moves sets the ranges.
+
+        They are one for a whole sequence, so that nothing flickers.
+        """
+        record = self._record
+        wrong = result.status in ("diverged", "pose_mismatch")
+        if wrong or not (result.inverse_depth > 0).any():
+            return None
+        # Each pair has a scale of its own, ‖T‖ = 1, which is taken out first: a camera that speeds
+        # up would make everything brighter. Not so with known poses.
+        level = 1.0 if pose is not None else _mean_inverse_depth(result)
+        if record["depth_range"] is None:
+            record["depth_range"] = inverse_depth_limit(result.inverse_depth) / level
+            record["depth16_values_per_unit"] = choose_depth_scale(result.depth)
+            record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
+        return float(record["depth_range"] * level)
+
+    def _remove_earlier(self) -> None:
+        """Remove what an earlier run says that it wrote here, its record first."""
+        self._is_begun = True
+        try:
+            before = read_record(self.folder)
+        except ValueError:
+            before = None
+        for name in (RECORD, TABLE, TIMINGS):
+            (self.folder / name).unlink(missing_ok=True)
+        for name in before["pairs"] if before is not None else ():
+            files = self._files(name)
+            self._inputs.refuse(*files)
+            for file in files:
+                file.unlink(missing_ok=True)
 
     @property
-    def statuses(self) -> list[str]:
-        """Status codes of the pairs written so far, those of a resumed run included."""
-        return [pair["status"] for pair in self._record["pairs"].values()]
+    def statuses(self) -> Mapping[str, int]:
+        """How many pairs have which status code so far, those of a resumed run included."""
+        return {code: count for code, count in list(self._record.statuses.items()) if count}
 
     @property
     def advice(self) -> dict[str, str]:
         """The message of the first pair of every status code other than ``"converged"``."""
         messages: dict[str, str] = {}
-        for pair in self._record["pairs"].values():
+        for pair in self._record.pairs.values():
             if pair["status"] != "converged":
                 messages.setdefault(pair["status"], pair["message"])
         return messages
 
-    def _continue(self) -> None:
-        path = self.folder / RECORD
-        if not path.is_file():
-            return
-        try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-            before.setdefault("window", 2)  # records of versions that had pairs alone
-            same = all(
-                before[key] == json.loads(json.dumps(self._record[key]))
-                for key in ("version", "camera", "settings", "window", "figures", "ply")
-            )
-            missing = set(self._record) - set(before)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            raise ValueError(f"{path} is damaged ({error}): run without --resume") from error
-        if missing or not same:
-            raise ValueError(
-                f"{self.folder} holds a run with another camera, other settings or outputs, or "
-                "of another version: repeat its options, or run without --resume to start again"
-            )
-        self._record = before
+    def expected_bytes(self, count: int) -> float:
+        """Return how much so many pairs take, by the first one that is finished."""
+        pair = next(iter(self._record.pairs.values()))
+        lengths = {ending: length for ending, (length, _) in pair["files"].items()}
+        figure = lengths.pop(ENDINGS["figure"], 0)
+        figures = -(-count // self._figures) if self._figures else 0
+        return float(sum(lengths.values()) * count + figure * figures)
 
     def _files(self, name: str) -> list[Path]:
         """Return the files that a pair may have."""
-        return [self.folder / f"{name}{ending}" for ending in ENDINGS]
+        return [self.folder / f"{name}{ending}" for ending in ENDINGS.values()]
 
     def __enter__(self) -> "PairWriter":
+        with ExitStack() as opened:
+            opened.enter_context(locked_folder(self.folder))
+            if self._resume:
+                self._record.resume()
+            self._with = opened.pop_all()
         return self
 
     def __exit__(
@@ -296,16 +314,38 @@ class PairWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not self._recorded:
+        with self._with:
             self.write_record()
 
     def write_record(self) -> None:
         """Write the record of what is finished."""
-        self._inputs.refuse(self.folder / RECORD)
-        text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
-        with atomic_write(self.folder / RECORD) as file:
-            file.write(text.encode("utf-8"))
-        self._renewed, self._recorded = time.monotonic(), True
+        self._inputs.refuse(*(self.folder / name for name in (RECORD, TABLE, TIMINGS)))
+        self._record.write()
+
+
+def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
+    """Return outputs in the order in which they are written, or raise ValueError."""
+    unknown = sorted(set(outputs) - set(ENDINGS))
+    if unknown or not outputs:
+        what = f"{unknown[0]!r} is none" if unknown else "there are none"
+        raise ValueError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
+    return tuple(output for output in ENDINGS if output in outputs)
+
+
+def _summary(result: Interpretation) -> dict[str, Any]:
+    """Return what the table of a run says of a pair beside its status."""
+    speed = np.sqrt((result.flow.astype(np.float64) ** 2).sum(axis=-1))
+    return {
+        "speed": _rounded(speed[np.isfinite(speed)].mean()) if np.isfinite(speed).any() else None,
+        "occluded": _rounded(result.occlusion.mean()),
+        "confidence": _rounded(result.confidence.mean()),
+        "twists": _finite_list(result.motions),
+    }
+
+
+def _rounded(value: float) -> float | None:
+    """Return a number with six digits; it is for reading."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 def _figure(

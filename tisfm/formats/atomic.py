@@ -1,16 +1,20 @@
 """Files that appear complete or not at all."""
 
 import contextlib
+import errno
 import os
 import secrets
 from collections.abc import Iterator
 from typing import BinaryIO
 
+_BEGINNING, _ENDING = ".tisfm-", ".tmp"
+# What a disk says that is full, or fails, while a file is written.
+_OF_THE_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
 _BUFFER = 2**20  # bytes: every write to the disk takes turns with other threads
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iterator[BinaryIO]:
     """Write a file that replaces `path` only when the block ends without an exception.
 
     The block writes to a temporary file in the same folder, so that replacing is one rename
@@ -22,6 +26,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     ----------
     path : str or os.PathLike
         File to write. Its folder must exist.
+    durable : bool, default False
+        Wait until it is on the disk, so that it is whole after a power failure as well. A sequence
+        writes hundreds of files: it does so for the one that says which of them are.
 
     Yields
     ------
@@ -49,7 +56,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         raise OSError(f"cannot write {name}: it is a device or a pipe, not a file; give a file")
     folder = os.path.dirname(target)
     # The name does not contain the target's, which may already be as long as the system allows.
-    temporary = os.path.join(folder, f".tisfm-{secrets.token_hex(8)}.tmp")
+    temporary = os.path.join(folder, f"{_BEGINNING}{secrets.token_hex(8)}{_ENDING}")
     try:
         # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
         file = open(temporary, "xb", _BUFFER)  # noqa: SIM115 (closed below, before the rename)
@@ -58,15 +65,24 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     try:
         with file:
             yield file
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         try:
-            # No fsync: a reader never sees half a file, and a sequence writes hundreds of them.
             os.replace(temporary, target)
         except OSError as error:
             raise _explained(error, name, folder) from error
-    except BaseException:
+    except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+        if isinstance(error, OSError) and error.strerror and error.errno in _OF_THE_DISK:
+            raise _explained(error, name, folder) from error
         raise
+
+
+def is_temporary(name: str) -> bool:
+    """Return whether a file is called as those are that `atomic_write` did not finish."""
+    return name.startswith(_BEGINNING) and name.endswith(_ENDING)
 
 
 def _explained(error: OSError, name: str, folder: str) -> OSError:
@@ -79,4 +95,6 @@ def _explained(error: OSError, name: str, folder: str) -> OSError:
         advice = f"no permission to write in {folder}; give a path in a folder of your own"
     else:
         advice = f"{error.strerror}; give a path in another folder"
-    return type(error)(f"cannot write {name}: {advice}")
+    explained = type(error)(f"cannot write {name}: {advice}")
+    explained.errno = error.errno
+    return explained

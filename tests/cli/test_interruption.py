@@ -1,0 +1,204 @@
+"""Runs that are killed, cut short by the disk, damaged, or not alone."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
+from tisfm.formats import write_png
+from tisfm.formats.folder_lock import LOCK, FolderInUseError, locked_folder
+
+QUIET = ("run", "frames", "-o", "out", "--no-figures")
+MANY = 24
+
+
+@pytest.mark.parametrize("ending", sorted(ENDINGS - {"_figure.png"}))
+@pytest.mark.parametrize("damage", ["gone", "emptied", "cut off", "flipped"])
+def test_a_damaged_file_is_made_again(tisfm_run, frames, ending, damage):
+    assert tisfm_run(*QUIET)[0] == 0
+    before = files("out")
+    path = Path(f"out/f1{ending}")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    if damage == "gone":
+        path.unlink()
+    else:
+        path.write_bytes({"emptied": b"", "cut off": data[:-1], "flipped": bytes(data)}[damage])
+    assert tisfm_run(*QUIET, "--resume")[0] == 0
+    assert files("out") == before
+
+
+def test_what_killed_runs_left_is_removed(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    before = files("out")
+    for name in (".tisfm-0123456789abcdef.tmp", LOCK):
+        Path("out", name).write_bytes(b"half")
+    assert tisfm_run(*QUIET, "--resume")[0] == 0
+    assert files("out") == before
+
+
+def test_two_runs_in_a_folder_refuse_each_other(tisfm_run, frames):
+    Path("out").mkdir()
+    with locked_folder("out"):
+        for more in ((), ("--resume",)):
+            code, _, err = tisfm_run(*QUIET, *more)
+            assert_one_line(code, err, "another run writes to out", "another folder with -o")
+        with pytest.raises(FolderInUseError), locked_folder("out"):
+            pass
+        assert set(os.listdir("out")) == {LOCK}
+    assert os.listdir("out") == []
+    assert tisfm_run(*QUIET)[0] == 0
+
+
+def test_what_differs_is_said(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    code, _, err = tisfm_run(*QUIET, "--resume", "--beta", "0.5", "--focal", "50")
+    assert_one_line(code, err, "camera.focal was 600.0, now 50.0; settings.beta was ")
+    changed = record("out") | {"version": "0.0.1"}
+    Path("out/run.json").write_text(json.dumps(changed))
+    code, _, err = tisfm_run(*QUIET, "--resume")
+    assert_one_line(code, err, 'version was "0.0.1", now ')
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [{"../f0": {}}, {"f0": {}}, {"f0": 3}, [], {"f0": {"frames": "", "status": 1}}, "f0",
+     {"../f0": {"frames": "", "status": "", "message": "", "files": {}}},
+     {"f0": {"frames": "", "status": "", "message": "", "files": {".npz": [1]}}}],
+)  # fmt: skip
+def test_a_damaged_record_is_said(tisfm_run, frames, pairs):
+    assert tisfm_run(*QUIET)[0] == 0
+    Path("out/run.json").write_text(json.dumps(record("out") | {"pairs": pairs}))
+    code, _, err = tisfm_run(*QUIET, "--resume")
+    assert_one_line(code, err, "run.json is damaged", "run without --resume")
+
+
+def test_nothing_of_an_earlier_run_stays(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    Path("out/note.txt").write_text("mine")
+    assert tisfm_run(*QUIET, "--step", "2", "--outputs", "flow")[0] == 0
+    assert set(files("out")) == {"f0_flow.flo", "run.json", "run.csv", "note.txt"}
+
+
+def test_outputs_are_chosen(tisfm_run, frames):
+    options = ("run", "frames", "-o", "out", "--outputs")
+    assert tisfm_run(*options, "depth, npz,figure", "--figures", "2", "--ply")[0] == 0
+    some = {f"f{k}{end}" for k in range(3) for end in ("_depth.png", ".npz", ".ply")}
+    assert set(files("out")) == some | {
+        "f0_figure.png", "f2_figure.png", "run.json", "run.csv"
+    }  # fmt: skip
+    assert record("out")["outputs"] == ["depth", "figure", "ply", "npz"]
+    before = files("out")
+    Path("out/f2_figure.png").unlink()
+    again = ("depth,npz,figure", "--figures", "2", "--ply", "--resume")
+    assert tisfm_run(*options, *again)[0] == 0
+    assert files("out") == before
+    for wrong in ("depth,color", "", ","):
+        code, _, err = tisfm_run(*options, wrong)
+        assert_one_line(code, err, "outputs: ", "expected some of depth, depth16, flow")
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--figures", "-1")
+    assert_one_line(code, err, "figures is -1")
+
+
+def test_the_table_has_a_row_for_each_pair(tisfm_run, frames):
+    options = ("--motion", "camera", "--focal", "50")
+    assert tisfm_run(*QUIET, *options)[0] == 0
+    with open("out/run.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["pair"] for row in rows] == ["f0", "f1", "f2"]
+    for row in rows:
+        result = load("out", row["pair"])
+        assert (row["status"], row["message"]) == (str(result.status), result.status.message)
+        speed = np.linalg.norm(result.flow.astype(float), axis=-1).mean()
+        assert float(row["speed"]) == pytest.approx(speed, rel=1e-5)
+        twist = [float(row[key]) for key in ("tx", "ty", "tz", "rx", "ry", "rz")]
+        np.testing.assert_allclose(twist, result.motions[0])
+        assert row["time0"] == ""
+    with open("out/timings.csv", newline="", encoding="utf-8") as file:
+        assert all(float(row["seconds"]) > 0 for row in csv.DictReader(file))
+
+
+def test_a_window_of_three_goes_on_from_files(tisfm_run, frames):
+    code, _, err = tisfm_run(*QUIET, "--window", "3", "--resume", "--outputs", "flow")
+    assert_one_line(code, err, "let npz be among the outputs")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names of files there are Unicode")
+def test_names_that_are_no_text(tisfm_run, frames):
+    try:
+        for k in range(4):
+            (frames / f"f{k}.png").rename(frames / f"f\udcff{k}.png")
+    except OSError:
+        pytest.skip("this file system takes no such names")
+    for more in ((), ("--resume",)):
+        assert tisfm_run("run", "frames", "-o", "out", *more)[0] == 0
+    assert list(record("out")["pairs"]) == [f"f\udcff{k}" for k in range(3)]
+    assert Path("out/f\udcff0_figure.png").exists()
+
+
+def test_a_full_disk_names_the_file(tisfm_run, frames):
+    """A file system of one page for everything, as far as one may be mounted."""
+    Path("small").mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", "small"], capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        options = ("run", "frames", "-o", "small", "--no-figures")
+        code, _, err = tisfm_run(*options)
+        *before_it, last = err.splitlines(keepends=True)
+        assert_one_line(code, last, "cannot write small/", "No space left on device")
+        assert all("for 3 pairs, but" in line for line in before_it)
+        assert not [name for name in os.listdir("small") if name.startswith(".")]
+        subprocess.run(["mount", "-o", "remount,size=8m", "small"], check=True)
+        assert tisfm_run(*options, "--resume")[0] == 0
+        assert tisfm_run("run", "frames", "-o", "whole", "--no-figures")[0] == 0
+        assert files("small") == files("whole")
+    finally:
+        subprocess.run(["umount", "small"], check=True)
+
+
+def killed(command, seconds, is_begun):
+    """Start a command, and kill it so many seconds after it has begun to write."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 120
+    while not is_begun() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(seconds)
+    process.send_signal(signal.SIGKILL if os.name != "nt" else signal.SIGTERM)
+    process.communicate()
+    return process.returncode
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("more", [(), ("--window", "3", "--figures", "5")], ids=" ".join)
+def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
+    noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
+    texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    os.mkdir("many")
+    for k in range(MANY):
+        write_png(f"many/f{k:02d}.png", texture[:, MANY - k : 160 - k])
+    options = ("run", "many", "--preset", "fast", *(more or ("--no-figures",)))
+    assert tisfm_run(*options, "-o", "whole")[0] == 0
+    random, kills = np.random.default_rng(7), 0
+    command = [*TISFM, *options, "-o", "out", "--resume"]
+    for _ in range(5):
+        there = len(os.listdir("out")) if os.path.isdir("out") else 0
+        code = killed(
+            command,
+            random.uniform(0, 0.5),
+            lambda there=there: os.path.isdir("out") and len(os.listdir("out")) > there,
+        )
+        kills += code != 0
+    assert kills > 0
+    assert tisfm_run(*options, "-o", "out", "--resume")[0] == 0
+    assert files("out") == files("whole")

@@ -1,0 +1,222 @@
+"""The account of a run: what it was asked for, which pairs are finished, and by which files."""
+
+import csv
+import io
+import json
+import math
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from isal import isal_zlib
+
+from tisfm.formats import atomic_write
+
+RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
+ASKED = ("version", "camera", "settings", "window", "outputs", "figures")  # what has to be the same
+FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit")
+_LEAST_APART, _SHARE = 1.0, 20.0  # s between renewals; and times what the last one took
+_PIECE = 2**20  # bytes of a file that are read at a time
+_MOST_SAID = 4  # differences
+_COLUMNS = (
+    "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
+    "tz", "rx", "ry", "rz",
+)  # fmt: skip
+
+
+class RunRecord:
+    """What ``run.json`` says, from which a run that was interrupted goes on.
+
+    It is renewed while pairs are finished, never more than a twentieth of the time, and at the end.
+    A pair counts as finished if it is there, and all its files are as it says.
+
+    Parameters
+    ----------
+    folder : Path
+    asked : mapping
+        Version, camera, settings, window, outputs and how many figures.
+
+    Attributes
+    ----------
+    statuses : Counter
+        How many finished pairs have which status code.
+    """
+
+    def __init__(self, folder: Path, asked: Mapping[str, Any]) -> None:
+        self._folder = folder
+        self._about: dict[str, Any] = {**asked, **dict.fromkeys(FOUND), "pairs": {}}
+        self.statuses: Counter[str] = Counter()
+        self._seconds: dict[str, float] = {}
+        self._next, self._is_written = -math.inf, True
+
+    def __getitem__(self, key: str) -> Any:
+        return self._about[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._about[key] = value
+
+    @property
+    def pairs(self) -> Mapping[str, Mapping[str, Any]]:
+        """What is known of every finished pair, by its name."""
+        pairs: Mapping[str, Mapping[str, Any]] = self._about["pairs"]
+        return pairs
+
+    def resume(self) -> None:
+        """Go on from the record that lies in the folder, if there is one.
+
+        Raises
+        ------
+        ValueError
+            If it is damaged, or of a run that was asked for something else; it says for what.
+        """
+        before = read_record(self._folder)
+        if before is None:
+            return
+        asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
+        differing = list(_differing({key: before.get(key) for key in ASKED}, asked))
+        if differing:
+            more = len(differing) - _MOST_SAID
+            said = differing[:_MOST_SAID] + [f"and {more} more"] * (more > 0)
+            raise ValueError(
+                f"{self._folder} holds a run with another camera, other settings or outputs, or "
+                f"of another version ({'; '.join(said)}): repeat its options, or run without "
+                "--resume to start again"
+            )
+        self._about = before
+        self.statuses.update(pair["status"] for pair in self.pairs.values())
+
+    def is_complete(self, name: str, digest: str) -> bool:
+        """Return whether a pair was finished, and its files are as they were then.
+
+        Parameters
+        ----------
+        name : str
+        digest : str
+            Hash of the pair's frames, and of its pose and masks if those were given.
+
+        Raises
+        ------
+        ValueError
+            If a pair of this name was finished, but of other frames, or with another pose or mask.
+        """
+        pair = self.pairs.get(name)
+        if pair is None:
+            return False
+        if pair["frames"] != digest:
+            raise ValueError(
+                f"{self._folder} holds a run in which {name} was another pair of frames, or had "
+                "another pose or mask: give the same frames and step again, and the same poses and "
+                "masks, or run without --resume to start again"
+            )
+        return all(
+            _check_sum(self._folder / f"{name}{ending}") == tuple(known)
+            for ending, known in pair["files"].items()
+        )
+
+    def finish(self, name: str, about: Mapping[str, Any], endings: list[str]) -> None:
+        """Take down that a pair is finished, and what its files are now."""
+        files = {end: _check_sum(self._folder / f"{name}{end}") for end in endings}
+        before = self.pairs.get(name)
+        self._about["pairs"][name] = {**about, "files": files}
+        self.statuses[about["status"]] += 1
+        if before is not None:
+            self.statuses[before["status"]] -= 1
+        self._is_written = False
+        if time.monotonic() > self._next:
+            self.write()
+
+    def took(self, name: str, seconds: float) -> None:
+        """Take down how long a pair was interpreted."""
+        self._seconds[name] = seconds
+
+    def write(self) -> None:
+        """Write ``run.json``, and the table of all pairs and their times, if there is any news."""
+        if self._is_written:
+            return
+        begin = time.monotonic()
+        text = json.dumps(self._about, indent=2, ensure_ascii=False) + "\n"
+        _write(self._folder / TIMINGS, _table(("pair", "seconds"), self._seconds.items()))
+        rows = ((name, *_row(pair)) for name, pair in self.pairs.items())
+        _write(self._folder / TABLE, _table(_COLUMNS, rows))
+        _write(self._folder / RECORD, text, durable=True)
+        self._is_written = True
+        end = time.monotonic()
+        self._next = end + max(_LEAST_APART, _SHARE * (end - begin))
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """Return the record of a run in a folder, None if there is none.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged.
+    """
+    path = folder / RECORD
+    if not path.is_file():
+        return None
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(about, dict) or not set(FOUND) <= set(about):
+            raise ValueError("it does not say what a run found")
+        for name, pair in about["pairs"].items():
+            if not {"frames", "status", "message", "files"} <= set(pair):
+                raise ValueError(f"it does not say enough of {name}")
+            if os.path.basename(name) != name:
+                raise ValueError(f"{name} is no name of a pair")
+            if not all(len(known) == 2 for known in pair["files"].values()):
+                raise ValueError(f"it does not say what the files of {name} are")
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path} is damaged ({reason}): run without --resume") from error
+    return about
+
+
+def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
+    """Yield the columns of a pair, without its name."""
+    yield pair["status"]
+    yield pair["message"]
+    yield from pair.get("times") or (None, None)
+    for key in ("speed", "occluded", "confidence"):
+        yield pair.get(key)
+    motions = pair.get("twists")
+    yield from motions[0] if motions else (None,) * 6
+
+
+def _table(columns: tuple[str, ...], rows: Any) -> str:
+    """Return rows as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _write(path: Path, text: str, *, durable: bool = False) -> None:
+    """Write text; where the system's names of files are none, as JSON has such characters."""
+    with atomic_write(path, durable=durable) as file:
+        file.write(text.encode("utf-8", "backslashreplace"))
+
+
+def _check_sum(path: Path) -> tuple[int, int] | None:
+    """Return the length of a file, bytes, and its CRC-32; None if there is none."""
+    try:
+        with open(path, "rb", 0) as file:
+            length, total = 0, 0
+            while piece := file.read(_PIECE):
+                length, total = length + len(piece), isal_zlib.crc32(piece, total)
+    except (FileNotFoundError, IsADirectoryError):
+        return None
+    return length, total
+
+
+def _differing(before: Any, now: Any, name: str = "") -> Iterator[str]:
+    """Yield what differs between two accounts."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            yield from _differing(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name} was {json.dumps(before)}, now {json.dumps(now)}"

@@ -1,0 +1,54 @@
+"""One run at a time in a folder, and nothing left of those that were killed."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from tisfm.formats.atomic import is_temporary
+
+LOCK = ".tisfm.lock"
+
+
+class FolderInUseError(OSError):
+    """Another run writes to the folder."""
+
+
+@contextlib.contextmanager
+def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Let nobody else write to a folder within the block, and remove what killed runs left half.
+
+    The lock belongs to the process: it ends with it, however that ends.
+
+    Parameters
+    ----------
+    folder : path
+        There is one.
+
+    Raises
+    ------
+    FolderInUseError
+        An OSError: if another run is in such a block with it.
+    """
+    path = Path(folder)
+    lock = FileLock(path / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise FolderInUseError(
+            f"another run writes to {path}: wait until it ends, or give another folder with -o"
+        ) from None
+    except NotImplementedError:  # a file system without locks
+        yield
+        return
+    try:
+        for item in path.iterdir():
+            if is_temporary(item.name):
+                item.unlink(missing_ok=True)
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # Windows removes no open file
+            os.unlink(path / LOCK)
+        lock.release()
