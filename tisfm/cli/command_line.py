@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -477,6 +478,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # What libraries find odd about names and damaged EXIF data changes no result.
+    warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
+    warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.")
     if isinstance(sys.stdout, io.TextIOWrapper):  # Greek letters, where the encoding has none
         sys.stdout.reconfigure(errors="replace")
     if arguments == ["--version"]:
@@ -505,7 +509,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _fail(text: str) -> int:
     """Print an error in one line and return the exit code."""
-    print(f"tisfm: {' '.join(text.split())}", file=sys.stderr)
+    shown = " ".join(text.split()).encode("utf-8", "replace").decode("utf-8")
+    print(f"tisfm: {shown}", file=sys.stderr)
     return 1
 
 

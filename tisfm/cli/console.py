@@ -13,9 +13,14 @@ from rich.progress import (
 from rich.table import Table
 
 
+def as_text(name: str) -> str:
+    """Return a name of a file as text: a question mark for what the system has that is none."""
+    return name.encode("utf-8", "replace").decode("utf-8")
+
+
 def tell(line: str) -> None:
     """Print one line on standard error, as it is."""
-    Console(stderr=True).print(line, highlight=False, markup=False, soft_wrap=True)
+    Console(stderr=True).print(as_text(line), highlight=False, markup=False, soft_wrap=True)
 
 
 def print_whole(table: Table) -> None:

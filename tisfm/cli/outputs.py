@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
 from tisfm.cli.run_record import RECORD, TABLE, TIMINGS, RunRecord, read_record
 from tisfm.formats import (
@@ -216,7 +217,7 @@ class PairWriter:
             write_png(f"{path}_anaglyph.png", picture)
         if "figure" in wanted:
             figure = _figure(
-                name,
+                as_text(name),
                 result,
                 baseline_flow=baseline_flow,
                 depth_limit=limit,

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TypeVar
 
-from tisfm.cli.console import progress_bar
+from tisfm.cli.console import as_text, progress_bar
 
 RECENT = 20  # pairs: what the speed and the stage that limits are of
 
@@ -81,5 +81,5 @@ class RunProgress:
         spent = {stage: after[stage] - before.get(stage, 0.0) for stage in after}
         limit = max(spent, key=lambda stage: spent[stage], default="")
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
-        said = f"{name}: {speed:.3g} pairs/s, {limit}" + (f"; {counts}" if counts else "")
+        said = f"{as_text(name)}: {speed:.3g} pairs/s, {limit}" + (f"; {counts}" if counts else "")
         self._bar.update(self._task, advance=1, description=said)

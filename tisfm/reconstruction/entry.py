@@ -16,9 +16,10 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.folder import CACHE, begin
+from tisfm.reconstruction.folder import CACHE
 from tisfm.reconstruction.object_sizes import checked_object_sizes
 from tisfm.reconstruction.progress import DepthOf, Progress
+from tisfm.reconstruction.renewal import renewed_folder
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.result_labels import labels_of_result
 from tisfm.settings import Settings
@@ -190,27 +191,28 @@ def reconstruct(
         folder = temporary.name
     from tisfm.reconstruction.run import Run
 
-    path = begin(folder).absolute()  # or depth would be lost with another working folder
     try:
-        run = Run(
-            frames,
-            camera,
-            calibrate,
-            settings,
-            given,
-            path,
-            progress,
-            depth_of,
-            sizes,
-            labels_stay=of_result is not None and of_result.camera is not None,
-        )
-        result = run.result()
+        with renewed_folder(folder) as path:
+            path = path.absolute()  # or depth would be lost with another working folder
+            try:
+                result = Run(
+                    frames,
+                    camera,
+                    calibrate,
+                    settings,
+                    given,
+                    path,
+                    progress,
+                    depth_of,
+                    sizes,
+                    labels_stay=of_result is not None and of_result.camera is not None,
+                ).result()
+            finally:
+                shutil.rmtree(path / CACHE, ignore_errors=True)
     except BaseException:
         if temporary is not None:
             temporary.cleanup()  # what was raised may be kept for long, and this with it
         raise
-    finally:
-        shutil.rmtree(path / CACHE, ignore_errors=True)
     return result if temporary is None else replace(result, _temporary=temporary)
 
 

@@ -6,7 +6,6 @@ file says whose folder it is. ``docs/formats.md`` describes the files.
 
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +19,6 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
-from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
@@ -31,8 +29,8 @@ RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
-_PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
-_OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
+PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
+OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
 def write_depth(
@@ -155,36 +153,6 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
-def begin(folder: str | os.PathLike[str]) -> Path:
-    """Make a folder ready to be written to, and remove what an earlier reconstruction left.
-
-    Raises
-    ------
-    FileExistsError
-        If it holds anything that is not of a reconstruction.
-    """
-    path = make_folder(folder)
-    known = {*_PARTS, *_OTHERS, CACHE, BEGUN}
-    there = sorted(item.name for item in path.iterdir())
-    others = [name for name in there if name not in known]
-    if not others and not {RECORD, BEGUN} & set(there):
-        others = there  # of such names, but whose?
-    if others:
-        raise FileExistsError(
-            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
-        )
-    (path / BEGUN).touch()
-    (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
-    for name in known - {BEGUN}:
-        if (path / name).is_dir():
-            shutil.rmtree(path / name)
-        else:
-            (path / name).unlink(missing_ok=True)
-    for name in (DEPTH, PICTURES, CACHE):
-        (path / name).mkdir()
-    return path
-
-
 def write_record(folder: Path, result: Any) -> None:
     """Write the path and, last, the account of a reconstruction."""
     times = np.array([np.nan if time is None else time for time in result.times])
@@ -277,22 +245,3 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
-
-
-def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
-    """Write a reconstruction to another folder, its record last."""
-    source: Path = result.folder
-    if Path(target).resolve() == source.resolve():
-        write_record(source, result)
-        return
-    path = begin(target)
-    shutil.rmtree(path / CACHE)
-    for name in (DEPTH, PICTURES, MASKS):
-        if not (source / name).is_dir():
-            continue
-        (path / name).mkdir(exist_ok=True)
-        for file in sorted((source / name).iterdir()):
-            shutil.copyfile(file, path / name / file.name)
-    if (source / CAMERA).exists():  # earlier versions wrote none
-        shutil.copyfile(source / CAMERA, path / CAMERA)
-    write_record(path, result)

@@ -40,7 +40,7 @@ LASTING = 4  # frames, at least, of a thing
 # Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
 # they go together; or where it does in fewer, but in most that show both, and they go roughly
 # together.
-TOGETHER, TOUCHING, HARDLY_APART = 0.7, 0.3, 0.75
+TOGETHER, TOUCHING, HARDLY_APART = 0.7, 0.3, 0.6
 GOING_TOGETHER, ROUGHLY = 0.3, 0.9  # of the faster one's motion: how far that of parts may differ
 
 
@@ -290,7 +290,7 @@ class Identities:
         for place, part in enumerate(by_size):
             larger = [k for k in by_size[place + 1 :] if self._belongs(part, k)]
             if larger:
-                whole[part] = max(larger, key=lambda k: self._times(self._touching, part, k))
+                whole[part] = larger[-1]  # the largest
         for part in reversed(by_size):  # the larger come first
             whole[part] = whole[whole[part]]
         for late in sorted(self._things):  # whole things that are seen again

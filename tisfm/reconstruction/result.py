@@ -269,7 +269,7 @@ class Reconstruction:
         OSError
             If it cannot be written to.
         """
-        from tisfm.reconstruction.folder import copy_folder
+        from tisfm.reconstruction.renewal import copy_folder
 
         copy_folder(self, folder)
 

@@ -1,0 +1,98 @@
+"""A folder with an earlier reconstruction, when the next one fails or is killed."""
+
+import os
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.formats.folder_lock import FolderInUseError, locked_folder
+from tisfm.reconstruction.renewal import EARLIER, renewed_folder
+
+FAST = tisfm.Settings.preset("fast", motion="camera")
+
+
+def contents(folder):
+    """Return the files below a folder, by their names."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture
+def earlier(tmp_path):
+    """Return a folder that looks like that of a reconstruction."""
+    folder = tmp_path / "result"
+    with renewed_folder(folder) as path:
+        for name in ("reconstruction.json", "path.npz", "points.ply", "depth/000000.npz"):
+            (path / name).write_text(name)
+        (path / "reconstruction.begun").unlink()
+    return folder
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MemoryError])
+def test_an_earlier_result_comes_back(earlier, error):
+    before = contents(earlier)
+    with pytest.raises(error), renewed_folder(earlier) as path:
+        assert not (path / "reconstruction.json").exists()
+        assert list((path / "depth").iterdir()) == []
+        (path / "path.npz").write_text("half")
+        (path / "trajectory.txt").write_text("half")
+        raise error
+    assert contents(earlier) == before
+    assert not (earlier / EARLIER).exists()
+
+
+def test_a_new_result_replaces_it(earlier):
+    with renewed_folder(earlier) as path:
+        (path / "path.npz").write_text("new")
+    assert not (earlier / EARLIER).exists() and not (earlier / "points.ply").exists()
+    assert (earlier / "path.npz").read_text() == "new"
+
+
+def test_what_a_killed_run_put_aside_comes_back_after_the_next_failure(earlier):
+    before = contents(earlier)
+    (earlier / EARLIER).mkdir()
+    for name in ("reconstruction.json", "path.npz", "points.ply", "depth"):
+        (earlier / name).rename(earlier / EARLIER / name)
+    (earlier / "reconstruction.begun").touch()
+    (earlier / "path.npz").write_text("half")
+    (earlier / ".tisfm-01.tmp").write_text("half")
+    with pytest.raises(ValueError, match="again"), renewed_folder(earlier):
+        raise ValueError("again")
+    after = contents(earlier)
+    assert {name: after[name] for name in before} == before
+    assert not [name for name in after if name.startswith(".")]
+
+
+def test_one_at_a_time(earlier):
+    before = contents(earlier)
+    with (
+        locked_folder(earlier),
+        pytest.raises(FolderInUseError, match="another run"),
+        renewed_folder(earlier),
+    ):
+        pass
+    assert contents(earlier) == before
+
+
+def test_other_files_stay(tmp_path):
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"note\.txt"), renewed_folder(tmp_path):
+        pass
+    assert os.listdir(tmp_path) == ["note.txt"]
+
+
+def test_bad_input_leaves_the_earlier_result(tmp_path):
+    frames = [np.uint8(np.random.default_rng(k).integers(0, 255, (60, 80))) for k in range(4)]
+    folder = tmp_path / "out"
+    camera = tisfm.Camera(focal=80.0)
+    tisfm.reconstruct(frames, camera=camera, settings=FAST, folder=folder, depth_of="none")
+    before = contents(folder)
+    with pytest.raises(ValueError, match=r"\(10, 10\)|size|shape"):
+        tisfm.reconstruct(
+            [*frames, frames[0][:10, :10]], camera=camera, settings=FAST, folder=folder
+        )
+    assert contents(folder) == before

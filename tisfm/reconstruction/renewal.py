@@ -1,0 +1,131 @@
+"""A folder that a reconstruction is written to, and the earlier one in it, which may come back."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tisfm.formats.atomic import is_temporary
+from tisfm.formats.folder_lock import LOCK, locked_folder
+from tisfm.formats.outputs import make_folder
+from tisfm.reconstruction.folder import (
+    BEGUN,
+    CACHE,
+    CAMERA,
+    DEPTH,
+    MASKS,
+    OTHERS,
+    PARTS,
+    PICTURES,
+    RECORD,
+    write_record,
+)
+
+EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
+
+
+@contextmanager
+def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a folder ready to be written to, and let nobody else write to it within the block.
+
+    An earlier reconstruction in it is put aside. It is removed where the block ends, and put back
+    where an exception leaves it. Of a process that was killed it stays aside until then.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist.
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    FileExistsError
+        If it holds anything that is not of a reconstruction.
+    OSError
+        If it cannot be made or written to, or another run writes to it.
+    """
+    path = make_folder(folder)
+    with locked_folder(path):
+        _begin(path)
+        try:
+            yield path
+        except BaseException:
+            _put_back(path)
+            raise
+        shutil.rmtree(path / EARLIER, ignore_errors=True)
+
+
+def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
+    """Write a reconstruction to another folder, its record last."""
+    source: Path = result.folder
+    if Path(target).resolve() == source.resolve():
+        write_record(source, result)
+        return
+    with renewed_folder(target) as path:
+        shutil.rmtree(path / CACHE)
+        for name in (DEPTH, PICTURES, MASKS):
+            if not (source / name).is_dir():
+                continue
+            (path / name).mkdir(exist_ok=True)
+            for file in sorted((source / name).iterdir()):
+                shutil.copyfile(file, path / name / file.name)
+        if (source / CAMERA).exists():  # earlier versions wrote none
+            shutil.copyfile(source / CAMERA, path / CAMERA)
+        write_record(path, result)
+
+
+def _begin(path: Path) -> None:
+    """Put an earlier result aside, remove one that is not complete, and make what is needed."""
+    known = {*PARTS, *OTHERS, CACHE, BEGUN}
+    there = sorted(item.name for item in path.iterdir())
+    ours = {name for name in there if name in (LOCK, EARLIER) or is_temporary(name)}
+    others = [name for name in there if name not in known | ours]
+    if not others and EARLIER not in ours and not {RECORD, BEGUN} & set(there):
+        others = [name for name in there if name not in ours]  # of such names, but whose?
+    if others:
+        raise FileExistsError(
+            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+        )
+    (path / BEGUN).touch()
+    if (path / RECORD).exists():
+        shutil.rmtree(path / EARLIER, ignore_errors=True)  # of a run that was killed at its end
+        (path / EARLIER).mkdir()
+        _move(path, path / EARLIER)
+    _remove(path)
+    for name in (DEPTH, PICTURES, CACHE):
+        (path / name).mkdir()
+
+
+def _put_back(path: Path) -> None:
+    """Let the earlier result be what it was, if there was one."""
+    if (path / EARLIER / RECORD).exists():
+        _remove(path)
+        _move(path / EARLIER, path)
+        shutil.rmtree(path / EARLIER, ignore_errors=True)
+        (path / BEGUN).unlink(missing_ok=True)
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a result: where it comes from it is no complete one first, where it goes to last."""
+    if target.name == EARLIER:
+        names = [RECORD, *(name for name in (*PARTS, *OTHERS) if name != RECORD)]
+    else:
+        names = [*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD]
+    for name in names:
+        if (source / name).exists():
+            (source / name).replace(target / name)
+
+
+def _remove(path: Path) -> None:
+    """Remove the parts of a result, but for what says whose folder it is."""
+    (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
+    for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
+        if (path / name).is_dir():
+            shutil.rmtree(path / name)
+        else:
+            (path / name).unlink(missing_ok=True)
