@@ -1,5 +1,6 @@
 """The command line: ``tisfm demo``, ``tisfm run``, ``tisfm eval``, ``tisfm figures``."""
 
+import contextlib
 import io
 import os
 import sys
@@ -469,6 +470,41 @@ class Figures:
         )
 
 
+@dataclass(kw_only=True)
+class Batch:
+    """Interpret or reconstruct many videos, each in a process of its own.
+
+    LIST is a CSV file: its first line names the columns source, output and, as they are needed,
+    options of the command, such as preset, focal or motion; then a line for each video. An empty
+    cell leaves an option out, yes and no turn one on and off. Paths are relative to where the
+    command runs. What fails is said, and stops no other.
+    """
+
+    jobs: Annotated[Positional[Path], arg(metavar="LIST")]
+    """A CSV file with columns source, output, and options."""
+    command: Literal["run", "reconstruct"] = "run"
+    """What is done with each."""
+    workers: int = 1
+    """Videos at a time."""
+    threads: int | None = None
+    """Most CPU threads of each; by default its share of all cores."""
+    resume: bool = False
+    """With --command run, continue runs that were interrupted."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.batch import batch
+
+        return batch(
+            self.jobs,
+            self.command,
+            check=_refuse_wrong,
+            workers=self.workers,
+            threads=self.threads,
+            resume=self.resume,
+        )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
@@ -528,7 +564,7 @@ def _numbers(text: str, name: str) -> tuple[float, ...]:
         raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
 
 
-def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Figures:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -540,10 +576,23 @@ def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Demo | Figures:
         Annotated[Run, subcommand("run", default=run, prefix_name=False)]
         | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
+        | Annotated[Batch, subcommand("batch", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
     )
     return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
+
+
+def _refuse_wrong(arguments: list[str]) -> None:
+    """Raise ValueError if the parser refuses arguments, with what it says of them."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            _parse(arguments)
+    except SystemExit:
+        lines = (line.strip(" │|╭╰─╮╯-") for line in said.getvalue().splitlines())
+        words = [line for line in lines if line]
+        raise ValueError(" ".join(words[:3]) or "these options are wrong") from None
 
 
 def _preset(arguments: list[str]) -> Preset:

@@ -1,0 +1,171 @@
+"""What `tisfm batch` does: many videos, several at a time, none of which stops the others."""
+
+import csv
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tisfm.cli.console import progress_bar, tell
+
+Command = Literal["run", "reconstruct"]
+
+SOURCE, OUTPUT = "source", "output"
+TRIES = 3  # of a job whose process was killed
+_FLAGS = {"yes": "--", "no": "--no-"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A line of the list.
+
+    Attributes
+    ----------
+    line : int
+        Of the file, from 1 on.
+    source, output : str
+    options : tuple of str
+        As on the command line.
+    """
+
+    line: int
+    source: str
+    output: str
+    options: tuple[str, ...]
+
+
+def read_jobs(path: Path) -> list[Job]:
+    """Read a list of jobs, CSV with a line of names first.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it has no columns ``source`` and ``output``, a line lacks one of them or has too many
+        cells, two have the same output, or there are none.
+    """
+    jobs: list[Job] = []
+    outputs: dict[str, int] = {}
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, strict=True)
+            columns = [name.strip() for name in reader.fieldnames or ()]
+            if not {SOURCE, OUTPUT} <= set(columns):
+                raise ValueError(f"{path} has no columns source and output in its first line")
+            reader.fieldnames = columns
+            for row in reader:
+                job = _job(row, f"{path}, line {reader.line_num}", reader.line_num)
+                place = os.path.realpath(job.output)
+                if place in outputs:
+                    raise ValueError(
+                        f"{path}, lines {outputs[place]} and {job.line} have the same output, "
+                        f"{job.output}"
+                    )
+                outputs[place] = job.line
+                jobs.append(job)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no CSV: {error}") from error
+    if not jobs:
+        raise ValueError(f"{path} lists nothing: expected a line for each video")
+    return jobs
+
+
+def batch(
+    path: Path,
+    command: Command,
+    *,
+    check: Callable[[list[str]], None],
+    workers: int = 1,
+    threads: int | None = None,
+    resume: bool = False,
+) -> int:
+    """Run a command for every line of a list; return the exit code, 1 if any of them failed.
+
+    `check` refuses arguments that the command does not take. Each job has a process of its own,
+    with so many threads, by default its share of the cores. One that is killed is begun again.
+    """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}: expected a positive number")
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads is {threads}: expected a positive number")
+    jobs = read_jobs(path)
+    each = threads or max(1, (os.cpu_count() or 1) // workers)
+    calls = [_arguments(job, command, each, resume=resume and command == "run") for job in jobs]
+    for job, call in zip(jobs, calls, strict=True):
+        try:
+            check(call)
+        except ValueError as error:
+            raise ValueError(f"{path}, line {job.line}: {error}") from error
+    failed = 0
+    with progress_bar() as progress, _workers(workers) as executor:
+        task = progress.add_task(path.name, total=len(jobs))
+        ends = [executor.submit(_finished, call) for call in calls]
+        for job, end in zip(jobs, ends, strict=True):
+            code, last = end.result()
+            failed += code != 0
+            tell(f"{job.output}: {last}" if last else f"{job.output}: exit code {code}")
+            progress.advance(task)
+    done = len(jobs) - failed
+    tell(f"{done} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
+    return 1 if failed else 0
+
+
+def _job(row: dict[str, str], where: str, line: int) -> Job:
+    if None in row:
+        raise ValueError(f"{where} has more cells than there are columns")
+    cells = {name: (value or "").strip() for name, value in row.items()}
+    for name in (SOURCE, OUTPUT):
+        if not cells[name]:
+            raise ValueError(f"{where} has no {name}")
+    options: list[str] = []
+    for name, value in cells.items():
+        if name in (SOURCE, OUTPUT) or not value:
+            continue
+        if value in _FLAGS:
+            options.append(f"{_FLAGS[value]}{name}")
+        else:
+            options += [f"--{name}", *value.split()]
+    return Job(line=line, source=cells[SOURCE], output=cells[OUTPUT], options=tuple(options))
+
+
+def _arguments(job: Job, command: Command, threads: int, *, resume: bool) -> list[str]:
+    again = ["--resume"] if resume else []
+    options = ["-o", job.output, *again, "--threads", str(threads), *job.options]
+    return [command, job.source, *options]
+
+
+def _finished(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run a command in a process of its own; return its exit code and the last line it printed."""
+    code, last = 1, ""
+    call = list(arguments)
+    for _ in range(TRIES):
+        process = subprocess.run(
+            [sys.executable, "-m", "tisfm.cli", *call],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+        lines = process.stderr.decode("utf-8", "replace").split("\n")
+        code, last = process.returncode, next((one for one in lines[::-1] if one.strip()), "")
+        if code >= 0:
+            break
+        if call[0] == "run" and "--resume" not in call:
+            call.append("--resume")
+    return code, last.removeprefix("tisfm: ")
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[ThreadPoolExecutor]:
+    """Run so many jobs at a time; what has not begun when the block is left is not begun."""
+    executor = ThreadPoolExecutor(count, thread_name_prefix="tisfm-batch")
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
