@@ -52,6 +52,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
 @pytest.mark.parametrize(
     ("command", "options"),
     [
+        ("batch", {"--command", "--workers", "--threads", "--resume", "--no-resume", "--help"}),
         ("demo", {"--output", "--height", "--width", "--seed", "--threads", "--help"}),
         (
             "figures",
