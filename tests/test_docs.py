@@ -23,7 +23,8 @@ from tisfm.settings import Preset
 ROOT = Path(__file__).parents[1]
 README, DOCS, RESULTS = ROOT / "README.md", ROOT / "docs", ROOT / "bench" / "results"
 MEASURED = RESULTS / "README.md"
-PAGES = [README, *sorted(DOCS.glob("*.md")), MEASURED]
+CHANGES = ROOT / "CHANGELOG.md"
+PAGES = [README, CHANGES, *sorted(DOCS.glob("*.md")), MEASURED]
 PRESETS = {name: tisfm.Settings.preset(name) for name in get_args(Preset)}
 COMMANDS = ("run", "reconstruct", "eval", "batch", "demo", "figures")
 LONGEST, LARGEST = 250, 150_000  # lines of the README, bytes of its picture
@@ -69,6 +70,14 @@ def options_of(command):
 
 def test_the_readme_is_short():
     assert len(README.read_text(encoding="utf-8").splitlines()) <= LONGEST
+
+
+def test_the_changelog_has_this_version():
+    stated = re.search(r'^version = "(.*)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    found = re.findall(r"^## \[(.*)\] – (not released yet|20\d\d-\d\d-\d\d)$",
+                       CHANGES.read_text(encoding="utf-8"), re.MULTILINE)  # fmt: skip
+    assert stated is not None and found[0][0] == stated[1]
+    assert all(when != "not released yet" for _, when in found[1:])
 
 
 def test_the_picture_is_small_and_whole():
@@ -128,7 +137,7 @@ def test_shell_commands_exist(path):
             assert used <= options_of(words[1]), words
         elif re.fullmatch(r"-m bench(\.\w+)*", " ".join(words[1:3])):
             assert find_spec(words[2]) is not None, words
-        elif program == "run":
+        elif program in ("run", "lock", "audit"):
             assert (ROOT / words[0]).is_file(), words
         else:
             assert program in ("python3", "pip", "pytest", "ruff", "types"), words

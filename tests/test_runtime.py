@@ -387,6 +387,39 @@ def test_the_first_interpretation_may_be_in_any_thread(count, before):
     assert answer(code) == f"{count} 1"
 
 
+EIGHT = """
+import sys
+import threading
+import numpy as np
+import tisfm
+settings = tisfm.Settings.preset("fast", motion=sys.argv[1])
+pairs = [tisfm.scenes.two_blocks(40, 56, seed=seed) for seed in range(4)]
+def interpret(pair):
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
+    arrays = (result.rho, result.flow, result.confidence, result.occlusion)
+    return b"".join(array.tobytes() for array in arrays)
+alone = [interpret(pair) for pair in pairs]
+found = [[] for _ in range(8)]
+together = threading.Barrier(8)
+def work(thread):
+    together.wait(60)
+    for turn in range(4):
+        index = (thread + turn) % 4
+        found[thread].append(interpret(pairs[index]) == alone[index])
+threads = [threading.Thread(target=work, args=(thread,)) for thread in range(8)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print(len(set(alone)), sum(map(sum, found)))
+"""
+
+
+@pytest.mark.parametrize("motion", ["field", "camera", "objects"])
+def test_eight_threads_at_once_get_the_bits_of_one(motion):
+    assert answer(EIGHT, motion) == "4 32"
+
+
 OUTLIVE = """
 import threading
 import time

@@ -7,6 +7,11 @@ from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
+from tisfm.machine.address_space import require_for_import
+
+if "cv2" not in sys.modules:  # OpenCV crashes below this, with one thread and with several
+    require_for_import(0.28e9, more_with_threads=0.19e9)
+
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret

@@ -4,7 +4,6 @@ import contextlib
 import io
 import os
 import sys
-import tempfile
 import threading
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -12,6 +11,8 @@ import cv2
 import numpy as np
 
 from tisfm.cores import bind_newest, thread_ids
+from tisfm.machine.address_space import require_for_taichi
+from tisfm.machine.kernel_cache import cache_options
 
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid
@@ -60,12 +61,15 @@ def start(
         If Taichi is already running in another way than the one asked for, or cannot run on
         `arch` here. It never falls back to the CPU by itself. If this process was forked from one
         in which Taichi ran: its threads have stayed there.
+    MemoryError
+        If a limit of the address space (``ulimit -v``) leaves less than Taichi reserves.
 
     Notes
     -----
     Taichi keeps compiled kernels in the user's cache folder, and ends the process with a
     segmentation fault where there is none that it can write. It is then started without that
-    cache, and compiles anew in every process. Where neither HOME nor XDG_CACHE_HOME is set,
+    cache, and compiles anew in every process. A lock there that a killed process has left is
+    removed after two minutes. Where neither HOME nor XDG_CACHE_HOME is set,
     which Taichi does not survive either, HOME is set for this process.
     """
     global _process
@@ -97,7 +101,8 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
         _check_running(arch, threads)
         return
     chosen = arch or _arch_of_environment()
-    options = _cache_options()
+    require_for_taichi(threads or os.cpu_count() or 1)
+    options = cache_options()
 
     import tisfm.kernels  # noqa: F401  (quiets Taichi's import)
 
@@ -222,19 +227,3 @@ def _check_running(arch: str | None, threads: int | None) -> None:
             f"Taichi already runs with {running.cpu_max_num_threads} threads, asked for "
             f"{threads}: call tisfm.runtime.start before the first interpretation"
         )
-
-
-def _cache_options() -> dict[str, Any]:
-    """Return options for ``ti.init`` that survive a cache folder which cannot be written."""
-    if os.name == "nt":
-        return {}
-    if "HOME" not in os.environ and "XDG_CACHE_HOME" not in os.environ:
-        os.environ["HOME"] = os.path.expanduser("~")  # from the user database
-    base = os.environ.get("XDG_CACHE_HOME", f"{os.environ.get('HOME')}/.cache")
-    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", f"{base}/taichi/ticache")
-    try:
-        os.makedirs(folder, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return {"offline_cache": False, "offline_cache_file_path": tempfile.gettempdir()}
-    return {}

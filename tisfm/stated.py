@@ -22,6 +22,11 @@ def is_stated(error: BaseException) -> bool:
         return True
     if not isinstance(error, (TypeError, ValueError, IndexError, RuntimeError, ImportError)):
         return False
+    return is_raised_here(error)
+
+
+def is_raised_here(error: BaseException) -> bool:
+    """Return whether a ``raise`` statement of tisfm raised an error."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -17,11 +17,12 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subc
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
+from tisfm.machine.address_space import advice, ran_out
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Motion, Preset, Settings
-from tisfm.stated import is_stated
+from tisfm.stated import is_raised_here, is_stated
 from tisfm.version import __version__
 from tisfm.window import WindowSize
 
@@ -532,13 +533,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
-        return _fail(str(error) or "not enough memory: give smaller frames")
+        return _fail(str(error) if is_raised_here(error) else advice())
     except cv2.error as error:
         if error.code != cv2.Error.StsNoMem:
             raise
-        return _fail("not enough memory: give smaller frames")
+        return _fail(advice())
     except (OSError, TypeError, ValueError, IndexError, RuntimeError, ImportError) as error:
         if not is_stated(error):
+            if ran_out(error):
+                return _fail(advice())
             raise
         return _fail(str(error))
 

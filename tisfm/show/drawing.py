@@ -305,7 +305,7 @@ def _new_figure(size: tuple[float, float]) -> Figure:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise ImportError("figures are drawn by Matplotlib: pip install matplotlib") from error
     figure = Figure(figsize=size, facecolor="white")
     FigureCanvasAgg(figure)

@@ -1,0 +1,114 @@
+"""Limits of the address space (``ulimit -v``).
+
+Libraries that find too little of it crash, hang, or fail in words of their own, and they reserve
+far more than they use. What is too little for sure is refused beforehand.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+_SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
+_STACK = 8 << 20  # of a thread, bytes, as most systems have it
+_ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
+
+
+def limit() -> int | None:
+    """Return the limit of this process, bytes; None where there is none."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def require(amount: float, purpose: str) -> None:
+    """Check that the limit leaves as much as something takes.
+
+    Parameters
+    ----------
+    amount : float
+        What it reserves, bytes.
+    purpose : str
+        What takes it.
+
+    Raises
+    ------
+    MemoryError
+        If less is left.
+    """
+    bound = limit()
+    if bound is None:
+        return
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except OSError:  # not Linux: other systems hardly hold anyone to that limit
+        return
+    left = bound - pages * os.sysconf("SC_PAGE_SIZE")
+    if left < amount:
+        raise MemoryError(
+            f"the limit of the address space (ulimit -v) is {_gb(bound)} and leaves {_gb(left)}, "
+            f"but {purpose} reserves {_gb(amount)}, of which little is used: raise the limit, or "
+            "limit resident memory instead"
+        )
+
+
+def require_for_import(amount: float, *, more_with_threads: float = 0.0) -> None:
+    """Check that the limit leaves as much as an import takes; end the command where it does not.
+
+    Parameters
+    ----------
+    amount : float
+        What the libraries of it reserve with one thread each, bytes.
+    more_with_threads : float
+        What they reserve besides where they start threads, bytes.
+
+    Raises
+    ------
+    MemoryError
+        If less is left.
+    """
+    threads = os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count())
+    try:
+        require(amount + more_with_threads * (threads != "1"), "loading the libraries")
+    except MemoryError as error:
+        if Path(sys.argv[0]).stem == "tisfm":  # the command: one line, as for any other error
+            raise SystemExit(f"tisfm: {error}") from None
+        raise
+
+
+def require_for_taichi(threads: int) -> None:
+    """Check that the limit leaves as much as Taichi reserves before it looks at a frame.
+
+    Measured with version 1.7.4: 1 GiB at once, the libraries, and of each thread, four that
+    compile included, its stack and its arena.
+
+    Raises
+    ------
+    MemoryError
+        If less is left.
+    """
+    each = _STACK + _ARENA
+    plural = "s" * (threads > 1)
+    require(1.2 * (1 << 30) + (threads + 4) * each, f"Taichi with {threads} thread{plural}")
+
+
+def ran_out(error: BaseException | None) -> bool:
+    """Return whether an error of a library means that the address space did not suffice."""
+    while error is not None and limit() is not None:
+        if any(sign in str(error).lower() for sign in _SIGNS):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def advice() -> str:
+    """Return what to say where memory does not suffice, and nobody said more."""
+    bound = limit()
+    raised = "" if bound is None else f", or raise the limit of {_gb(bound)} (ulimit -v)"
+    return f"not enough memory: give smaller frames{raised}"
+
+
+def _gb(count: float) -> str:
+    return f"{count / 1e9:.3g} GB"

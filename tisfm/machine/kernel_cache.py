@@ -1,0 +1,67 @@
+"""The folder in which Taichi keeps compiled kernels.
+
+Taichi's lock on that folder is a file, which lasts when a process is killed that has just made
+it. From then on Taichi would neither read nor write there, and every process would compile anew.
+"""
+
+import contextlib
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+_LOCK, _LIST = "ticache.lock", "ticache.tcb"
+_STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
+
+
+def cache_options() -> dict[str, Any]:
+    """Return options for ``ti.init`` that survive a cache folder which cannot be written.
+
+    What a process that was killed has left there is removed.
+    """
+    if os.name == "nt":
+        return {}
+    if "HOME" not in os.environ and "XDG_CACHE_HOME" not in os.environ:
+        os.environ["HOME"] = os.path.expanduser("~")  # from the user database
+    base = os.environ.get("XDG_CACHE_HOME", f"{os.environ.get('HOME')}/.cache")
+    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", f"{base}/taichi/ticache")
+    try:
+        os.makedirs(folder, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return {"offline_cache": False, "offline_cache_file_path": tempfile.gettempdir()}
+    with contextlib.suppress(OSError):  # another process may do the same
+        remove_stale_lock(Path(folder))
+    return {}
+
+
+def remove_stale_lock(folder: Path) -> None:
+    """Remove a lock whose owner must be dead, and the kernels that may be cut off.
+
+    Under its lock, Taichi writes kernels and then the list of all. It never writes a kernel again
+    whose file is there or which is listed; a list that is cut off it makes anew.
+
+    Parameters
+    ----------
+    folder : Path
+        Taichi's cache.
+
+    Raises
+    ------
+    OSError
+        If files cannot be looked at or removed.
+    """
+    lock = folder / _LOCK
+    try:
+        made = lock.stat().st_mtime
+    except FileNotFoundError:
+        return
+    if time.time() - made < _STALE:
+        return
+    listed = folder / _LIST
+    if not listed.exists() or listed.stat().st_mtime < made:
+        for kernel in folder.glob("T*.tic"):
+            if kernel.stat().st_mtime >= made:
+                kernel.unlink(missing_ok=True)
+    lock.unlink(missing_ok=True)
