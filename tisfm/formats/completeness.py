@@ -17,6 +17,8 @@ _TIFF_TYPES = {
     11: "f4", 12: "f8", 13: "u4", 16: "u8", 17: "i8", 18: "u8",
 }  # fmt: skip
 _STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the type of colour
+_DEFLATE = 1032  # bytes that one packed byte may hold, at most
 _TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
 
 
@@ -45,12 +47,18 @@ def missing_part(data: bytes) -> str | None:
 
 def _missing_from_png(data: bytes) -> str | None:
     """Walk the chunks (length, type, payload, check sum) up to the end mark."""
-    position = len(SIGNATURE)
+    position, packed, pixels = len(SIGNATURE), 0, 0
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
+        if kind == b"IHDR" and length == 13 and position + 25 <= len(data):
+            width, height, bits, colours = struct.unpack_from(">IIBB", data, position + 8)
+            pixels = height * -(-width * bits * _PNG_CHANNELS.get(colours, 1) // 8)
+        if kind == b"IDAT":
+            packed += length
         position += 12 + length
         if kind == b"IEND" and position <= len(data):
-            return None
+            # A header that lies would have memory taken for pixels that are not there.
+            return None if pixels <= _DEFLATE * packed else "part of its pixels"
     return "its end mark"
 
 

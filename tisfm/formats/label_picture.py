@@ -11,7 +11,7 @@ from PIL import Image
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.images import PILLOW_FORMATS
+from tisfm.formats.picture_size import PILLOW_FORMATS
 from tisfm.formats.reading import read_bytes
 
 
