@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 
 TOKENS = (
     b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"1e-320", b"9" * 400, b"1_0", b"NaN",
-    b"Infinity", b"null", b"true", b"{}", b"[]", b'""', b"[" * 2000, b'{"a":' * 2000,
-    b"\xef\xbb\xbf", b"\xff\xfe", b"\0", b"\n", b"\r", b"\x85", b"#", b" ", b"\x1c", b"..", b"/", b"../../x", b"2e9",
-    b"99999", b"100000000", b"(1,)", b"(99999, 99999)", b"'|O'", b"'<f8'", b"'<U9'", b"True",
-    b"PF\n9999 9999\n-1\n", b"IHDR", b"IDAT", b"IEND", b"tEXt", b"zTXt", b"acTL", b"PLTE", b"tRNS",
-    b"PK\1\2", b"PK\3\4", b"\x93NUMPY\1\0", b"\x93NUMPY\2\0", b"moov", b"trak", b"RIFF", b"idx1",
+    b"Infinity", b"null", b"true", b"{}", b"[]", b'""', b"[" * 2000, b'{"a":' * 2000, b"..",
+    b"\xef\xbb\xbf", b"\xff\xfe", b"\0", b"\n", b"\r", b"\x85", b"#", b" ", b"\x1c", b"2e9",
+    b"/", b"../../x", b"99999", b"100000000", b"(1,)", b"(99999, 99999)", b"'|O'", b"'<f8'",
+    b"'<U9'", b"True", b"PF\n9999 9999\n-1\n", b"IHDR", b"IDAT", b"IEND", b"tEXt", b"zTXt",
+    b"acTL", b"PLTE", b"tRNS", b"PK\1\2", b"PK\3\4", b"\x93NUMPY\1\0", b"\x93NUMPY\2\0",
+    b"moov", b"trak", b"RIFF", b"idx1",
 )  # fmt: skip
 WHOLE = (0, 1, 2, 7, 127, 128, 255, 256, 32767, 32768, 65535, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
 _LONGEST = 64 * 1024

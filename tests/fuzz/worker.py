@@ -17,6 +17,7 @@ from pathlib import Path
 GIB = 2**30
 SPACE = 6 * GIB  # of addresses: a header that lies about more ends in a MemoryError
 HANG = 60  # s
+FINE = ("read", "refused")
 EVERY = 500  # inputs from one line to the next
 
 
@@ -24,20 +25,20 @@ class Feeding:
     """Feeds a reader, counts what came of it, and keeps what is wrong, one of each kind."""
 
     def __init__(self, name, target, folder, findings, count):
-        self._target, self._count = target, count
+        from tests.fuzz.watching import Watch  # imports tisfm, after atheris has prepared for it
+
+        self._target, self._count, self._watch = target, count, Watch()
         self._findings = findings / name
         self.path = folder / f"input{target.suffix}"
         self.counts = Counter()
 
     def feed(self, data):
         """Have one input read; True once there were enough."""
-        from tests.fuzz.watching import READ, REFUSED, outcome
-
         self.path.write_bytes(data)
-        found = outcome(self._target, self.path)
+        found = self._watch.outcome(self._target, self.path)
         self.counts["inputs"] += 1
-        self.counts[found if found in (READ, REFUSED) else "findings"] += 1
-        if found not in (READ, REFUSED):
+        self.counts[found if found in FINE else "findings"] += 1
+        if found not in FINE:
             self.keep(data, found)
         done = self.counts["inputs"] >= self._count
         if done or self.counts["inputs"] % EVERY == 0:

@@ -40,7 +40,7 @@ def missing_part(data: bytes) -> str | None:
     if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         try:
             return _missing_from_tiff(data)
-        except struct.error:
+        except (struct.error, OverflowError):  # of offsets beyond 2⁶³
             return "its directory"
     return None
 

@@ -72,7 +72,8 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
 class NpzFile:
     """An .npz file whose parts are looked at before they are read.
 
-    Nothing is unpacked, but for parts that are read up to a given length: else no array that comes out of the file is longer than it.
+    No array that comes out is longer than the file. Nothing is unpacked, but for parts that are
+    read up to a given length.
 
     Parameters
     ----------
