@@ -16,7 +16,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.completeness import missing_part
+from tisfm.formats.completeness import TIFF, missing_part
 from tisfm.formats.errors import FormatError
 from tisfm.formats.picture_size import PILLOW_FORMATS, refuse_large
 from tisfm.formats.png import SIGNATURE, encode_png
@@ -32,7 +32,7 @@ _SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
 _KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
 # What OpenCV alone reads: kinds of TIFF, and the floats of PFM and Radiance.
-_OTHER_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"PF", b"Pf", b"#?")
+_OTHER_BEGINNINGS = (*TIFF, b"PF", b"Pf", b"#?")
 _log_level_lock = threading.Lock()
 
 

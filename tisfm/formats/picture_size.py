@@ -5,6 +5,7 @@ import re
 
 from PIL import Image
 
+from tisfm.formats.completeness import TIFF, tiff_pixels
 from tisfm.formats.errors import FormatError
 
 LARGEST_PICTURE = 2**28
@@ -44,6 +45,8 @@ def _stated(data: bytes) -> int | None:
         found = pattern.search(beginning) if data.startswith((b"PF", b"Pf", b"#?")) else None
         if found:
             return int(found[1]) * int(found[2])
+    if data.startswith(TIFF):
+        return tiff_pixels(data)
     Image.init()
     for kind in PILLOW_FORMATS:
         open_picture, known = Image.OPEN[kind]

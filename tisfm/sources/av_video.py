@@ -56,6 +56,9 @@ class AvVideo:
                 stream = container.streams.video[0]
                 self.announced: int | None = stream.frames or None
                 self._end = _end(stream)
+                # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+                if getattr(stream, "codec_context", None) is None:
+                    raise ValueError(f"{path} is of an unknown codec")
                 refuse_large_frames(path, stream.width, stream.height)
                 decoding = _Decoding(container, stream)
                 if not any(isinstance(item, VideoFrame) for item in decoding):
