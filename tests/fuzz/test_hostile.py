@@ -304,5 +304,5 @@ def test_a_codec_that_nobody_knows(tmp_path):
     if has_av():
         from tisfm.sources.av_video import AvVideo
 
-        with pytest.raises(ValueError, match="cannot be decoded|unknown codec|no frame"):
+        with pytest.raises(ValueError, match=r"cannot be decoded|unknown codec|no frame"):
             AvVideo(path)

@@ -85,7 +85,10 @@ def guided(feeding, seeds, seed, folder):
         rng = random.Random(seed)
         if rng.random() < 0.3:
             data = atheris.Mutate(data, longest)
-        return mutated(data or rng.choice(seeds), seeds, rng)[:longest]
+        # Changes of changes are soon refused at the beginning of a file: some start from a whole one.
+        if not data or rng.random() < 0.3:
+            data = rng.choice(seeds)
+        return mutated(data, seeds, rng)[:longest]
 
     options = ["-max_len=65536", f"-timeout={HANG}", "-rss_limit_mb=0", f"-seed={seed}"]
     atheris.Setup(["fuzz", *options, str(corpus)], one, custom_mutator=change)
