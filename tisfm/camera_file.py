@@ -8,12 +8,13 @@ from typing import Any
 
 from tisfm.camera import Camera, check_camera
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.reading import read_bytes
+from tisfm.formats.text import read_json
 
 __all__ = ["read_camera", "write_camera"]
 
 FORMAT = 1
 NAME = "camera.json"  # in a folder
+LONGEST_SIDE = 2**20  # of frames, px
 SAME_SHAPE = 0.01  # sizes of which one is the other, shrunk, have ratios that differ by less
 
 
@@ -75,12 +76,12 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
         If it is of frames of another shape.
     """
     file = file_of(path)
+    record = record_in(file)
     try:
-        record = json.loads(read_bytes(file))
         if record["format"] != FORMAT:
             raise ValueError(f"it is of format {record['format']}, this version reads {FORMAT}")
         height, width = record["height"], record["width"]
-        if not (isinstance(height, int) and isinstance(width, int) and min(height, width) > 0):
+        if not all(type(side) is int and 1 <= side <= LONGEST_SIDE for side in (height, width)):
             raise ValueError(f"its frames are {width}×{height}")
         center = record["center"]
         camera = check_camera(
@@ -92,7 +93,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
                 readout=record.get("readout"),  # earlier versions wrote none
             )
         )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{file} is not a camera that can be read: {reason}") from error
     if shape is None or tuple(shape) == (height, width):
@@ -115,7 +116,14 @@ def doubt_of(path: str | os.PathLike[str]) -> str:
 
 def record_in(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return all that a file that `read_camera` reads says."""
-    record: dict[str, Any] = json.loads(read_bytes(file_of(path)))
+    file = file_of(path)
+    try:
+        record = read_json(file)
+    except FormatError as error:
+        reason = str(error).removeprefix(f"{file} ")
+        raise FormatError(f"{file} is not a camera that can be read: {reason}") from error
+    if not isinstance(record, dict):
+        raise FormatError(f"{file} is not a camera that can be read: it is no object of JSON")
     return record
 
 

@@ -5,6 +5,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from typing import Any
@@ -141,6 +142,10 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     text = file.read("about", most=_MOST_ABOUT)
     if text.dtype.kind != "U" or text.shape != ():
         raise ValueError(f"about is {text.shape} {text.dtype}, expected one text")
+    # NumPy makes a text of any numbers, with which Python's own functions fail.
+    letters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
+    if (letters > sys.maxunicode).any():
+        raise ValueError("about has letters that there are not")
     try:
         about = json.loads(str(text))
     except RecursionError as error:

@@ -194,7 +194,7 @@ def test_what_was_deleted_is_told(found, tmp_path):
     found.save(tmp_path)
     loaded = Reconstruction.load(tmp_path)
     (tmp_path / "frames" / "000000.jpg").write_bytes(b"")
-    with pytest.raises(tisfm.formats.FormatError, match=r"000000\.jpg is damaged"):
+    with pytest.raises(tisfm.formats.FormatError, match=r"000000\.jpg is empty"):
         loaded.picture(0)
     (tmp_path / "depth").rename(tmp_path / "other")
     with pytest.raises(FileNotFoundError, match="not complete"):

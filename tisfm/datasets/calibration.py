@@ -1,6 +1,5 @@
 """Cameras as the datasets state them."""
 
-import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_bytes
 from tisfm.formats.tagged import TAG
+from tisfm.formats.text import read_text
 
 STATED_SIZE = (480, 640)
 """Height and width of the frames that `STATED` is about, px."""
@@ -119,7 +119,7 @@ def read_calibration(path: Path) -> Calibration:
     OSError
         If the file does not exist or cannot be read.
     """
-    lines = read_bytes(path).decode("utf-8", "replace").splitlines()
+    lines = read_text(path).splitlines()
     rows = [line.split() for line in lines if line.strip()]
     if len(rows) != 2 or len(rows[0]) != len(rows[1]):
         raise FormatError(
@@ -173,7 +173,7 @@ def _sintel_matrix(path: Path) -> np.ndarray:
 def _kitti_matrix(path: Path, index: int) -> np.ndarray:
     """Return the 3×4 projection of a rectified camera, from the line that holds it."""
     names = (f"P_rect_{index:02d}", f"P{index}")  # of 2015 and 2012
-    for line in read_bytes(os.fspath(path)).decode("utf-8", errors="replace").splitlines():
+    for line in read_text(path).splitlines():
         name, _, values = line.partition(":")
         if name.strip() in names:
             try:

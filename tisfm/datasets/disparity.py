@@ -4,19 +4,18 @@ import io
 import math
 import os
 import zipfile
-import zlib
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError, read_image
-from tisfm.formats.npz import DAMAGE
+from tisfm.formats.npz import DAMAGE, PACKINGS
+from tisfm.formats.picture_size import LARGEST_PICTURE
 from tisfm.formats.reading import read_bytes
 
 _KITTI_STEPS = 256  # 16-bit file values per pixel of disparity
 _ZIP = b"PK"  # what .npz files begin with
-_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may unpack to any size at once
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -68,13 +67,13 @@ def _read_array(name: str) -> NDArray[Any]:
             parts = archive.infolist()
             if len(parts) != 1:
                 raise FormatError(f"{name} holds {len(parts)} arrays, expected one: the disparity")
-            if parts[0].compress_type not in _PACKINGS:
+            if parts[0].compress_type not in PACKINGS:
                 raise FormatError(f"{name} is packed as NumPy never does it: unpack it")
             with archive.open(parts[0]) as part:
                 return _read_npy(name, part, parts[0].file_size)
     except FormatError:
         raise
-    except (*DAMAGE, zlib.error) as error:
+    except DAMAGE as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{name} cannot be read as NumPy arrays: {reason}") from error
 
@@ -97,6 +96,8 @@ def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
 
 
 def _check_map(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    if len(shape) == 2 and math.prod(shape) > LARGEST_PICTURE:
+        raise FormatError(f"{name} holds {shape}, expected at most {LARGEST_PICTURE} values")
     if len(shape) != 2 or min(shape) < 1:
         raise FormatError(f"{name} holds {shape}, expected a disparity map, (H, W)")
     if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):

@@ -1,6 +1,5 @@
 """Paths of moving things of a reconstruction against true ones."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 from rich.table import Table
 
 from tisfm.formats import FormatError
+from tisfm.formats.text import read_json
 from tisfm.metrics import ObjectPathErrors, object_path_errors
 from tisfm.reconstruction.folder import OBJECTS
 from tisfm.reconstruction.moving_object import MovingObject
@@ -59,9 +59,11 @@ def compare_object_paths(
             f"{len(found)}: expected as many"
         )
     try:
-        record = json.loads((truth / OBJECTS).read_text(encoding="utf-8"))
+        record = read_json(truth / OBJECTS)
         things = {thing.id: thing for thing in map(MovingObject.of_json, record["objects"])}
-    except (ValueError, KeyError, TypeError) as error:
+    except FormatError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise FormatError(f"{truth / OBJECTS} is damaged or of another kind: {error}") from error
     own = {thing.id: thing for thing in found.objects}
     errors = {}

@@ -16,7 +16,11 @@ _TIFF_TYPES = {
     1: "u1", 2: "u1", 3: "u2", 4: "u4", 5: "V8", 6: "i1", 7: "u1", 8: "i2", 9: "i4", 10: "V8",
     11: "f4", 12: "f8", 13: "u4", 16: "u8", 17: "i8", 18: "u8",
 }  # fmt: skip
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # what the files begin with
+_SIDE_TAGS = (256, 257)  # ImageWidth, ImageLength
 _STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the type of colour
+_DEFLATE = 1032  # bytes that one packed byte may hold, at most
 _TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
 
 
@@ -35,30 +39,57 @@ def missing_part(data: bytes) -> str | None:
     """
     if data.startswith(SIGNATURE):
         return _missing_from_png(data)
-    if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if data.startswith(TIFF):
         try:
             return _missing_from_tiff(data)
-        except struct.error:
+        except (struct.error, OverflowError):  # of offsets beyond 2⁶³
             return "its directory"
     return None
 
 
 def _missing_from_png(data: bytes) -> str | None:
     """Walk the chunks (length, type, payload, check sum) up to the end mark."""
-    position = len(SIGNATURE)
+    position, packed, pixels = len(SIGNATURE), 0, 0
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
+        if kind == b"IHDR" and length == 13 and position + 25 <= len(data):
+            width, height, bits, colours = struct.unpack_from(">IIBB", data, position + 8)
+            pixels = height * -(-width * bits * _PNG_CHANNELS.get(colours, 1) // 8)
+        if kind == b"IDAT":
+            packed += length
         position += 12 + length
         if kind == b"IEND" and position <= len(data):
-            return None
+            # A header that lies would have memory taken for pixels that are not there.
+            return None if pixels <= _DEFLATE * packed else "part of its pixels"
     return "its end mark"
+
+
+def tiff_pixels(data: bytes) -> int | None:
+    """Return the number of pixels that a TIFF file states, None if it states none."""
+    values, _ = _tiff_values(data)
+    sides = [int(values[tag][0]) for tag in _SIDE_TAGS if tag in values]
+    return sides[0] * sides[1] if len(sides) == 2 else None
 
 
 def _missing_from_tiff(data: bytes) -> str | None:
     """Check the first directory, the values it points to, and the strips or tiles of pixels.
 
-    Raises ``struct.error`` where the directory itself is cut off.
+    Raises ``struct.error`` or ``OverflowError`` where the directory itself is cut off.
     """
+    values, missing = _tiff_values(data)
+    if missing is not None:
+        return missing
+    for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
+        offsets = values.get(offsets_tag, np.empty(0)).tolist()
+        lengths = values.get(lengths_tag, np.empty(0)).tolist()
+        # One may be left out by a sloppy writer, in which case the decoder has the last word.
+        if any(start + length > len(data) for start, length in zip(offsets, lengths, strict=False)):
+            return "part of its pixels"
+    return None
+
+
+def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | None]:
+    """Return the whole numbers of the first directory by their tags, and what is missing of it."""
     order = "<" if data[:2] == b"II" else ">"
     big = 43 in data[2:4]  # BigTIFF: 64-bit offsets and counts
     offset_type, count_type = ("Q", "Q") if big else ("I", "H")
@@ -77,14 +108,8 @@ def _missing_from_tiff(data: bytes) -> str | None:
         if dtype.itemsize * count > inline:
             (start,) = struct.unpack_from(order + offset_type, data, start)
         if start + dtype.itemsize * count > len(data):
-            return f"the value of its tag {tag}"
-        if dtype.kind == "u":
+            return values, f"the value of its tag {tag}"
+        if dtype.kind in "ui":
             values[tag] = np.frombuffer(data, dtype, count, start)
     struct.unpack_from(order + offset_type, data, position)  # where the next directory is
-    for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
-        offsets = values.get(offsets_tag, np.empty(0)).tolist()
-        lengths = values.get(lengths_tag, np.empty(0)).tolist()
-        # One may be left out by a sloppy writer, in which case the decoder has the last word.
-        if any(start + length > len(data) for start, length in zip(offsets, lengths, strict=False)):
-            return "part of its pixels"
-    return None
+    return values, None

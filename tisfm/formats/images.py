@@ -16,8 +16,9 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.completeness import missing_part
+from tisfm.formats.completeness import TIFF, missing_part
 from tisfm.formats.errors import FormatError
+from tisfm.formats.picture_size import PILLOW_FORMATS, refuse_large
 from tisfm.formats.png import SIGNATURE, encode_png
 from tisfm.formats.reading import opencv_memory, read_bytes
 
@@ -26,13 +27,12 @@ IMAGE_SUFFIXES = (
 )  # fmt: skip
 """Suffixes, lower case, of the files in a folder that count as pictures."""
 
-PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of these formats; the others, of which some run other programs, are not read."""
-
 _BITS_PER_SAMPLE, _EXTRA_SAMPLES = 258, 338  # tags of TIFF
 _SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
 _KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
+# What OpenCV alone reads: kinds of TIFF, and the floats of PFM and Radiance.
+_OTHER_BEGINNINGS = (*TIFF, b"PF", b"Pf", b"#?")
 _log_level_lock = threading.Lock()
 
 
@@ -60,7 +60,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     IsADirectoryError
         If `path` is a folder.
     FormatError
-        If the file is empty, not a picture, cut off, damaged, or of another number type.
+        If the file is empty, not a picture, cut off, damaged, of another number type, or of more
+        than 2²⁸ pixels.
     MemoryError
         If memory does not suffice for the picture.
 
@@ -70,8 +71,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     cut off. Every file is therefore checked first: PNG and TIFF against their own account of
     their length, and the formats of `IMAGE_SUFFIXES` by decoding them once more with Pillow, which
     is not asked about any other. What Pillow does not know of these (float colour TIFF), or
-    refuses for its size alone (above 179 million pixels), and what else OpenCV reads (Radiance
-    HDR, PFM), is as safe as OpenCV makes it.
+    refuses for its size alone (above 179 million pixels), and what else is read (Radiance HDR,
+    PFM), is as safe as OpenCV makes it.
     """
     name = os.fspath(path)
     data = read_bytes(name)
@@ -81,9 +82,9 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     plain = _verify_with_pillow(name, data)
     if plain is not None:
         return plain
-    image = _decode(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    image = decode(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if image is None:  # float TIFF with transparency is read with it or not at all
-        image = _decode(name, data, cv2.IMREAD_UNCHANGED)
+        image = decode(name, data, cv2.IMREAD_UNCHANGED)
         if image is not None and image.ndim == 3:
             image = image[..., :3]
     if image is None:
@@ -131,8 +132,8 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
         file.writelines(encode_png(image))
 
 
-def _decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
-    """Return what OpenCV reads, blue first, or None."""
+def decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
+    """Return what OpenCV reads, blue first, or None; MemoryError if memory does not suffice."""
     with opencv_silenced(), opencv_memory(name):
         try:
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -149,6 +150,7 @@ def _verify_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
     """
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
+            refuse_large(name, data, picture.width * picture.height)
             picture.load()
             separate = getattr(picture, "tag_v2", {}).get(_EXTRA_SAMPLES) == _SEPARATE_ALPHA
             if picture.mode == "RGBA" and separate and _eight_bits(picture):
@@ -157,12 +159,19 @@ def _verify_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         # Too large for its taste: no verdict. (The warning is an exception only where the
         # application turned warnings into errors.)
+        refuse_large(name, data)
         return None
-    except MemoryError:
+    except (MemoryError, FormatError):
         raise
     except UnidentifiedImageError as error:
+        refuse_large(name, data)
         if data.startswith(_KNOWN_BEGINNINGS):
             raise FormatError(f"{name} is damaged at its beginning: write it again") from error
+        if not data.startswith(_OTHER_BEGINNINGS):
+            raise FormatError(
+                f"{name} cannot be read as a picture ({len(data)} bytes, starting with "
+                f"{data[:8]!r}): it is damaged or of an unknown format; convert it to PNG"
+            ) from error
     except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
         raise FormatError(f"{name} is cut off or damaged: {error}") from error
     return None

@@ -11,7 +11,7 @@ from PIL import Image
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.images import PILLOW_FORMATS
+from tisfm.formats.picture_size import PILLOW_FORMATS
 from tisfm.formats.reading import read_bytes
 
 
@@ -35,10 +35,7 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
         If the file does not exist or cannot be read.
     """
     name = os.fspath(path)
-    data = read_bytes(name)
-    missing = missing_part(data)
-    if missing is not None:
-        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    data = _whole(name)
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             picture.load()
@@ -69,7 +66,7 @@ def has_palette_of_labels(path: str | os.PathLike[str]) -> bool:
         If the file does not exist or cannot be read.
     """
     name = os.fspath(path)
-    data = read_bytes(name)
+    data = _whole(name)
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             colours = picture.getpalette("RGB") if picture.mode == "P" else None
@@ -79,6 +76,15 @@ def has_palette_of_labels(path: str | os.PathLike[str]) -> bool:
         raise FormatError(f"{name} cannot be read as a picture: {error}") from error
     table = np.array(colours or [0, 0, 0]).reshape(-1, 3)
     return bool((table != table[:, :1]).any())
+
+
+def _whole(name: str) -> bytes:
+    """Return the bytes of a picture, FormatError if some are missing by its own account."""
+    data = read_bytes(name)
+    missing = missing_part(data)
+    if missing is not None:
+        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    return data
 
 
 def palette() -> NDArray[np.uint8]:

@@ -7,6 +7,7 @@ import os
 import struct
 import tokenize
 import zipfile
+import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from types import TracebackType
 from typing import Any
@@ -19,6 +20,7 @@ from tisfm.formats.errors import FormatError
 from tisfm.formats.reading import open_file
 
 _SUFFIX = ".npy"
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may unpack to any size at once
 _ENCRYPTED = 1  # bit of a part's flags
 # What zipfile and NumPy's reader of headers raise for damaged files.
 DAMAGE = (
@@ -36,6 +38,7 @@ DAMAGE = (
     ValueError,
     struct.error,
     tokenize.TokenError,
+    zlib.error,
 )
 
 
@@ -69,7 +72,8 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
 class NpzFile:
     """An .npz file whose parts are looked at before they are read.
 
-    Nothing is unpacked: the file is at least as long as the arrays that come out of it.
+    No array that comes out is longer than the file. Nothing is unpacked, but for parts that are
+    read up to a given length.
 
     Parameters
     ----------
@@ -121,8 +125,7 @@ class NpzFile:
                 raise FormatError(f"{self.name} has the unknown part {part.filename!r}")
             if name in seen:
                 raise FormatError(f"{self.name} has the part {name} twice")
-            if part.compress_type != zipfile.ZIP_STORED or part.flag_bits & _ENCRYPTED:
-                raise FormatError(f"{self.name} has {name} compressed or encrypted: unpack it")
+            self._refuse_packed(part)
             seen.add(name)
         # Parts that overlap in the file may add up to more than it holds.
         if sum(part.file_size for part in self._archive.infolist()) > self._length:
@@ -141,7 +144,7 @@ class NpzFile:
         ----------
         name : str
         most : int, optional
-            Bytes beyond which it is refused.
+            Bytes beyond which it is refused. It may be packed then.
 
         Returns
         -------
@@ -153,7 +156,7 @@ class NpzFile:
         FormatError
             If it is damaged, longer or shorter than its header says, or longer than `most`.
         """
-        with self._part(name) as part:
+        with self._part(name, PACKINGS if most is not None else (zipfile.ZIP_STORED,)) as part:
             shape, dtype, start = self._checked(_read_header, name, part)
             expected = math.prod(shape) * dtype.itemsize
             declared = self._archive.getinfo(f"{name}{_SUFFIX}").file_size - start
@@ -168,8 +171,20 @@ class NpzFile:
             raise FormatError(f"{self.name} is damaged: {name} is cut off")
         return np.frombuffer(data, dtype).reshape(shape).copy()
 
-    def _part(self, name: str) -> Any:
-        return self._checked(self._archive.open, f"{name}{_SUFFIX}")
+    def _part(self, name: str, packings: Collection[int] = (zipfile.ZIP_STORED,)) -> Any:
+        part = self._checked(self._archive.getinfo, f"{name}{_SUFFIX}")
+        self._refuse_packed(part, packings)
+        return self._checked(self._archive.open, part)
+
+    def _refuse_packed(
+        self, part: zipfile.ZipInfo, packings: Collection[int] = (zipfile.ZIP_STORED,)
+    ) -> None:
+        """Raise FormatError for a part that is packed in another way, or longer than the file."""
+        name = part.filename.removesuffix(_SUFFIX)
+        if part.compress_type not in packings or part.flag_bits & _ENCRYPTED:
+            raise FormatError(f"{self.name} has {name} compressed or encrypted: unpack it")
+        if part.compress_type == zipfile.ZIP_STORED and part.file_size > self._length:
+            raise FormatError(f"{self.name} has parts longer than the whole file")
 
     def _checked(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a decoder; what a damaged file leads it to raise becomes a FormatError."""

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import stat
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -30,7 +31,7 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     IsADirectoryError
         If `path` is a folder.
     OSError
-        If the file cannot be read for another reason.
+        If it is a device or a pipe, or the file cannot be read for another reason.
     FormatError
         If the file is empty.
     """
@@ -63,13 +64,17 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
         As `read_bytes`.
     """
     name = os.fspath(path)
-    # Asked first because Windows reports an opened folder as a lack of permission.
-    if os.path.isdir(name):
-        raise IsADirectoryError(f"{name} is a folder, not a file: give the path of one file in it")
     try:
-        return open(name, "rb")
+        # Asked first: opening a pipe would wait for a writer, a device may never end, and Windows
+        # reports an opened folder as a lack of permission.
+        mode = os.stat(name).st_mode
+        if stat.S_ISREG(mode):
+            return open(name, "rb")
     except OSError as error:
         raise _explained(error, name) from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(f"{name} is a folder, not a file: give the path of one file in it")
+    raise OSError(f"{name} is a device or a pipe, not a file: save what it gives first")
 
 
 @contextlib.contextmanager

@@ -73,7 +73,10 @@ def from_json(about: dict[str, Any]) -> Calibration:
     """Return what `as_json` made."""
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
     known = {field.name for field in fields(Calibration)}  # later versions may say more
-    return Calibration(**{k: about[k] for k in about.keys() & known} | {"focal_std": deviation})
+    kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str}
+    stated = about.keys() & (known - {"focal_std"})
+    values = {name: kinds.get(name, float)(about[name]) for name in stated}
+    return Calibration(**values, focal_std=deviation)
 
 
 def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
@@ -101,7 +104,7 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
         ratio, message = focal / float(record["focal"]), str(about.message)
         if message and abs(ratio - 1) > 1e-9:
             message = f"for frames of {record['width']}×{record['height']} px, {message}"
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, ArithmeticError) as error:
         raise FormatError(f"{file_of(path)} is damaged: {error}") from error
     return replace(
         about,

@@ -17,19 +17,27 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.images import decode
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.formats.picture_size import LARGEST_PICTURE, refuse_large
+from tisfm.formats.reading import read_bytes
+from tisfm.formats.text import read_json
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.settings import Settings
+from tisfm.trajectory.path import check_poses
 
 FORMAT = 1
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
 LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
+# What JSON of another kind, and numbers beyond those that NumPy has, lead to.
+_DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
+_HALVES = ("inverse_depth", "inverse_depth_std")
 OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
@@ -76,11 +84,15 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
             raise FileNotFoundError(f"there is no {path.parent}: the folder is not complete")
         return np.full(shape, np.nan, np.float32), np.full(shape, np.inf, np.float32)
     with NpzFile(path) as file:
+        for name in (*_HALVES, "scale"):
+            layout = file.header(name)
+            expected = (shape, np.dtype("<f2")) if name in _HALVES else ((), np.dtype("<f8"))
+            if layout != expected:
+                raise FormatError(f"{path} has {name} of {layout}: expected {expected}")
         scale = np.float32(file.read("scale"))
-        found = [file.read(name) for name in ("inverse_depth", "inverse_depth_std")]
-    for values in found:
-        if values.shape != shape or values.dtype != np.dtype("<f2"):
-            raise FormatError(f"{path} has {values.shape} {values.dtype}: expected {shape} float16")
+        if not (np.isfinite(scale) and scale > 0):
+            raise FormatError(f"{path} has the scale {scale}: expected a finite positive number")
+        found = [file.read(name) for name in _HALVES]
     inverse_depth, deviation = (values.astype(np.float32) * scale for values in found)
     return inverse_depth, deviation
 
@@ -123,14 +135,16 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         if not part.exists():
             raise FormatError(f"{folder} has no {part.name}: it is not complete")
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = read_json(path)
         if about["format"] != FORMAT:
             raise ValueError(f"it is of format {about['format']}, this version reads {FORMAT}")
         things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
         for thing in things:
             if not set(thing.frames) <= set(range(count)):
                 raise ValueError(f"thing {thing.id} is seen in other frames than those there are")
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+    except FormatError:
+        raise
+    except _DAMAGE as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
     return things
@@ -146,10 +160,11 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
     path = folder / PICTURES / f"{number:06d}.jpg"
     if not path.exists():
         raise FileNotFoundError(f"there is no {path}: the folder is not complete")
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    if picture is None:
-        raise FormatError(f"{path} is damaged: it is no picture")
+    data = read_bytes(path)
+    refuse_large(str(path), data)
+    picture = decode(str(path), data, cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.dtype != np.uint8 or picture.shape[2:] not in ((), (3,)):
+        raise FormatError(f"{path} is damaged: it is no picture of 8 bits")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
@@ -197,7 +212,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         what = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
         raise FileNotFoundError(f"the folder {path} {what}: it has no {RECORD}")
     try:
-        about = json.loads((path / RECORD).read_text(encoding="utf-8"))
+        about = read_json(path / RECORD)
         if about["format"] != FORMAT:
             raise ValueError(
                 f"it is of format {about['format']}, this version reads {FORMAT}: reconstruct anew"
@@ -206,6 +221,14 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             poses, piece, times, unit = (
                 file.read(name) for name in ("poses", "piece", "times", "unit")
             )
+        for name, values, kind in (
+            ("poses", poses, "f"),
+            ("piece", piece, "i"),
+            ("times", times, "f"),
+            ("unit", unit, "f"),
+        ):
+            if values.dtype.kind != kind:
+                raise ValueError(f"{name} of {PATH} are of type {values.dtype}")
         count = len(about["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
             raise ValueError(f"{PATH} does not have {count} frames")
@@ -219,7 +242,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         stiffness = tuple(about["settings"]["stiffness"])
         settings = Settings(**{**about["settings"], "stiffness": stiffness})
         return dict(
-            poses=poses.astype(np.float64),
+            poses=check_poses(poses),
             piece=piece.astype(np.int32),
             unit=tuple(map(float, unit)),
             times=tuple(None if np.isnan(time) else float(time) for time in times),
@@ -227,7 +250,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             keyframes=tuple(int(k) for k in about["keyframes"]),
             skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
             names=tuple(map(str, about["names"])),
-            shape=(int(about["shape"][0]), int(about["shape"][1])),
+            shape=_shape(about["shape"]),
             camera=Camera(
                 focal=camera["focal"],
                 center=None if camera["center"] is None else tuple(camera["center"]),
@@ -242,6 +265,14 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         )
     except FormatError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+    except _DAMAGE as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
+
+
+def _shape(given: Any) -> tuple[int, int]:
+    """Return height and width of frames, ValueError if they are none."""
+    height, width = map(int, given)
+    if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
+        raise ValueError(f"its frames are {height} × {width} px")
+    return height, width

@@ -15,9 +15,12 @@ from av.video.stream import VideoStream
 
 from tisfm.formats import FormatError
 from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
+from tisfm.sources.frame_size import LARGEST_FRAME, refuse_large_frames
 from tisfm.sources.reading import BadFrame, RawFrame, is_chosen
 
 _TEXT = "tty"  # FFmpeg draws a text file as a video
+_LISTS = ("concat", "dash", "hls", "imf", "sdp")  # which name other files
+_LIMITS = {"max_pixels": str(LARGEST_FRAME)}  # of decoders, which may find sizes of their own
 _HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
@@ -33,6 +36,8 @@ class AvVideo:
     ------
     ValueError
         If it has no frame that PyAV can decode.
+    tisfm.formats.FormatError
+        A ValueError: if it names other files, or its frames are larger than `LARGEST_FRAME`.
     """
 
     names: tuple[str, ...] | None = None
@@ -43,12 +48,18 @@ class AvVideo:
         self.title, self.prefix = path, Path(path).stem
         self.files: tuple[Path, ...] = (Path(path),)
         try:
-            with av.open(path) as container:
+            with _opened(path) as container:
+                if container.format.name in _LISTS:
+                    raise FormatError(f"{path} is a list of other files, no video")
                 if not container.streams.video or container.format.name == _TEXT:
                     raise ValueError(f"{path} is no video")
                 stream = container.streams.video[0]
                 self.announced: int | None = stream.frames or None
                 self._end = _end(stream)
+                # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+                if getattr(stream, "codec_context", None) is None:
+                    raise ValueError(f"{path} is of an unknown codec")
+                refuse_large_frames(path, stream.width, stream.height)
                 decoding = _Decoding(container, stream)
                 if not any(isinstance(item, VideoFrame) for item in decoding):
                     raise ValueError(f"{path} has no frame")
@@ -58,7 +69,7 @@ class AvVideo:
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Decode the frames of these numbers."""
         index, time, sound = 0, None, True
-        with av.open(self.title) as container:
+        with _opened(self.title) as container:
             stream = container.streams.video[0]
             decoding = _Decoding(container, stream)
             frames = iter(decoding)
@@ -103,6 +114,10 @@ class AvVideo:
         return BadFrame(index=index, name=name, error=error)
 
 
+def _opened(path: str) -> InputContainer:
+    return av.open(path, options=_LIMITS)
+
+
 class _Decoding:
     """The frames of a video in the order they are shown in; for one that is lost, the error.
 
@@ -115,6 +130,7 @@ class _Decoding:
     def __init__(self, container: InputContainer, stream: VideoStream) -> None:
         # Threads over slices alone: those over frames say too late whose an error is.
         stream.thread_type = ThreadType.SLICE
+        stream.codec_context.options = _LIMITS
         self._container, self._stream = container, stream
         self.packets = 0
 

@@ -8,6 +8,7 @@ import cv2
 
 from tisfm.formats.reading import opencv_memory
 from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
+from tisfm.sources.frame_size import refuse_large_frames
 from tisfm.sources.reading import BadFrame, RawFrame, is_chosen
 
 
@@ -22,7 +23,7 @@ class OpenCvVideo:
     Raises
     ------
     ValueError
-        If OpenCV cannot decode it.
+        If OpenCV cannot decode it, or its frames are larger than `LARGEST_FRAME`.
     """
 
     names: tuple[str, ...] | None = None
@@ -34,6 +35,11 @@ class OpenCvVideo:
         self.files: tuple[Path, ...] = (Path(path),)
         capture = cv2.VideoCapture(path)
         try:
+            width, height = (
+                int(capture.get(side))
+                for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+            )
+            refuse_large_frames(path, width, height)
             readable = capture.isOpened() and capture.grab()
             announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if readable else 0
             rate = capture.get(cv2.CAP_PROP_FPS) if readable else 0

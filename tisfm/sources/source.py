@@ -86,7 +86,7 @@ class FrameSource:
     FileNotFoundError
         If a path does not exist or a pattern matches nothing.
     OSError
-        If a camera cannot be opened.
+        If a camera cannot be opened, or a path is that of a device or a pipe.
     TypeError
         If the source is none of these.
     ValueError
@@ -345,4 +345,6 @@ def _open_path(source: str) -> Reader:
     number = webcam_number(source)
     if number is not None:
         return Webcam(number)
+    if os.path.exists(source):
+        raise OSError(f"{source} is a device or a pipe, not a file: save what it gives first")
     raise FileNotFoundError(f"there is no file or folder {source}: check the path")

@@ -8,9 +8,14 @@ that it cannot decode.
 
 from importlib.metadata import PackageNotFoundError, version
 
+from tisfm.formats import FormatError
+from tisfm.formats.reading import open_file
 from tisfm.sources.opencv_video import OpenCvVideo
 from tisfm.sources.reading import Reader
 
+# Beginnings of files that only name others, which FFmpeg would open wherever they are: lists of
+# HLS, of its own and in XML, and tags before them.
+_LISTS = (b"#EXTM3U", b"ffconcat", b"<?xml", b"<MPD", b"ID3")
 AV_FROM = 17  # the first version of PyAV
 
 
@@ -29,13 +34,21 @@ def open_video(path: str) -> Reader:
     Raises
     ------
     ValueError
-        If it is no video that can be decoded.
+        If it is no video that can be decoded, or names other files to be read.
+    OSError
+        If it cannot be read.
     """
+    with open_file(path) as file:
+        beginning = file.read(max(map(len, _LISTS)))
+    if beginning.startswith(_LISTS):
+        raise FormatError(f"{path} is a list of other files, no video: give one of those")
     if has_av():
         from tisfm.sources.av_video import AvVideo
 
         try:
             return AvVideo(path)
+        except FormatError:
+            raise
         except ValueError:  # OpenCV knows some that FFmpeg does not, and else says the same
             pass
     return OpenCvVideo(path)

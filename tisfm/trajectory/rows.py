@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.formats.reading import read_bytes
+from tisfm.formats.text import read_text
 from tisfm.rigid import is_rotation
 
 
@@ -15,7 +15,7 @@ def read_lines(path: Path) -> list[tuple[int, list[str]]]:
 
     Lines that are empty or begin with # do not count.
     """
-    lines = read_bytes(path).decode("utf-8", "replace").splitlines()
+    lines = read_text(path).splitlines()
     words = [(number, line.split()) for number, line in enumerate(lines, 1)]
     return [(number, line) for number, line in words if line and not line[0].startswith("#")]
 
