@@ -135,7 +135,7 @@ def test_shell_commands_exist(path):
             assert words[1] in COMMANDS, words
             used = {word.partition("=")[0] for word in words if word.startswith("--")}
             assert used <= options_of(words[1]), words
-        elif re.fullmatch(r"-m bench(\.\w+)*", " ".join(words[1:3])):
+        elif re.fullmatch(r"-m (bench|tests)(\.\w+)*", " ".join(words[1:3])):
             assert find_spec(words[2]) is not None, words
         elif program in ("run", "lock", "audit"):
             assert (ROOT / words[0]).is_file(), words

@@ -87,7 +87,7 @@ def test_the_focal_length_is_found_and_handed_on(tisfm_run, film, place):
     code, _, err = tisfm_run(
         "reconstruct", "film", "-o", "two", "--camera", "out/camera.json", "--depth-of", "none"
     )
-    assert code == 0 and err.splitlines()[1] == result.calibration.message
+    assert code == 0 and err.splitlines()[1] == result.calibration.message, err
     assert err.count("focal length is") == 1
     again = tisfm.Reconstruction.load("two")
     assert again.camera.focal == focal

@@ -125,6 +125,7 @@ def camera():
         written(
             write_camera, Camera((500.0, 510.0), (5, 4), (0.1, 0, 0, 0), readout=0.5), (H, W), about
         ),
+        written(write_camera, Camera(500.0), (H, W), about),
     ]
 
 

@@ -225,12 +225,21 @@ def test_pictures_that_are_too_large(read, tmp_path):
     [
         b"PF\n30000 30000\n-1.0\n" + bytes(100),
         b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\n" + bytes(100),
+        b"#?RADIANCE\n#-Y 1 +X 1\n\n-Y 30000 +X 30000\n" + bytes(100),
         b"P5\n30000 30000\n255\n" + bytes(100),
     ],
 )
 def test_other_headers_that_lie(data, tmp_path):
     with pytest.raises(FormatError, match="900000000 pixels"):
         read_image(file_of(tmp_path, data))
+
+
+@pytest.mark.parametrize(
+    "header", [b"PF\n9999\x12 99999 9\n", b"Pf\n#1\n9999 9999\n-1\n", b"#?RGBE\n"]
+)
+def test_sizes_that_opencv_alone_sees(header, tmp_path):
+    with pytest.raises(FormatError, match=r"states no size"):
+        read_image(file_of(tmp_path, header + bytes(100)))
 
 
 def test_a_float_tiff_that_lies(tmp_path):

@@ -85,7 +85,7 @@ def guided(feeding, seeds, seed, folder):
         rng = random.Random(seed)
         if rng.random() < 0.3:
             data = atheris.Mutate(data, longest)
-        # Changes of changes are soon refused at the beginning of a file: some start from a seed.
+        # Changes of changes are refused at the beginning of a file: some start from a whole one.
         if not data or rng.random() < 0.3:
             data = rng.choice(seeds)
         return mutated(data, seeds, rng)[:longest]

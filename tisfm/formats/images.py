@@ -18,7 +18,7 @@ from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.completeness import TIFF, missing_part
 from tisfm.formats.errors import FormatError
-from tisfm.formats.picture_size import PILLOW_FORMATS, refuse_large
+from tisfm.formats.picture_size import FLOATS, PILLOW_FORMATS, refuse_large
 from tisfm.formats.png import SIGNATURE, encode_png
 from tisfm.formats.reading import opencv_memory, read_bytes
 
@@ -32,7 +32,7 @@ _SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
 # PNG and JPEG begin so, and Pillow knows all of their kinds.
 _KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
 # What OpenCV alone reads: kinds of TIFF, and the floats of PFM and Radiance.
-_OTHER_BEGINNINGS = (*TIFF, b"PF", b"Pf", b"#?")
+_OTHER_BEGINNINGS = (*TIFF, *FLOATS)
 _log_level_lock = threading.Lock()
 
 
@@ -79,6 +79,8 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     missing = missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    if data.startswith(FLOATS):
+        refuse_large(name, data)
     plain = _verify_with_pillow(name, data)
     if plain is not None:
         return plain

@@ -14,8 +14,11 @@ LARGEST_PICTURE = 2**28
 PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
 """Pillow's names of the formats that are read; of the others some run other programs."""
 
+FLOATS = (b"PF", b"Pf", b"#?")
+"""What PFM and Radiance files begin with."""
+
 _RADIANCE = re.compile(rb"[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
-_FLOATS = re.compile(rb"P[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
+_FLOATS = re.compile(rb"\AP[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
 _HEADER = 64 * 1024  # bytes in which a Radiance file states its size
 
 
@@ -32,6 +35,8 @@ def refuse_large(name: str, data: bytes, pixels: int | None = None) -> None:
         What it has, where that is known.
     """
     pixels = _stated(data) if pixels is None else pixels
+    if pixels is None and data.startswith(FLOATS):  # OpenCV may see a size where there is none
+        raise FormatError(f"{name} is damaged: it states no size")
     if pixels is not None and pixels > LARGEST_PICTURE:
         raise FormatError(
             f"{name} is a picture of {pixels} pixels, more than {LARGEST_PICTURE}: it is damaged, "
@@ -41,10 +46,13 @@ def refuse_large(name: str, data: bytes, pixels: int | None = None) -> None:
 
 def _stated(data: bytes) -> int | None:
     """Return the number of pixels, None of an unknown format."""
-    for pattern, beginning in ((_FLOATS, data[:100]), (_RADIANCE, data[:_HEADER])):
-        found = pattern.search(beginning) if data.startswith((b"PF", b"Pf", b"#?")) else None
-        if found:
-            return int(found[1]) * int(found[2])
+    if data.startswith(FLOATS):
+        header = _RADIANCE if data.startswith(b"#?") else _FLOATS
+        # The largest: a comment may state a size as well.
+        return max(
+            (int(found[1]) * int(found[2]) for found in header.finditer(data[:_HEADER])),
+            default=None,
+        )
     if data.startswith(TIFF):
         return tiff_pixels(data)
     Image.init()

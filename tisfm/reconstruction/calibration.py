@@ -74,7 +74,8 @@ def from_json(about: dict[str, Any]) -> Calibration:
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
     known = {field.name for field in fields(Calibration)}  # later versions may say more
     kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str}
-    stated = about.keys() & (known - {"focal_std"})
+    # The file of a camera has null for a readout that is not known.
+    stated = [name for name in known - {"focal_std"} if about.get(name) is not None]
     values = {name: kinds.get(name, float)(about[name]) for name in stated}
     return Calibration(**values, focal_std=deviation)
 
