@@ -1,12 +1,15 @@
 """A folder with an earlier reconstruction, when the next one fails or is killed."""
 
+import contextlib
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tisfm
 from tisfm.formats.folder_lock import FolderInUseError, locked_folder
+from tisfm.reconstruction import renewal
 from tisfm.reconstruction.renewal import EARLIER, renewed_folder
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
@@ -65,6 +68,67 @@ def test_what_a_killed_run_put_aside_comes_back_after_the_next_failure(earlier):
     after = contents(earlier)
     assert {name: after[name] for name in before} == before
     assert not [name for name in after if name.startswith(".")]
+
+
+class Killed(BaseException):
+    """Nothing is done after it."""
+
+
+@pytest.mark.parametrize("phase", ["aside", "back"])
+@pytest.mark.parametrize("step", range(1, 7))
+def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, step):
+    """At the n-th file that is moved; and the run after it fails."""
+    before, moved = contents(earlier), []
+
+    def counted(original):
+        def move(*arguments):
+            moved.append(arguments)
+            if len(moved) == step:
+                raise Killed
+            return original(*arguments)
+
+        return move
+
+    def start():
+        with renewed_folder(earlier) as path:
+            (path / "path.npz").write_text("half")
+            if phase == "back":
+                patch()
+                raise ValueError("the run fails")
+
+    def patch():
+        for name in ("replace", "rename"):
+            monkeypatch.setattr(Path, name, counted(getattr(Path, name)))
+
+    with pytest.MonkeyPatch.context() as inner:
+        monkeypatch = inner
+        if phase == "aside":
+            patch()
+            # A killed process puts nothing back.
+            inner.setattr(renewal, "_put_back", lambda path: None)
+        with contextlib.suppress(Killed, ValueError):
+            start()
+    assert len(moved) == step
+    with pytest.raises(ValueError, match="again"), renewed_folder(earlier):
+        raise ValueError("again")
+    assert contents(earlier) == before
+
+
+@pytest.mark.parametrize("step", range(1, 6))
+def test_an_interrupt_before_the_run_begins_leaves_the_earlier_result(earlier, monkeypatch, step):
+    before, moved = contents(earlier), []
+    original = Path.replace
+
+    def replace(*arguments):
+        moved.append(arguments)
+        if len(moved) == step:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    with contextlib.suppress(KeyboardInterrupt), renewed_folder(earlier):
+        raise KeyboardInterrupt
+    assert contents(earlier) == before
 
 
 def test_one_at_a_time(earlier):

@@ -24,6 +24,9 @@ from tisfm.reconstruction.folder import (
 )
 
 EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
+# The same, while not all of it is there yet, and while not all of it is back.
+LEAVING, RESTORING = ".tisfm-leaving", ".tisfm-restoring"
+_FOLDERS = (EARLIER, LEAVING, RESTORING)
 
 
 @contextmanager
@@ -51,8 +54,8 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = make_folder(folder)
     with locked_folder(path):
-        _begin(path)
         try:
+            _begin(path)
             yield path
         except BaseException:
             _put_back(path)
@@ -83,19 +86,25 @@ def _begin(path: Path) -> None:
     """Put an earlier result aside, remove one that is not complete, and make what is needed."""
     known = {*PARTS, *OTHERS, CACHE, BEGUN}
     there = sorted(item.name for item in path.iterdir())
-    ours = {name for name in there if name in (LOCK, EARLIER) or is_temporary(name)}
+    ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
     others = [name for name in there if name not in known | ours]
-    if not others and EARLIER not in ours and not {RECORD, BEGUN} & set(there):
+    if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
         others = [name for name in there if name not in ours]  # of such names, but whose?
     if others:
         raise FileExistsError(
             f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
         )
     (path / BEGUN).touch()
-    if (path / RECORD).exists():
-        shutil.rmtree(path / EARLIER, ignore_errors=True)  # of a run that was killed at its end
-        (path / EARLIER).mkdir()
-        _move(path, path / EARLIER)
+    # What a run was killed at is done to its end first.
+    if (path / RESTORING).exists():
+        _move(path / RESTORING, path)
+        (path / RESTORING).rmdir()
+    if (path / RECORD).exists() and (path / EARLIER).exists():
+        shutil.rmtree(path / EARLIER)  # the newer one is complete
+    if (path / RECORD).exists() or (path / LEAVING).exists():
+        (path / LEAVING).mkdir(exist_ok=True)
+        _move(path, path / LEAVING)
+        (path / LEAVING).rename(path / EARLIER)
     _remove(path)
     for name in (DEPTH, PICTURES, CACHE):
         (path / name).mkdir()
@@ -103,20 +112,20 @@ def _begin(path: Path) -> None:
 
 def _put_back(path: Path) -> None:
     """Let the earlier result be what it was, if there was one."""
-    if (path / EARLIER / RECORD).exists():
+    if (path / LEAVING).exists():  # nothing of another one is there yet
+        (path / LEAVING).rename(path / RESTORING)
+    elif (path / EARLIER).exists():
         _remove(path)
-        _move(path / EARLIER, path)
-        shutil.rmtree(path / EARLIER, ignore_errors=True)
+        (path / EARLIER).rename(path / RESTORING)
+    if (path / RESTORING).exists():
+        _move(path / RESTORING, path)
+        (path / RESTORING).rmdir()
         (path / BEGUN).unlink(missing_ok=True)
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move a result: where it comes from it is no complete one first, where it goes to last."""
-    if target.name == EARLIER:
-        names = [RECORD, *(name for name in (*PARTS, *OTHERS) if name != RECORD)]
-    else:
-        names = [*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD]
-    for name in names:
+    """Move what there is of a result, what says that it is complete last."""
+    for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
         if (source / name).exists():
             (source / name).replace(target / name)
 
