@@ -1,14 +1,15 @@
 """`tisfm batch`: many videos, none of which stops the others."""
 
+import os
 import signal
 import subprocess
-import sys
+import time
 from pathlib import Path
-from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 
-from tests.cli.command_line import assert_one_line, files
+from tests.cli.command_line import TISFM, assert_one_line, files
 from tisfm.cli import batch as module
 from tisfm.cli.batch import TRIES, read_jobs
 
@@ -31,7 +32,8 @@ def test_a_bad_video_stops_no_other(tisfm_run, frames, jobs):
     assert second.startswith("bad: ") and "gone" in second
     assert last == "2 of 3 done, 1 failed"
     assert not Path("bad").exists()
-    assert tisfm_run("run", "frames", "-o", "alone", "--preset", "fast", "--figures", "0", "--ply")
+    alone = ("run", "frames", "-o", "alone", "--preset", "fast", "--figures", "0", "--ply")
+    assert tisfm_run(*alone)[0] == 0
     assert files("a b") == files("alone")
     assert "f0.ply" not in files("c")
     code, _, err = tisfm_run("batch", "jobs.csv", "--resume")
@@ -57,6 +59,8 @@ def test_sequences_are_reconstructed(tisfm_run, frames, jobs):
         ("source,output,colour\nframes,a,red\n", ["line 2", "colour"]),
         ("source,output,preset\nframes,a,slow\n", ["line 2", "slow"]),
         ('source,output\n"frames,a\n', ["is no CSV"]),
+        ("source,output,focal,focal\nframes,a,1,2\n", ["names a column twice"]),
+        ("source,output,mask\nframes,a,it's\n", ["line 2: No closing quotation"]),
     ],
 )
 def test_what_is_no_list(tisfm_run, frames, jobs, text, words):
@@ -67,6 +71,8 @@ def test_what_is_no_list(tisfm_run, frames, jobs, text, words):
 
 def test_other_mistakes(tisfm_run, frames, jobs):
     name = jobs("source,output\nframes,a\n")
+    reconstructed = ("batch", name, "--command", "reconstruct", "--resume")
+    assert_one_line(*tisfm_run(*reconstructed)[::2], "reconstruct begins anew")
     for option in ("--workers", "--threads"):
         assert_one_line(*tisfm_run("batch", name, option, "0")[::2], "expected a positive number")
     assert_one_line(*tisfm_run("batch", "gone.csv")[::2], "gone.csv")
@@ -74,34 +80,64 @@ def test_other_mistakes(tisfm_run, frames, jobs):
     assert_one_line(*tisfm_run("batch", "latin.csv")[::2], "is no CSV")
 
 
-def test_a_job_whose_process_is_killed_is_begun_again(tisfm_run, frames, jobs, monkeypatch):
+@pytest.mark.parametrize("codes", [[-9, -9, 0], [-9] * 3, [-2], [-15], [1]])
+@pytest.mark.parametrize("writes", [True, False])
+def test_a_job_whose_process_is_killed_is_begun_again(
+    tisfm_run, frames, jobs, monkeypatch, codes, writes
+):
     calls = []
 
-    def run(command, **options):
+    def popen(command, **options):
         calls.append(command)
-        code = -signal.SIGKILL if len(calls) < TRIES else 0
-        return SimpleNamespace(returncode=code, stderr=b"3 pairs: as it should be\n")
+        if writes:
+            Path("a").mkdir(exist_ok=True)
+            Path("a/run.json").write_text(str(len(calls)))
+        process = mock.Mock(returncode=codes[len(calls) - 1])
+        process.communicate.return_value = b"", b"1 pair: one. Results in a.\nsome advice\n"
+        return process
 
-    monkeypatch.setattr(module.subprocess, "run", run)
+    monkeypatch.setattr(module.subprocess, "Popen", popen)
     code, _, err = tisfm_run("batch", jobs("source,output\nframes,a\n"))
-    assert (code, err) == (0, "a: 3 pairs: as it should be\n1 of 1 done\n")
-    assert [("--resume" in call) for call in calls] == [False, True, True]
-    calls.extend([[]] * 3)
-    monkeypatch.setattr(
-        module.subprocess, "run", lambda *a, **o: SimpleNamespace(returncode=-9, stderr=b"")
-    )
-    code, _, err = tisfm_run("batch", "jobs.csv")
-    assert (code, err) == (1, "a: exit code -9\n0 of 1 done, 1 failed\n")
+    assert code == (codes[-1] != 0) and len(calls) == len(codes) <= TRIES
+    assert err.startswith("a: 1 pair: one. Results in a.\n")
+    assert [("--resume" in call) for call in calls] == [False, writes, writes][: len(calls)]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_what_runs_ends_with_it(frames, jobs, sent):
+    """The signal goes to the command alone, while a job runs that would take long."""
+    for k in range(4, 200):
+        (frames / f"g{k}.png").write_bytes((frames / "f0.png").read_bytes())
+    name = jobs("source,output,preset\nframes,a,accurate\nframes,b,accurate\n")
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            [*TISFM, "batch", name], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    deadline = time.monotonic() + 90
+    while not Path("a/run.json").exists() and time.monotonic() < deadline:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+    process.send_signal(sent)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and err.endswith("tisfm: interrupted\n")
+    done = len(list(Path("a").glob("*.npz")))
+    time.sleep(2)
+    assert done == len(list(Path("a").glob("*.npz"))) < 199 and not Path("b").exists()
+
+
+def test_modules_in_the_working_folder_are_not_taken(tisfm_run, frames, jobs):
+    Path("rich.py").write_text("raise RuntimeError('taken')")
+    code, _, err = tisfm_run("batch", jobs("source,output,preset\nframes,a,fast\n"))
+    assert code == 0, err
 
 
 def test_cells_are_words_of_the_command_line(jobs):
-    (job,) = read_jobs(Path(jobs("source,output,center,resume\nmy video.mp4,out,3 4,no\n")))
-    assert (job.source, job.output) == ("my video.mp4", "out")
-    assert job.options == ("--center", "3", "4", "--no-resume")
-
-
-def test_the_package_is_a_command():
-    done = subprocess.run(
-        [sys.executable, "-m", "tisfm.cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip()
+    text = "source,output,center,resume,poses\nmy video's.mp4,out,3 4,no,'my poses.txt'\n"
+    (job,) = read_jobs(Path(jobs(text)))
+    assert (job.source, job.output) == ("my video's.mp4", "out")
+    assert job.options == ("--center", "3", "4", "--no-resume", "--poses", "my poses.txt")

@@ -88,6 +88,84 @@ def test_nothing_of_an_earlier_run_stays(tisfm_run, frames):
     assert set(files("out")) == {"f0_flow.flo", "run.json", "run.csv", "note.txt"}
 
 
+def test_files_that_no_run_wrote_stay(tisfm_run, frames):
+    assert tisfm_run(*QUIET, "--outputs", "flow")[0] == 0
+    for name in ("f0.ply", "f1_depth.png"):
+        Path("out", name).write_text("mine")
+    assert tisfm_run(*QUIET, "--outputs", "npz")[0] == 0
+    assert set(files("out")) == {
+        *(f"f{k}.npz" for k in range(3)), "f0.ply", "f1_depth.png", "run.json", "run.csv"
+    }  # fmt: skip
+
+
+def test_what_is_read_is_refused_before_anything_is_removed(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    before = files("out")
+    options = ("run", "frames", "-o", "out", "--step", "2", "--mask", "out/f2_depth.png")
+    code, _, err = tisfm_run(*options)
+    assert_one_line(code, err, "would replace", "which is read")
+    assert files("out") == before
+
+
+def test_a_run_that_is_killed_while_it_removes_an_earlier_one(tisfm_run, frames, monkeypatch):
+    assert tisfm_run(*QUIET)[0] == 0
+    other = (*QUIET, "--outputs", "flow,npz")
+    removed, original = [], Path.unlink
+
+    def unlink(path, missing_ok=False):
+        removed.append(path)
+        if len(removed) == 6:
+            raise KeyboardInterrupt
+        original(path, missing_ok=missing_ok)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", unlink)
+        assert tisfm_run(*other)[0] == 130
+    assert tisfm_run(*other)[0] == 0
+    assert tisfm_run(*other, "-o", "whole")[0] == 0
+    assert files("out") == files("whole")
+
+
+def test_a_run_of_more_frames_goes_on(tisfm_run, frames):
+    assert tisfm_run(*QUIET, "--stop", "3")[0] == 0
+    assert tisfm_run(*QUIET, "--resume")[0] == 0
+    assert tisfm_run("run", "frames", "-o", "whole", "--no-figures")[0] == 0
+    assert files("out") == files("whole")
+
+
+def test_the_table_is_made_again(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    before = files("out")
+    Path("out/run.csv").write_text("")
+    assert tisfm_run(*QUIET, "--resume")[0] == 0
+    assert files("out") == before
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+def test_a_pipe_in_place_of_a_file_is_replaced(tisfm_run, frames):
+    assert tisfm_run(*QUIET)[0] == 0
+    Path("out/f1_flow.flo").unlink()
+    os.mkfifo("out/f1_flow.flo")
+    code, _, err = tisfm_run(*QUIET, "--resume")
+    assert_one_line(code, err, "cannot write out/f1_flow.flo", "a device or a pipe")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"status": []}, {"status": None}, {"times": 3}, {"twists": 3}, {"times": ["a", 1]},
+     {"files": {}}, {"files": {"/../../x": [1, 2]}}, {"files": {"_flow.flo\0": [1, 2]}}],
+    ids=str,
+)  # fmt: skip
+def test_a_record_with_other_values_is_damaged(tisfm_run, frames, change):
+    assert tisfm_run(*QUIET)[0] == 0
+    about = record("out")
+    about["pairs"]["f0"] |= change
+    Path("out/run.json").write_text(json.dumps(about))
+    code, _, err = tisfm_run(*QUIET, "--resume")
+    assert_one_line(code, err, "run.json is damaged", "run without --resume")
+    assert tisfm_run(*QUIET)[0] == 0
+
+
 def test_outputs_are_chosen(tisfm_run, frames):
     options = ("run", "frames", "-o", "out", "--outputs")
     assert tisfm_run(*options, "depth, npz,figure", "--figures", "2", "--ply")[0] == 0
@@ -145,7 +223,7 @@ def test_names_that_are_no_text(tisfm_run, frames):
 
 
 def test_a_full_disk_names_the_file(tisfm_run, frames):
-    """A file system of one page for everything, as far as one may be mounted."""
+    """On a file system of 64 kB, where one may be mounted."""
     Path("small").mkdir()
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", "small"], capture_output=True

@@ -2,8 +2,11 @@
 
 import csv
 import os
+import shlex
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,11 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.run_record import RECORD
 
 Command = Literal["run", "reconstruct"]
 
 SOURCE, OUTPUT = "source", "output"
 TRIES = 3  # of a job whose process was killed
+_WANTED = (-signal.SIGINT, -signal.SIGTERM)  # a process that was told to end
+_CALL = "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 _FLAGS = {"yes": "--", "no": "--no-"}
 
 
@@ -58,6 +64,8 @@ def read_jobs(path: Path) -> list[Job]:
             columns = [name.strip() for name in reader.fieldnames or ()]
             if not {SOURCE, OUTPUT} <= set(columns):
                 raise ValueError(f"{path} has no columns source and output in its first line")
+            if len(set(columns)) < len(columns):
+                raise ValueError(f"{path} names a column twice in its first line")
             reader.fieldnames = columns
             for row in reader:
                 job = _job(row, f"{path}, line {reader.line_num}", reader.line_num)
@@ -92,6 +100,8 @@ def batch(
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}: expected a positive number")
+    if resume and command != "run":
+        raise ValueError(f"resume is given, but {command} begins anew: leave it out")
     if threads is not None and threads < 1:
         raise ValueError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
@@ -103,9 +113,17 @@ def batch(
         except ValueError as error:
             raise ValueError(f"{path}, line {job.line}: {error}") from error
     failed = 0
-    with progress_bar() as progress, _workers(workers) as executor:
+    with (
+        _ending_by_signal(),
+        progress_bar() as progress,
+        _workers(workers) as executor,
+        _Processes() as processes,
+    ):
         task = progress.add_task(path.name, total=len(jobs))
-        ends = [executor.submit(_finished, call) for call in calls]
+        ends = [
+            executor.submit(processes.finished, call, Path(job.output))
+            for job, call in zip(jobs, calls, strict=True)
+        ]
         for job, end in zip(jobs, ends, strict=True):
             code, last = end.result()
             failed += code != 0
@@ -124,13 +142,18 @@ def _job(row: dict[str, str], where: str, line: int) -> Job:
         if not cells[name]:
             raise ValueError(f"{where} has no {name}")
     options: list[str] = []
+    try:
+        for name in cells.keys() - {SOURCE, OUTPUT}:
+            shlex.split(cells[name])
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
     for name, value in cells.items():
         if name in (SOURCE, OUTPUT) or not value:
             continue
         if value in _FLAGS:
             options.append(f"{_FLAGS[value]}{name}")
         else:
-            options += [f"--{name}", *value.split()]
+            options += [f"--{name}", *shlex.split(value)]
     return Job(line=line, source=cells[SOURCE], output=cells[OUTPUT], options=tuple(options))
 
 
@@ -140,25 +163,81 @@ def _arguments(job: Job, command: Command, threads: int, *, resume: bool) -> lis
     return [command, job.source, *options]
 
 
-def _finished(arguments: Sequence[str]) -> tuple[int, str]:
-    """Run a command in a process of its own; return its exit code and the last line it printed."""
-    code, last = 1, ""
-    call = list(arguments)
-    for _ in range(TRIES):
-        process = subprocess.run(
-            [sys.executable, "-m", "tisfm.cli", *call],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            check=False,
-        )
-        lines = process.stderr.decode("utf-8", "replace").split("\n")
-        code, last = process.returncode, next((one for one in lines[::-1] if one.strip()), "")
-        if code >= 0:
-            break
-        if call[0] == "run" and "--resume" not in call:
-            call.append("--resume")
-    return code, last.removeprefix("tisfm: ")
+class _Processes:
+    """The processes of jobs, which end when the block is left by an exception."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._lock = threading.Lock()
+        self._is_over = False
+
+    def __enter__(self) -> "_Processes":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *about: object) -> None:
+        if kind is None:
+            return
+        with self._lock:
+            self._is_over = True
+            for process in self._running:
+                process.terminate()
+
+    def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str]:
+        """Run a command in a process of its own; return its exit code and what it said last."""
+        code, said, call = 1, "", list(arguments)
+        before = _state(output)
+        for _ in range(TRIES):
+            with self._lock:
+                if self._is_over:
+                    break
+                # Unlike with -m, no module of the working folder is taken for one of Python's.
+                process = subprocess.Popen(
+                    [sys.executable, "-c", _CALL, *call],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.PIPE,
+                )
+                self._running.add(process)
+            try:
+                _, errors = process.communicate()
+            finally:
+                with self._lock:
+                    self._running.discard(process)
+            code, said = process.returncode, _said(errors.decode("utf-8", "replace"))
+            if code >= 0 or code in _WANTED:
+                break
+            if call[0] == "run" and "--resume" not in call and _state(output) != before:
+                call.append("--resume")  # its first pairs are written
+        return code, said
+
+
+def _said(errors: str) -> str:
+    """Return the line that tells of results, or else the last one."""
+    lines = [line for line in errors.split("\n") if line.strip()]
+    results = [line for line in lines if "Results in " in line]
+    return (results or lines or [""])[-1].removeprefix("tisfm: ")
+
+
+def _state(output: Path) -> object:
+    """Return what changes when the record of a run is written."""
+    try:
+        about = os.stat(output / RECORD)
+    except OSError:
+        return None
+    return about.st_ino, about.st_mtime_ns, about.st_size
+
+
+@contextmanager
+def _ending_by_signal() -> Iterator[None]:
+    """Let SIGTERM leave the block as Ctrl-C does, so that nothing runs on alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

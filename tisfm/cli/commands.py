@@ -102,6 +102,8 @@ def run(
         window=window,
         outputs=outputs,
         figures=figures,
+        start=pairs.chosen.start,
+        step=pairs.chosen.step,
         resume=resume,
         inputs=InputFiles([*pairs.files, *([] if poses is None else [poses])]),
         names=_names(pairs, output),
@@ -114,7 +116,7 @@ def run(
     with closing(posed), writer, RunProgress(total) as progress, Background() as background:
         for number, pair in enumerate(progress.timed("decoding", following)):
             name = pair.name0
-            if writer.knows(name) and writer.is_complete(name, pair.digest):
+            if writer.knows(name) and writer.is_complete(name, pair.digest, number):
                 finished = None if kept is None else pair
             else:
                 if kept is not None and finished is not None:
@@ -265,6 +267,7 @@ def _write(
 
 def _announce(writer: PairWriter, total: int) -> None:
     """Say how much a long run will write, and whether the disk has room for it."""
+    total -= sum(writer.statuses.values()) - 1  # those are written
     expected, free = writer.expected_bytes(total), shutil.disk_usage(writer.folder).free
     if expected > free:
         tell(

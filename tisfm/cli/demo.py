@@ -9,8 +9,9 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.cli.console import print_whole, progress_bar, tell
-from tisfm.cli.outputs import ENDINGS, RECORD, PairWriter
+from tisfm.cli.outputs import PairWriter
 from tisfm.cli.paper_figures import PAPER_FIGURES, write_paper_figures
+from tisfm.cli.run_record import ENDINGS, RECORD
 from tisfm.formats.flo import require_writable_flow
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation

@@ -12,7 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
-from tisfm.cli.run_record import RECORD, TABLE, TIMINGS, RunRecord, read_record
+from tisfm.cli.run_record import ENDINGS, RECORD, TABLE, TIMINGS, RunRecord
 from tisfm.formats import (
     choose_depth_scale,
     write_depth_png,
@@ -36,18 +36,6 @@ from tisfm.version import __version__
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-ENDINGS = {
-    "depth": "_depth.png",
-    "depth16": "_depth16.png",
-    "flow": "_flow.flo",
-    "anaglyph": "_anaglyph.png",
-    "figure": "_figure.png",
-    "ply": ".ply",
-    "pose": "_pose.txt",
-    "npz": ".npz",
-}
-"""What names of a pair's files end in, by outputs."""
 
 USUAL = tuple(output for output in ENDINGS if output != "ply")
 """What is written by default."""
@@ -78,6 +66,8 @@ class PairWriter:
         What is written of a pair: the keys of `ENDINGS`.
     figures : int
         Figures are drawn of every so many pairs, from the first on; 0 for none.
+    start, step : int
+        The first frame of the source that is taken, and how many there are to the next.
     resume : bool
         Continue a run that was interrupted: keep its ranges and the pairs it finished.
     inputs : InputFiles
@@ -105,6 +95,8 @@ class PairWriter:
         window: int = 2,
         outputs: Collection[str] = USUAL,
         figures: int = 1,
+        start: int = 0,
+        step: int = 1,
         resume: bool = False,
         inputs: InputFiles | None = None,
         names: Iterable[str] = (),
@@ -125,7 +117,11 @@ class PairWriter:
             "window": window,
             "outputs": list(self._outputs),
             "figures": self._figures,
+            "start": start,
+            "step": step,
         }
+        self._earlier: list[Path] = []
+        self._has_pose = settings.motion != "field"
         self._record = RunRecord(self.folder, asked)
         self._with = ExitStack()
         self._resume = self._is_begun = resume
@@ -138,9 +134,10 @@ class PairWriter:
         """Return the file of a pair's interpretation."""
         return self.folder / f"{name}.npz"
 
-    def is_complete(self, name: str, digest: str) -> bool:
+    def is_complete(self, name: str, digest: str, number: int) -> bool:
         """Return whether an earlier run finished this pair, as `RunRecord.is_complete` says."""
-        return self._record.is_complete(name, digest)
+        wanted = self._wanted(number)
+        return self._record.is_complete(name, digest, [ENDINGS[output] for output in wanted])
 
     def knows(self, name: str) -> bool:
         """Return whether a pair of this name was written, by this run or the one continued."""
@@ -202,10 +199,7 @@ class PairWriter:
         # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
         motions = motion_rows(result, pose=pose)
-        left_out = {"figure"} if not self.has_figure(number) else set()
-        if motions is None:
-            left_out.add("pose")
-        wanted = [output for output in self._outputs if output not in left_out]
+        wanted = self._wanted(number)
         if "depth16" in wanted:
             write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
         if "depth" in wanted:
@@ -260,20 +254,18 @@ class PairWriter:
             record["flow_limit"] = float(np.percentile(flow_radius(result.flow), 99))
         return float(record["depth_range"] * level)
 
+    def _wanted(self, number: int) -> list[str]:
+        """Return what is written of a pair, by its number in the run."""
+        left_out = set() if self.has_figure(number) else {"figure"}
+        left_out |= set() if self._has_pose else {"pose"}
+        return [output for output in self._outputs if output not in left_out]
+
     def _remove_earlier(self) -> None:
-        """Remove what an earlier run says that it wrote here, its record first."""
+        """Remove what an earlier run wrote here, its record last: until then it can be told."""
         self._is_begun = True
-        try:
-            before = read_record(self.folder)
-        except ValueError:
-            before = None
-        for name in (RECORD, TABLE, TIMINGS):
-            (self.folder / name).unlink(missing_ok=True)
-        for name in before["pairs"] if before is not None else ():
-            files = self._files(name)
-            self._inputs.refuse(*files)
-            for file in files:
-                file.unlink(missing_ok=True)
+        self._inputs.refuse(*self._earlier)
+        for file in (*self._earlier, *(self.folder / name for name in (TABLE, TIMINGS, RECORD))):
+            file.unlink(missing_ok=True)
 
     @property
     def statuses(self) -> Mapping[str, int]:
@@ -291,7 +283,7 @@ class PairWriter:
 
     def expected_bytes(self, count: int) -> float:
         """Return how much so many pairs take, by the first one that is finished."""
-        pair = next(iter(self._record.pairs.values()))
+        pair = next(iter(list(self._record.pairs.values())))
         lengths = {ending: length for ending, (length, _) in pair["files"].items()}
         figure = lengths.pop(ENDINGS["figure"], 0)
         figures = -(-count // self._figures) if self._figures else 0
@@ -304,8 +296,11 @@ class PairWriter:
     def __enter__(self) -> "PairWriter":
         with ExitStack() as opened:
             opened.enter_context(locked_folder(self.folder))
+            self._earlier = self._record.look()
             if self._resume:
                 self._record.resume()
+            else:
+                self._inputs.refuse(*self._earlier)
             self._with = opened.pop_all()
         return self
 

@@ -5,9 +5,10 @@ import io
 import json
 import math
 import os
+import stat
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,19 @@ from isal import isal_zlib
 from tisfm.formats import atomic_write
 
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
-ASKED = ("version", "camera", "settings", "window", "outputs", "figures")  # what has to be the same
+# What has to be the same, with the first frame that is taken and how many there are to the next.
+ASKED = ("version", "camera", "settings", "window", "outputs", "figures", "start", "step")
+ENDINGS = {
+    "depth": "_depth.png",
+    "depth16": "_depth16.png",
+    "flow": "_flow.flo",
+    "anaglyph": "_anaglyph.png",
+    "figure": "_figure.png",
+    "ply": ".ply",
+    "pose": "_pose.txt",
+    "npz": ".npz",
+}
+"""What names of a pair's files end in, by outputs."""
 FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit")
 _LEAST_APART, _SHARE = 1.0, 20.0  # s between renewals; and times what the last one took
 _PIECE = 2**20  # bytes of a file that are read at a time
@@ -51,6 +64,24 @@ class RunRecord:
         self.statuses: Counter[str] = Counter()
         self._seconds: dict[str, float] = {}
         self._next, self._is_written = -math.inf, True
+        self._before: dict[str, Any] | ValueError | None = None
+
+    def look(self) -> list[Path]:
+        """Look at the record of an earlier run; return the files that it wrote.
+
+        What is not as it says is not among them, as it is not that run's.
+        """
+        try:
+            self._before = read_record(self._folder)
+        except ValueError as error:
+            self._before = error
+        if not isinstance(self._before, dict):
+            return []
+        return [
+            self._folder / f"{name}{ending}"
+            for name, pair in self._before["pairs"].items()
+            for ending in (pair["files"] or ENDINGS.values())
+        ]
 
     def __getitem__(self, key: str) -> Any:
         return self._about[key]
@@ -72,7 +103,9 @@ class RunRecord:
         ValueError
             If it is damaged, or of a run that was asked for something else; it says for what.
         """
-        before = read_record(self._folder)
+        before = self._before
+        if isinstance(before, ValueError):
+            raise before
         if before is None:
             return
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
@@ -85,10 +118,10 @@ class RunRecord:
                 f"of another version ({'; '.join(said)}): repeat its options, or run without "
                 "--resume to start again"
             )
-        self._about = before
+        self._about = _checked(before, self._folder / RECORD)
         self.statuses.update(pair["status"] for pair in self.pairs.values())
 
-    def is_complete(self, name: str, digest: str) -> bool:
+    def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
         """Return whether a pair was finished, and its files are as they were then.
 
         Parameters
@@ -96,6 +129,8 @@ class RunRecord:
         name : str
         digest : str
             Hash of the pair's frames, and of its pose and masks if those were given.
+        endings : collection of str
+            What the names of its files end in.
 
         Raises
         ------
@@ -111,7 +146,7 @@ class RunRecord:
                 "another pose or mask: give the same frames and step again, and the same poses and "
                 "masks, or run without --resume to start again"
             )
-        return all(
+        return set(pair["files"]) == set(endings) and all(
             _check_sum(self._folder / f"{name}{ending}") == tuple(known)
             for ending, known in pair["files"].items()
         )
@@ -134,12 +169,15 @@ class RunRecord:
 
     def write(self) -> None:
         """Write ``run.json``, and the table of all pairs and their times, if there is any news."""
+        rows = ((name, *_row(pair)) for name, pair in self.pairs.items())
         if self._is_written:
+            table = _table(_COLUMNS, rows)
+            if self.pairs and _read(self._folder / TABLE) != _encoded(table):
+                _write(self._folder / TABLE, table)
             return
         begin = time.monotonic()
         text = json.dumps(self._about, indent=2, ensure_ascii=False) + "\n"
         _write(self._folder / TIMINGS, _table(("pair", "seconds"), self._seconds.items()))
-        rows = ((name, *_row(pair)) for name, pair in self.pairs.items())
         _write(self._folder / TABLE, _table(_COLUMNS, rows))
         _write(self._folder / RECORD, text, durable=True)
         self._is_written = True
@@ -160,19 +198,46 @@ def read_record(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(about, dict) or not set(FOUND) <= set(about):
-            raise ValueError("it does not say what a run found")
+        if not isinstance(about, dict) or "version" not in about:
+            raise ValueError("it is of no run")
         for name, pair in about["pairs"].items():
-            if not {"frames", "status", "message", "files"} <= set(pair):
-                raise ValueError(f"it does not say enough of {name}")
             if os.path.basename(name) != name:
                 raise ValueError(f"{name} is no name of a pair")
-            if not all(len(known) == 2 for known in pair["files"].values()):
-                raise ValueError(f"it does not say what the files of {name} are")
+            pair.setdefault("files", {})  # of versions that did not say so much
+            if not set(pair["files"]) <= set(ENDINGS.values()):
+                raise ValueError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is damaged ({reason}): run without --resume") from error
+        raise _damaged(path, error) from error
     return about
+
+
+def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return a record of this version whose values are of the kinds that it writes."""
+    try:
+        for key in FOUND:
+            if about[key] is not None and not _is_number(about[key]):
+                raise ValueError(f"{key} is {about[key]!r}")
+        for name, pair in about["pairs"].items():
+            texts = (pair["status"], pair["message"], pair["frames"])
+            numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
+            for length, total in pair["files"].values():
+                numbers += [length, total]
+            if not pair["files"] or not all(isinstance(text, str) for text in texts):
+                raise ValueError(f"it does not say enough of {name}")
+            if not all(map(_is_number, numbers)):
+                raise ValueError(f"numbers of {name} are none")
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise _damaged(path, error) from error
+    return about
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _damaged(path: Path, error: Exception) -> ValueError:
+    reason = " ".join(str(error).split())
+    return ValueError(f"{path} is damaged ({reason}): run without --resume")
 
 
 def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
@@ -198,12 +263,26 @@ def _table(columns: tuple[str, ...], rows: Any) -> str:
 def _write(path: Path, text: str, *, durable: bool = False) -> None:
     """Write text; where the system's names of files are none, as JSON has such characters."""
     with atomic_write(path, durable=durable) as file:
-        file.write(text.encode("utf-8", "backslashreplace"))
+        file.write(_encoded(text))
+
+
+def _encoded(text: str) -> bytes:
+    return text.encode("utf-8", "backslashreplace")
+
+
+def _read(path: Path) -> bytes:
+    """Return what a file holds; nothing if it cannot be read."""
+    try:
+        return path.read_bytes() if path.is_file() else b""
+    except OSError:
+        return b""
 
 
 def _check_sum(path: Path) -> tuple[int, int] | None:
     """Return the length of a file, bytes, and its CRC-32; None if there is none."""
     try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+            return None
         with open(path, "rb", 0) as file:
             length, total = 0, 0
             while piece := file.read(_PIECE):

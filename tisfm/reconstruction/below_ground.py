@@ -55,8 +55,8 @@ class Depth:
         return cls(inverse_depth=inverse_depth.astype(np.float32), at_rest=at_rest)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of, with 11 significant bits."""
-        return self.inverse_depth.astype(np.float16), self.at_rest
+        """Return what it is made of; the unit of depth may be anything."""
+        return self.inverse_depth, self.at_rest
 
 
 class BelowGround:

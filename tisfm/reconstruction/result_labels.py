@@ -1,7 +1,8 @@
 """Labels that are those of an earlier result."""
 
+import glob
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.reconstruction.folder import MASKS, PICTURES, RECORD, mask_path, read_record
 
+MOST_COEFFICIENTS = 14
 SAME = 1e-6  # relative: cameras that differ by less are the same
 
 
@@ -58,6 +60,8 @@ def labels_of_result(labels: Any, source: Any) -> ResultLabels | None:
     if not isinstance(labels, (str, os.PathLike)):
         return None
     path = Path(labels)
+    if glob.has_magic(path.name) and path.parent.name == MASKS:
+        path = path.parent
     folder = path.parent if path.name == MASKS else path
     if not (folder / RECORD).is_file() or not (folder / MASKS).is_dir():
         return None
@@ -74,7 +78,7 @@ def labels_of_result(labels: Any, source: Any) -> ResultLabels | None:
 
 def _is_same(one: Camera, other: Camera) -> bool:
     first, second = (
-        (camera.focal, camera.aspect, *(camera.center or ()), *(camera.distortion or ()))
+        (camera.focal, camera.aspect, *(camera.center or ()), *_padded(camera.distortion or ()))
         for camera in (one, other)
     )
     return (
@@ -82,3 +86,8 @@ def _is_same(one: Camera, other: Camera) -> bool:
         and np.allclose(first, second, rtol=SAME, atol=SAME)
         and abs((one.readout or 0) - (other.readout or 0)) < SAME
     )
+
+
+def _padded(distortion: Sequence[float]) -> tuple[float, ...]:
+    """Return all coefficients that there may be; those that are not given are zero."""
+    return (*distortion, *(0.0,) * (MOST_COEFFICIENTS - len(distortion)))
