@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
@@ -112,6 +113,7 @@ class PairWriter:
         make_folder(folder)
         asked = {
             "version": __version__,
+            "arch": None,
             "camera": asdict(camera),
             "settings": asdict(settings),
             "window": window,
@@ -296,6 +298,8 @@ class PairWriter:
     def __enter__(self) -> "PairWriter":
         with ExitStack() as opened:
             opened.enter_context(locked_folder(self.folder))
+            runtime.start()
+            self._record["arch"] = runtime.running_arch()
             self._earlier = self._record.look()
             if self._resume:
                 self._record.resume()

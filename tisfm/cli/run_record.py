@@ -18,7 +18,9 @@ from tisfm.formats import atomic_write
 
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
-ASKED = ("version", "camera", "settings", "window", "outputs", "figures", "start", "step")
+ASKED = (
+    "version", "arch", "camera", "settings", "window", "outputs", "figures", "start", "step"
+)  # fmt: skip
 ENDINGS = {
     "depth": "_depth.png",
     "depth16": "_depth16.png",
@@ -50,7 +52,7 @@ class RunRecord:
     ----------
     folder : Path
     asked : mapping
-        Version, camera, settings, window, outputs and how many figures.
+        What `ASKED` names.
 
     Attributes
     ----------
