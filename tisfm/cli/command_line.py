@@ -1,4 +1,4 @@
-"""The command line: ``tisfm demo``, ``tisfm run``, ``tisfm eval``, ``tisfm figures``."""
+"""The command line: what its commands take, and how errors are told."""
 
 import contextlib
 import io

@@ -4,7 +4,6 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from types import TracebackType
 from typing import TypeVar
 
 from tisfm.cli.console import as_text, progress_bar
@@ -43,12 +42,7 @@ class RunProgress:
         self._pairs.append((time.perf_counter(), {}))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *about: object) -> None:
         self._bar.stop()
 
     @contextmanager

@@ -69,10 +69,7 @@ class RunRecord:
         self._before: dict[str, Any] | ValueError | None = None
 
     def look(self) -> list[Path]:
-        """Look at the record of an earlier run; return the files that it wrote.
-
-        What is not as it says is not among them, as it is not that run's.
-        """
+        """Look at the record of an earlier run; return the files that it says it wrote."""
         try:
             self._before = read_record(self._folder)
         except ValueError as error:
