@@ -332,7 +332,7 @@ def _summary(result: Interpretation) -> dict[str, Any]:
     return {
         "speed": _rounded(speed[np.isfinite(speed)].mean()) if np.isfinite(speed).any() else None,
         "occluded": _rounded(result.occlusion.mean()),
-        "confidence": _rounded(result.confidence.mean()),
+        "confidence": _rounded(result.confidence.mean(dtype=np.float64)),
         "twists": _finite_list(result.motions),
     }
 
@@ -364,7 +364,8 @@ def _figure(
 
 def _mean_inverse_depth(result: Interpretation) -> float:
     """Return the mean inverse depth, in which what is no depth counts as infinitely far."""
-    return float(np.maximum(result.inverse_depth, 0).mean())
+    mean = np.maximum(result.inverse_depth, 0).mean(dtype=np.float64)
+    return float(f"{mean:.9g}")  # how NumPy adds up depends on where an array lies in memory
 
 
 def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
