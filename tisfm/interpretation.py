@@ -132,18 +132,25 @@ class Interpretation:
             occluded=occluded,
         )
 
-    def save(self, path: str | Path) -> None:
-        """Write everything to an ``.npz`` without compression and pickles, whole or not at all.
+    def save(self, path: str | Path, *, compact: bool = False) -> None:
+        """Write everything to an ``.npz`` without pickles, whole or not at all.
 
         What `load` gives back is the same but for two roundings: `rho`, and with it `tau` and
         `omega`, to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence`
         to 11 bits as well. Numbers of `rho` beyond 65504, as a result that diverged may have, are
-        kept as they are. ``docs/formats.md`` describes the file.
+        kept as they are. `numpy.load` reads the file too; ``docs/formats.md`` describes it.
+
+        A compact file, as `tisfm run` writes it, has a quarter of the bytes, and rounds more:
+        `flow`, `rho` and `confidence` to multiples of 2⁻¹⁰ (of px/frame; or, where all of them are
+        small, of at most 2⁻¹² of the largest), inverse depth and its deviation to 12 significant
+        bits. Arrays in it are packed, but for a result that diverged.
 
         Parameters
         ----------
         path : path
             The file; ``.npz`` is the customary suffix, and none is added.
+        compact : bool, default False
+            Whether to round more, and to compress.
 
         Raises
         ------
@@ -156,14 +163,15 @@ class Interpretation:
         """
         from tisfm.interpretation_file import write_interpretation
 
-        write_interpretation(path, self)
+        write_interpretation(path, self, compact=compact)
 
     @classmethod
     def load(cls, path: str | Path) -> "Interpretation":
         """Read what `save` wrote.
 
-        Nothing in the file is unpacked or run, and every shape, type and name is checked before an
-        array is read.
+        Nothing in the file is run, and every shape, type and name is checked before an array is
+        read. Of a compact file no more is unpacked than the arrays that it states, of at most 2²⁴
+        pixels, or as many as the file has bytes.
 
         Raises
         ------

@@ -18,18 +18,21 @@ from tisfm.camera import Camera
 from tisfm.checks import refuse_masked
 from tisfm.formats import FormatError
 from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.formats.packing import STEP, Packing, pack, unpack
 from tisfm.frames import MIN_SIDE
 from tisfm.outcome import STATUSES, History, Status
 from tisfm.settings import Settings
 
-FORMAT = 6  # raised when a reader of the one before would go wrong
+FORMAT = 7  # raised when a reader of the one before would go wrong
+_READ = (6, FORMAT)  # 6 had nothing packed
+_MOST_PIXELS = 2**24  # of packed arrays; or as many as the file has bytes
 _MOST_ABOUT = 2**20  # bytes of the account of itself, which has a thousandth of that
 _LARGEST_HALF = 65504.0
 _HISTORY = tuple(f"history_{record.name}" for record in fields(History))
 _ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
-_ABOUT = ("format", "version", "camera", "settings", "status", "message")
+_ABOUT = ("format", "version", "camera", "settings", "status", "message", "packed")
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained", "uncertain",
@@ -62,17 +65,31 @@ _STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
     "confidence": (_HALF,),
     "labels": (np.dtype("u1"), np.dtype("<u2"), _INT),
 }
+_FIXED, _BITS = ("int16", "int32"), ("uint32",)
+_PACKED = {  # the whole numbers that arrays are packed as
+    "rho": _FIXED,
+    "flow": _FIXED,
+    "confidence": _FIXED,
+    "inverse_depth": _BITS,
+    "inverse_depth_std": _BITS,
+    "occlusion": ("uint8",),
+    "labels": ("uint8", "uint16", "int32"),
+    "frame": ("uint8",),
+}
 
 
-def write_interpretation(path: str | os.PathLike[str], result: Any) -> None:
+def write_interpretation(
+    path: str | os.PathLike[str], result: Any, *, compact: bool = False
+) -> None:
     """Write everything to an ``.npz``; see `Interpretation.save`."""
-    about = {
+    about: dict[str, Any] = {
         "format": FORMAT,
         "version": result.version,
         "camera": asdict(result.camera),
         "settings": asdict(result.settings),
         "status": str(result.status),
         "message": result.status.message,
+        "packed": {},
     }
     arrays = {name: getattr(result, name) for name in (*_ALWAYS, *_RIGID)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
@@ -82,14 +99,39 @@ def write_interpretation(path: str | os.PathLike[str], result: Any) -> None:
     layout = {name: (array.shape, array.dtype) for name, array in given.items()}
     _check_layout(layout, {name: (kind,) for name, kind in _TYPES.items()}, result.settings)
     _check_values(given, result.status)
-    if max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF:  # nor is it so of NaN
-        given["rho"] = _half(given["rho"])
-    given["confidence"] = _half(given["confidence"])
     if "labels" in given:
         most = len(given["motions"]) - 1
         kinds = (kind for kind in _STORED["labels"] if most <= np.iinfo(kind).max)
         given["labels"] = given["labels"].astype(next(kinds))
+    if compact and str(result.status) not in _WILD:
+        _pack(given, about["packed"])
+    if "rho" not in about["packed"] and (
+        max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF  # nor is it so of NaN
+    ):
+        given["rho"] = _half(given["rho"])
+    if "confidence" not in about["packed"]:
+        given["confidence"] = _half(given["confidence"])
     write_npz(path, {"about": np.array(json.dumps(about)), **given})
+
+
+def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
+    """Pack arrays, as far as they can be; both are modified in place."""
+    for name, kinds in _PACKED.items():
+        if name not in arrays:
+            continue
+        step = STEP if kinds == _FIXED else None
+        array = arrays[name]
+        if name == "confidence":  # what is above 0 stays so
+            array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
+        found = pack(array, down=_rows(name), step=step)
+        if found is not None:
+            arrays[name], packing = found
+            packed[name] = packing.as_json()
+
+
+def _rows(name: str) -> int:
+    """Return the axis of rows: the first one, but for those that have the columns last."""
+    return 1 if name == "rho" else 0
 
 
 def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -117,9 +159,17 @@ def _read(file: NpzFile) -> dict[str, Any]:
     if missing:
         raise ValueError(f"it has no {', '.join(missing)}")
     camera, settings = _camera(about["camera"]), _settings(about["settings"])
+    packings = _packings(file, about["packed"])
     names = [name for name in _TYPES if name in file]
-    _check_layout({name: file.header(name) for name in names}, _STORED, settings)
-    arrays = {name: file.read(name).astype(_TYPES[name], copy=False) for name in names}
+    layout = {
+        name: (packings[name].shape, packings[name].kind) if name in packings else file.header(name)
+        for name in names
+    }
+    kinds = {name: (packing.kind,) for name, packing in packings.items()}
+    _check_layout(layout, _STORED | kinds, settings)
+    if packings:
+        _refuse_inflated(file, layout["frame"][0])
+    arrays = {name: _array(file, name, packings.get(name)) for name in names}
     _check_values(arrays, about["status"])
     history = {name: arrays.pop(name) for name in _HISTORY}
     return dict(
@@ -132,6 +182,39 @@ def _read(file: NpzFile) -> dict[str, Any]:
         ),
         version=about["version"],
     )
+
+
+def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
+    """Return how arrays are packed, by their names."""
+    if not isinstance(about, dict) or not set(about) <= set(_PACKED):
+        raise ValueError(f"what is packed is {about!r}, expected some of {', '.join(_PACKED)}")
+    packings = {}
+    for name, packing in about.items():
+        try:
+            packings[name] = Packing.of_json(packing, _PACKED[name])
+        except ValueError as error:
+            raise ValueError(f"{name} {error}") from error
+        stored, kind = file.header(name)
+        if len(stored) != 1 or kind != np.uint8:
+            raise ValueError(f"{name} is {stored} {kind}, expected (N,) uint8, as it is packed")
+    return packings
+
+
+def _refuse_inflated(file: NpzFile, frame: tuple[int, ...]) -> None:
+    """Refuse a small file of a huge frame, to whose shape those of all arrays belong."""
+    pixels = frame[0] * frame[1]
+    if pixels > max(_MOST_PIXELS, file.length):
+        raise ValueError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
+
+
+def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
+    """Return an array as it is in memory."""
+    if packing is None:
+        return file.read(name).astype(_TYPES[name], copy=False)
+    try:
+        return unpack(file.read(name), packing, _TYPES[name], down=_rows(name))
+    except ValueError as error:
+        raise ValueError(f"{name} {error}") from error
 
 
 def _read_about(file: NpzFile) -> dict[str, Any]:
@@ -152,11 +235,13 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
         raise ValueError("about is nested too deeply") from error
     if not isinstance(about, dict):
         raise ValueError(f"about is {about!r}, expected an object of JSON")
-    if "format" in about and (about["format"] != FORMAT or type(about["format"]) is not int):
+    if "format" in about and (about["format"] not in _READ or type(about["format"]) is not int):
         raise ValueError(
-            f"its format is {about['format']!r} and this version reads {FORMAT}: it was written "
-            f"by tisfm {about.get('version')}, whose results have to be computed again"
+            f"its format is {about['format']!r} and this version reads {_READ[0]} to {FORMAT}: it "
+            f"was written by tisfm {about.get('version')}, whose results have to be computed again"
         )
+    if about.get("format") == _READ[0]:
+        about = {"packed": {}} | about
     _check_names("its account of itself", about, _ABOUT)
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):

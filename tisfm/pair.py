@@ -12,6 +12,7 @@ from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.checks import unmasked_mask
 from tisfm.focal_guess import guess_camera
+from tisfm.formats.packing import STEP, rounded
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
@@ -259,10 +260,14 @@ def keep_pair(
 def _keep(
     window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
 ) -> None:
-    """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on."""
+    """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on.
+
+    It is rounded as in a compact file, from which a run that is resumed goes on.
+    """
     from tisfm.motion.frame_before import Earlier
 
-    window.earlier = Earlier.of(pyramid, flow, unseen) if status in RELIABLE else None
+    is_reliable = status in RELIABLE
+    window.earlier = Earlier.of(pyramid, rounded(flow, STEP), unseen) if is_reliable else None
 
 
 @dataclass(frozen=True, kw_only=True)

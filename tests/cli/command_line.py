@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 import tisfm
 
 H, W = 24, 40
-ENDINGS = {".npz", "_depth.png", "_depth16.png", "_flow.flo", "_anaglyph.png", "_figure.png"}
+ENDINGS = {".npz", "_depth.png", "_depth16.png", "_anaglyph.png", "_figure.png"}
 RECORDS = {"run.json", "run.csv"}
 # -c so that a test does not depend on where scripts were installed.
 TISFM = (
@@ -30,6 +31,13 @@ def make_frames(count, seed=3):
 
 
 FRAMES = make_frames(4)
+
+
+def kept(result):
+    """Return a result as a run keeps it, rounded."""
+    with tempfile.TemporaryDirectory() as folder:
+        result.save(Path(folder, "kept.npz"), compact=True)
+        return tisfm.Interpretation.load(Path(folder, "kept.npz"))
 
 
 def files(folder):

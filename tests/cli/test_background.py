@@ -109,15 +109,15 @@ def test_nothing_is_held_when_it_is_done():
 
 
 def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
-    original, calls = outputs.write_flo, []
+    original, calls = outputs.write_depth_png, []
 
-    def full(*arguments):
+    def full(*arguments, **options):
         calls.append(1)
         if len(calls) == 2:
             raise OSError(28, "No space left on device")
-        return original(*arguments)
+        return original(*arguments, **options)
 
-    monkeypatch.setattr(outputs, "write_flo", full)
+    monkeypatch.setattr(outputs, "write_depth_png", full)
     code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
     assert out == ""
     assert_one_line(code, err, "No space left on device")
@@ -128,11 +128,11 @@ def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
 @pytest.mark.parametrize("slow", [True, False])
 def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow):
     """Writing may lag behind: what was interpreted before is written whole."""
-    original, calls = outputs.write_flo, []
+    original, calls = outputs.write_depth_png, []
 
-    def write_flo(*arguments):
+    def write_depth_png(*arguments, **options):
         time.sleep(0.5 * slow)
-        return original(*arguments)
+        return original(*arguments, **options)
 
     interpret = pair.interpret
 
@@ -142,7 +142,7 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
             raise KeyboardInterrupt
         return interpret(*arguments, **options)
 
-    monkeypatch.setattr(outputs, "write_flo", write_flo)
+    monkeypatch.setattr(outputs, "write_depth_png", write_depth_png)
     monkeypatch.setattr(pair, "interpret", interrupted)
     code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
     assert (code, out, err) == (130, "", "tisfm: interrupted\n")

@@ -10,6 +10,7 @@ from tisfm.formats import read_image
 from tisfm.settings import Settings
 
 DEMO_FILES = promised("demo") | {
+    "demo_flow.flo",
     "figure_lambda.png",
     "figure_presmoothing.png",
     "figure_contrast.png",

@@ -171,7 +171,7 @@ def test_frames_beyond_what_files_can_hold_are_one_line(tisfm_run, place, monkey
     for name in ("a.png", "b.png"):
         write_png(place / name, np.zeros(size, np.uint8))
     before = set(place.rglob("*"))
-    code, _, err = tisfm_run("run", "a.png", "b.png", "-o", "out", "--preset", "fast")
+    code, _, err = tisfm_run("run", "a.png", "b.png", "-o", "out", "--preset", "fast", "--flo")
     assert_one_line(code, err, f"frame a is {size[0]} × {size[1]} px", 99999, "scale the frames")
     options = ["--height", size[0], "--width", size[1]]
     code, _, err = tisfm_run("demo", "-o", "out", *options)

@@ -114,7 +114,7 @@ def make_video(path):
 
 
 @pytest.mark.parametrize("link", [os.symlink, os.link])
-@pytest.mark.parametrize("name", ["clip_000001_flow.flo", "run.json"])
+@pytest.mark.parametrize("name", ["clip_000001_depth.png", "run.json"])
 def test_a_video(tisfm_run, place, nothing_interpreted, link, name):
     make_video("clip.avi")
     (place / "out").mkdir()
@@ -148,12 +148,12 @@ def test_what_comes_between(tisfm_run, d, place, monkeypatch):
     original = outputs.PairWriter.write
 
     def write(self, *arguments, **options):
-        os.symlink(os.path.abspath("d/y.png"), "out/x_flow.flo")
+        os.symlink(os.path.abspath("d/y.png"), "out/x_anaglyph.png")
         return original(self, *arguments, **options)
 
     monkeypatch.setattr(outputs.PairWriter, "write", write)
     code, _, err = tisfm_run("run", "d/x.png", "d/y.png", "-o", "out", "--no-figures")
-    assert_one_line(code, err, "would replace", "x_flow.flo")
+    assert_one_line(code, err, "would replace", "x_anaglyph.png")
     assert files("d") == before
 
 

@@ -144,10 +144,10 @@ def test_the_table_is_made_again(tisfm_run, frames):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
 def test_a_pipe_in_place_of_a_file_is_replaced(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
-    Path("out/f1_flow.flo").unlink()
-    os.mkfifo("out/f1_flow.flo")
+    Path("out/f1_depth.png").unlink()
+    os.mkfifo("out/f1_depth.png")
     code, _, err = tisfm_run(*QUIET, "--resume")
-    assert_one_line(code, err, "cannot write out/f1_flow.flo", "a device or a pipe")
+    assert_one_line(code, err, "cannot write out/f1_depth.png", "a device or a pipe")
 
 
 @pytest.mark.parametrize(

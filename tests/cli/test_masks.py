@@ -40,8 +40,8 @@ def test_a_folder_of_masks(tisfm_run, frames, masks):
     assert load("out", "f1").occlusion[-6:].all()
     assert load("out", "f0").occlusion[-5:, : W - 4].all()  # where it goes in f1
     # Pairs without an ignored pixel are as they were.
-    assert given["f2_flow.flo"] == without["f2_flow.flo"]
-    assert all(given[f"{name}_flow.flo"] != without[f"{name}_flow.flo"] for name in ("f0", "f1"))
+    assert given["f2.npz"] == without["f2.npz"]
+    assert all(given[f"{name}.npz"] != without[f"{name}.npz"] for name in ("f0", "f1"))
 
 
 def test_masks_are_cropped_and_shrunk_with_the_frames(tisfm_run, frames):

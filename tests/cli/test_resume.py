@@ -99,7 +99,9 @@ def test_resume_refuses_a_damaged_record(tisfm_run, frames, text):
     assert_one_line(code, err, "run.json", "is damaged", "without --resume")
 
 
-@pytest.mark.parametrize("when", ["interpret", "write_flo", "save_figure", "first", "write_npz"])
+@pytest.mark.parametrize(
+    "when", ["interpret", "write_depth_png", "save_figure", "first", "write_npz"]
+)
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeypatch, when):
     """Ctrl-C comes at the second pair ("first": at the first one), here or there."""
     options = [] if when == "save_figure" else ["--no-figures"]
@@ -108,7 +110,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeyp
     module, name = {
         "interpret": (pair, "interpret"),
         "first": (pair, "interpret"),
-        "write_flo": (tisfm.cli.outputs, "write_flo"),
+        "write_depth_png": (tisfm.cli.outputs, "write_depth_png"),
         "save_figure": (tisfm.cli.outputs, "save_figure"),
         "write_npz": (np.lib.format, "write_array_header_1_0"),
     }[when]
@@ -184,6 +186,6 @@ def test_what_an_interrupted_run_overwrites_is_not_taken_for_complete(
     with monkeypatch.context() as patch:
         patch.setattr(interpretation_file, "write_npz", interrupted)
         assert tisfm_run(*options, "--preset", "paper")[0] == 130
-    assert files("out")["f0_flow.flo"] != before["f0_flow.flo"]
+    assert files("out")["f0_depth16.png"] != before["f0_depth16.png"]
     assert tisfm_run(*options, "--preset", "fast", "--resume")[0] == 0
     assert files("out") == before

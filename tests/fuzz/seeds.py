@@ -131,7 +131,7 @@ def camera():
 
 @functools.cache
 def interpretations():
-    """A field and a rigid motion, without computing either."""
+    """A field and a rigid motion, as they are and compact, without computing either."""
     shared = dict(
         rho=np.full((6, H, W), 0.25, np.float32),
         flow=np.ones((H, W, 2), np.float32),
@@ -157,13 +157,14 @@ def interpretations():
         labels=np.zeros((H, W), np.int32),
     )
     return [
-        written(_save, Interpretation(**shared, **own, settings=Settings(motion=motion)))
+        written(_save, Interpretation(**shared, **own, settings=Settings(motion=motion)), compact)
         for own, motion in ((field, "field"), (rigid, "camera"))
+        for compact in (False, True)
     ]
 
 
-def _save(path, result):
-    result.save(path)
+def _save(path, result, compact):
+    result.save(path, compact=compact)
 
 
 def depth_of_frame():

@@ -96,9 +96,9 @@ class Run:
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
     or webcam:0 for a camera, with --stop. For a pair named NAME after its first frame, DIR receives
     NAME_depth.png (grey levels, near is bright), NAME_depth16.png (16-bit depth, its scale in the
-    file and in run.json), NAME_flow.flo, NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion
-    'camera' or 'objects' NAME_pose.txt, with --ply NAME.ply and, when all is written, NAME.npz for
-    tisfm.Interpretation.load.
+    file and in run.json), NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera' or
+    'objects' NAME_pose.txt, with --flo NAME_flow.flo, with --ply NAME.ply and, when all is written,
+    NAME.npz for tisfm.Interpretation.load: everything, rounded a little.
     """
 
     source: Annotated[
@@ -121,11 +121,13 @@ class Run:
     """Continue a run that was interrupted: skip the pairs it finished."""
     outputs: str | None = None
     """What is written of each pair, with commas: some of depth, depth16, flow, anaglyph, figure,
-    ply, pose, npz. By default all but ply."""
+    ply, pose, npz. By default all but flow and ply, which are large."""
     figures: int = 1
     """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
     """Draw none: the same as --figures 0."""
+    flo: bool = False
+    """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     arch: Arch | None = None
@@ -169,7 +171,8 @@ class Run:
         if self.figures < 0:
             raise ValueError(f"figures is {self.figures}: expected a number of pairs, or 0")
         chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
-        return checked_outputs([*filter(None, chosen), *["ply"] * self.ply])
+        more = ["flow"] * self.flo + ["ply"] * self.ply
+        return checked_outputs([*filter(None, chosen), *more])
 
 
 @dataclass(kw_only=True)

@@ -85,7 +85,8 @@ def run(
     motions = None if poses is None else _motions(poses, pairs, settings)
     posed = with_poses(pairs, motions, title=f"the motions of {poses}")
     first = next(posed)  # before anything is written; the others have its size
-    require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
+    if "flow" in outputs:
+        require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
     full, shape = first.full, first.frame0.shape
     following = chain([first], posed)
     del first  # or it would be held to the end

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.cli.console import print_whole, progress_bar, tell
-from tisfm.cli.outputs import PairWriter
+from tisfm.cli.outputs import USUAL, PairWriter
 from tisfm.cli.paper_figures import PAPER_FIGURES, write_paper_figures
 from tisfm.cli.run_record import ENDINGS, RECORD
 from tisfm.formats.flo import require_writable_flow
@@ -70,7 +70,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     settings, camera_settings = Settings(), Settings(motion="camera")
     objects_settings = Settings(motion="objects")
     writer, camera_writer, objects_writer = (
-        PairWriter(folder, camera=scene.camera, settings=changed)
+        PairWriter(folder, camera=scene.camera, settings=changed, outputs=(*USUAL, "flow"))
         for folder, scene, changed in zip(
             folders,
             (moving, still, moving),

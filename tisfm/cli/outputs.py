@@ -37,8 +37,8 @@ from tisfm.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-USUAL = tuple(output for output in ENDINGS if output != "ply")
-"""What is written by default."""
+USUAL = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
+"""What is written by default: what is large and in the ``.npz`` as well is not."""
 
 
 class PairWriter:
@@ -226,7 +226,7 @@ class PairWriter:
         if "pose" in wanted and motions is not None:
             write_motions(f"{path}_pose.txt", motions)
         if "npz" in wanted:
-            result.save(f"{path}.npz")
+            result.save(f"{path}.npz", compact=True)
         about = {
             "status": str(result.status),
             "message": result.status.message,

@@ -79,6 +79,12 @@ class NpzFile:
     ----------
     path : path
 
+    Attributes
+    ----------
+    name : str
+    length : int
+        Of the file, bytes.
+
     Raises
     ------
     FileNotFoundError, IsADirectoryError, OSError
@@ -92,7 +98,7 @@ class NpzFile:
         self._opened = contextlib.ExitStack()
         file = self._opened.enter_context(open_file(path))
         try:
-            self._length = os.fstat(file.fileno()).st_size
+            self.length = os.fstat(file.fileno()).st_size
             self._archive = self._opened.enter_context(self._checked(zipfile.ZipFile, file))
         except BaseException:
             self._opened.close()
@@ -128,7 +134,7 @@ class NpzFile:
             self._refuse_packed(part)
             seen.add(name)
         # Parts that overlap in the file may add up to more than it holds.
-        if sum(part.file_size for part in self._archive.infolist()) > self._length:
+        if sum(part.file_size for part in self._archive.infolist()) > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")
 
     def header(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
@@ -183,7 +189,7 @@ class NpzFile:
         name = part.filename.removesuffix(_SUFFIX)
         if part.compress_type not in packings or part.flag_bits & _ENCRYPTED:
             raise FormatError(f"{self.name} has {name} compressed or encrypted: unpack it")
-        if part.compress_type == zipfile.ZIP_STORED and part.file_size > self._length:
+        if part.compress_type == zipfile.ZIP_STORED and part.file_size > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")
 
     def _checked(self, function: Callable[..., Any], *arguments: Any) -> Any:
