@@ -167,7 +167,7 @@ def _fixed_point(
         flat = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
         # Rounds half to even, several times as fast as NumPy.
         counted = cv2.addWeighted(flat, 1 / step, flat, 0, 0, dtype=cv2.CV_16S)
-        return np.asarray(counted).reshape(values.shape)
+        return counted.reshape(values.shape).astype(np.int16, copy=False)
     return np.rint(values / np.float32(step)).astype(np.int32)
 
 
@@ -214,9 +214,9 @@ def _numbers(
     signs = np.negative(steps & steps.dtype.type(1))
     steps >>= 1
     steps ^= signs
-    steps = steps.reshape(shape)
-    np.cumsum(steps, axis=down, dtype=steps.dtype, out=steps)
-    return steps.view(kind)
+    numbers: NDArray[Any] = steps.reshape(shape)
+    np.cumsum(numbers, axis=down, dtype=numbers.dtype, out=numbers)
+    return numbers.view(kind)
 
 
 def _neighbours(axes: int, down: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
@@ -232,4 +232,5 @@ def _bytes_of(numbers: NDArray[np.unsignedinteger]) -> list[NDArray[np.uint8]]:
     if width == 1:
         return [numbers.reshape(-1)]
     channels = numbers.astype(f"<u{width}", copy=False).reshape(1, -1).view(np.uint8)
-    return [np.asarray(plane).reshape(-1) for plane in cv2.split(channels.reshape(1, -1, width))]
+    planes = cv2.split(channels.reshape(1, -1, width))
+    return [plane.reshape(-1).view(np.uint8) for plane in planes]
