@@ -1,50 +1,124 @@
-"""How two chunks lie to one another, by the frames that both have."""
+"""How two chunks lie to one another, by the frames that both have.
+
+The rotation is that between the poses of these frames. The scale is that between their depth, pixel
+by pixel, and between the camera's places, each as sure as it agrees with itself.
+"""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from tisfm.reconstruction.folder import depth_path
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.similarities import agreed, fitted, misfit, moved, refined, scale_of
-from tisfm.reconstruction.similarity_graph import Edge
+from tisfm.reconstruction.similarities import mean_pose, moved
 
-SURE = 0.05  # relative deviation: depth that is less sure does not count
-SHOWN, PIXELS = 12, 400  # frames whose depth is compared, and pixels of each, about
-FEWEST, AGREE = 60, 0.5  # points that agree, at least, and their share
-KEPT = 60  # points of an edge
-# Of places alone: how many there are, at least; how far from one another, in their mean distance,
-# and how well they have to fit, of that.
-PLACES, APART, FIT = 4, 1e-6, 0.1
-EXACT = 0.002  # of their distance: no points are more exact
+SURE = 0.25  # relative deviation: depth that is less sure does not count
+SHOWN, PIXELS = 20, 1500  # frames whose depth is compared, and pixels of each, about
+# Pixels whose depth is compared, at least; how many of them agree, and on what.
+FEWEST, AGREE, ALIKE = 100, 0.5, 0.1
+PLACES = 4  # of the camera, at least, where these tell the scale
+DOUBT = 0.1  # of the scale: what is less sure says nothing
+EXACT = 0.01  # of the scale: neither depth nor places are surer, as both drift along a chunk
 
 Shared = Sequence[tuple[int, int]]
 """Numbers of the same frame in two results."""
 
 
-def edge_of(
-    first: Reconstruction, second: Reconstruction, shared: Shared, nodes: tuple[int, int]
-) -> Edge | None:
-    """Return how a piece of one chunk lies to a piece of another; None if frames do not tell.
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """How a piece of one chunk lies to a piece of the next.
+
+    Attributes
+    ----------
+    first, second : int
+        The pieces.
+    similarity : (4, 4) float64
+        From the second's coordinates to those of the first.
+    frames : int
+        That both have.
+    """
+
+    first: int
+    second: int
+    similarity: np.ndarray
+    frames: int
+
+
+def similarity_of(
+    first: Reconstruction, second: Reconstruction, shared: Shared
+) -> np.ndarray | None:
+    """Return the similarity from one piece's coordinates to another's; None if nothing tells it.
 
     Parameters
     ----------
     first, second : Reconstruction
     shared : sequence of (int, int)
-        Frames that both have, with a pose in these pieces.
-    nodes : (int, int)
-        What the edge is to call the pieces.
+        Frames that both have, with a pose in a piece of each.
+
+    Returns
+    -------
+    (4, 4) float64, or None
+        From coordinates of the second to those of the first.
     """
-    poses = tuple(one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second)))
-    points = [_points(first, second, shared, at) for at in _with_depth(first, second, shared)]
-    if points:
-        here, there, away = (np.concatenate(part) for part in zip(*points, strict=True))
-        found = agreed(here, there, away, fewest=FEWEST, share=AGREE)
-        if found is not None:
-            similarity, agree = found
-            here, there, away = here[agree], there[agree], away[agree]
-            similarity = refined(similarity, (here, there), away, (poses[0], poses[1]))
-            return _edge(nodes, similarity, here, there, away)
-    return _edge_of_places(poses[0], poses[1], nodes)
+    poses, others = (
+        one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
+    )
+    turn = turn_of(poses, others)
+    told = [
+        one for one in (scale_of_depth(first, second, shared), scale_of_places(poses, others, turn))
+        if one is not None
+    ]  # fmt: skip
+    if not told:
+        return None
+    logs, deviations = np.array(told).T
+    scale = np.exp(np.average(logs, weights=1 / deviations**2))
+    similarity = np.eye(4)
+    similarity[:3, :3] = scale * turn
+    similarity[:3, 3] = np.mean(poses[:, :3, 3] - others[:, :3, 3] @ (scale * turn).T, axis=0)
+    return similarity
+
+
+def turn_of(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the mean rotation from other poses, (N, 4, 4), to poses."""
+    turns = np.tile(np.eye(4), (len(poses), 1, 1))
+    turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
+    return mean_pose(turns, np.ones(len(turns)))[:3, :3]
+
+
+def scale_of_places(
+    poses: np.ndarray, others: np.ndarray, turn: np.ndarray
+) -> tuple[float, float] | None:
+    """Return the logarithm of the scale that places of the camera show, and its deviation."""
+    if len(poses) < PLACES:
+        return None
+    here = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    there = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ turn.T
+    apart, apart_there = (float(np.sqrt((one**2).sum())) for one in (here, there))
+    if min(apart, apart_there) == 0:
+        return None
+    scale = apart / apart_there  # neither is more exact than the other
+    deviation = max(float(np.linalg.norm(here - scale * there)) / apart, EXACT)
+    return None if deviation > DOUBT else (float(np.log(scale)), deviation)
+
+
+def scale_of_depth(
+    first: Reconstruction, second: Reconstruction, shared: Shared
+) -> tuple[float, float] | None:
+    """Return the logarithm of the scale that depth shows, and its deviation."""
+    lots = [_ratios(first, second, shared, at) for at in _with_depth(first, second, shared)]
+    lots = [lot for lot in lots if len(lot)]
+    if not lots:
+        return None
+    ratios = np.log(np.concatenate(lots))
+    if len(ratios) < FEWEST:
+        return None
+    scale = float(np.median(ratios))
+    if np.mean(np.abs(ratios - scale) < ALIKE) < AGREE:
+        return None
+    each = np.array([np.median(np.log(lot)) for lot in lots])
+    deviation = max(float(np.median(np.abs(each - scale))), EXACT)
+    return None if deviation > DOUBT else (scale, deviation)
 
 
 def _with_depth(
@@ -54,8 +128,6 @@ def _with_depth(
 
     Both are numbers of `shared`.
     """
-    from tisfm.reconstruction.folder import depth_path
-
     ours, theirs = (
         [k for k, pair in enumerate(shared) if depth_path(one.folder, pair[side]).exists()]
         for side, one in enumerate((first, second))
@@ -66,12 +138,12 @@ def _with_depth(
         yield ours[k], min(theirs, key=lambda one: (abs(one - ours[k]), one))
 
 
-def _points(
+def _ratios(
     first: Reconstruction, second: Reconstruction, shared: Shared, at: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points of the first, the same as the second has them, (N, 3), and their distances.
+) -> np.ndarray:
+    """Return the depth of some pixels of a frame as the first has it, over that of the second.
 
-    They are those of pixels of one frame, and where these are in the other, as the first has it.
+    The first's may be of another frame, whose points are brought into this one.
     """
     height, width = first.shape
     fx, fy = first.camera.focals
@@ -83,18 +155,15 @@ def _points(
     rows, columns = rows.ravel(), columns.ravel()
     depth = _sure_depth(first, frame)[rows, columns]
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
-    points = moved(first.poses[frame], depth[:, None] * (pixels @ np.linalg.inv(lens).T))
-    seen = moved(np.linalg.inv(first.poses[ours]), points) @ lens.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        seen = seen / np.where(seen[:, 2:] > 0, seen[:, 2:], np.nan)
-    x, y = np.rint(np.nan_to_num(seen[:, :2], nan=-1.0).clip(-1, 1e6)).astype(int).T
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    other = np.full(len(points), np.nan)
-    other[inside] = _sure_depth(second, theirs)[y[inside], x[inside]]
-    others = moved(second.poses[theirs], other[:, None] * (seen @ np.linalg.inv(lens).T))
-    known = np.isfinite(others[:, 0]) & np.isfinite(points[:, 0])
-    away = np.linalg.norm(points - first.poses[frame, :3, 3], axis=1)
-    return points[known], others[known], away[known]
+    points = depth[:, None] * (pixels @ np.linalg.inv(lens).T)
+    if frame != ours:
+        points = moved(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = (points @ lens.T)[:, :2] / np.where(points[:, 2:] > 0, points[:, 2:], np.nan)
+        columns, rows = np.rint(np.nan_to_num(seen, nan=-1.0).clip(-1, 1e6)).astype(int).T
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    ratio = points[inside, 2] / _sure_depth(second, theirs)[rows[inside], columns[inside]]
+    return np.asarray(ratio[np.isfinite(ratio)])
 
 
 def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
@@ -103,42 +172,3 @@ def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         sure = (inverse > 0) & (result.inverse_depth_std(frame) < SURE * inverse)
     return 1 / np.where(sure, inverse, np.nan)
-
-
-def _edge_of_places(poses: np.ndarray, others: np.ndarray, nodes: tuple[int, int]) -> Edge | None:
-    """Return how pieces lie to one another by poses alone, (N, 4, 4), where the camera moves."""
-    here, there = poses[:, :3, 3], others[:, :3, 3]
-    if len(poses) < PLACES:
-        return None
-    apart = float(np.linalg.norm(here - here.mean(axis=0), axis=1).mean())
-    apart_there = float(np.linalg.norm(there - there.mean(axis=0), axis=1).mean())
-    if min(apart, apart_there) < APART:
-        return None
-    away = np.full(len(poses), apart)
-    begun = fitted(here, there, np.ones(len(poses)))
-    similarity = refined(begun, (here, there), away, (poses, others))
-    off = misfit(similarity, here, there, away)
-    if scale_of(similarity) <= 0 or np.median(off) > FIT:
-        return None
-    return _edge(nodes, similarity, here, there, away)
-
-
-def _edge(
-    nodes: tuple[int, int],
-    similarity: np.ndarray,
-    points: np.ndarray,
-    others: np.ndarray,
-    away: np.ndarray,
-) -> Edge:
-    some = np.linspace(0, len(points) - 1, min(len(points), KEPT)).astype(int)
-    off = float(np.median(misfit(similarity, points, others, away)))
-    return Edge(
-        first=nodes[0],
-        second=nodes[1],
-        similarity=similarity,
-        points=points[some],
-        distances=away[some],
-        deviation=max(off, EXACT),
-        worth=float(len(points)),
-        certain=True,
-    )

@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from tisfm.reconstruction.chunked.overlaps import edge_of
+from tisfm.reconstruction.chunked.overlaps import Joint, similarity_of
 from tisfm.reconstruction.chunked.spans import Span
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.similarities import moved_pose, scale_of
-from tisfm.reconstruction.similarity_graph import placed
+from tisfm.reconstruction.similarity_graph import connected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +153,7 @@ def _cut(before: Part, after: Part) -> int:
 def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dict[int, np.ndarray]]:
     """Return the pieces of parts, by their numbers, that lie in one world, and where."""
     number = {node: n for n, node in enumerate(nodes)}
-    edges = []
+    joints = []
     for k, (before, after) in enumerate(pairwise(parts)):
         both: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for index in sorted(before.frames.keys() & after.frames.keys()):
@@ -161,11 +161,18 @@ def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dic
             if min(pair) >= 0:
                 both.setdefault(pair, []).append((before.frames[index], after.frames[index]))
         for (first, second), shared in sorted(both.items()):
-            ends = number[k, first], number[k + 1, second]
-            edge = edge_of(before.result, after.result, shared, ends)
-            if edge is not None:
-                edges.append(edge)
-    return placed(len(nodes), edges)
+            similarity = similarity_of(before.result, after.result, shared)
+            if similarity is not None:
+                joints.append(
+                    Joint(
+                        first=number[k, first],
+                        second=number[k + 1, second],
+                        similarity=similarity,
+                        frames=len(shared),
+                    )
+                )
+    joints.sort(key=lambda joint: -joint.frames)
+    return connected(len(nodes), joints)
 
 
 def _unit(
