@@ -2,6 +2,5 @@
 
 Here: which frames a chunk has, the camera that all share, what is kept of a chunk so that nothing
 is done twice, and how chunks are brought into one world and one scale by the frames they share.
-May import: what `tisfm.reconstruction` may, and `tisfm.reconstruction`; all of `tisfm` but
-`tisfm.cli` and `tisfm.evaluation`.
+May import: all of `tisfm` but `tisfm.cli` and `tisfm.evaluation`.
 """

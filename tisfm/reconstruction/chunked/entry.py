@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera
 from tisfm.camera_file import file_of
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
@@ -24,7 +26,6 @@ from tisfm.reconstruction.asked import (
 )
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.chunk import Chunk
-from tisfm.reconstruction.chunked.joining import write_whole
 from tisfm.reconstruction.chunked.placing import Part, places_of
 from tisfm.reconstruction.chunked.shared_camera import Finished, is_sought, made, shared_camera
 from tisfm.reconstruction.chunked.spans import CHUNK, check_chunk, spans_of
@@ -201,6 +202,8 @@ class ChunkedRun:
             What `tisfm.reconstruct` raises; ValueError if chunks in the folder are of something
             else.
         """
+        from tisfm.reconstruction.chunked.joining import write_whole
+
         tell: Progress = progress or (lambda stage, done, total: None)
         path = make_folder(self.folder)
         with locked_folder(path):
@@ -269,6 +272,8 @@ def reconstruct_in_chunks(
         return Reconstruction.load(run.folder)
     result = run.result(finished, resume=resume, progress=progress)
     run.finish()
+    if not result.calibration.seen:
+        warnings.warn(result.calibration.message, GuessedFocalWarning, stacklevel=2)
     return result
 
 
