@@ -11,10 +11,10 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tisfm.accounts import check_sum as _check_sum
-from tisfm.accounts import differing as _differing
-from tisfm.accounts import said
 from tisfm.formats import atomic_write
+from tisfm.formats.accounts import check_sum as _check_sum
+from tisfm.formats.accounts import differing as _differing
+from tisfm.formats.accounts import said
 
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from tisfm import runtime
-from tisfm.accounts import check_sum, content, differing, said
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.accounts import check_sum, content, differing, said
 from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.text import read_json
 from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD
