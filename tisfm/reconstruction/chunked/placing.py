@@ -106,7 +106,8 @@ def places_of(parts: Sequence[Part], *, are_given: bool) -> list[Place]:
         if world not in pieces:
             pieces[world] = len(pieces)
             unit = _unit(parts, owners, similarity, of_node, world)
-            bases[world] = (np.eye(4), 1.0) if are_given else (pose, unit)
+            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # it is the first frame already
+            bases[world] = (np.eye(4) if begins or are_given else pose), unit
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
         pose[:3, 3] /= unit
@@ -182,7 +183,10 @@ def _unit(
     of_node: dict[tuple[int, int], int],
     world: int,
 ) -> float:
-    """Return the scale of the piece of a part that has the first keyframe of a world."""
+    """Return the scale of the piece of a part that has the first keyframe of a world.
+
+    Its unit is that of the whole.
+    """
     own = [
         (owner, index)
         for index, owner in owners.items()
