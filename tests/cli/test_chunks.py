@@ -98,7 +98,7 @@ def test_what_is_not_complete_is_made_again(tisfm_run, frames, place, name):
         (("--preset", "balanced"), "settings"),
         (("--chunk", "12"), "chunk was null, now 12"),
         (("--stop", "20"), "stop was null, now 20"),
-        (("--ply",), "ply was false, now true"),
+        (("--size", "200"), "size was null, now 200"),
         (("--scale", "0", "20", "3"), "scale was null, now"),
         (("--mask", "mask.png"), "mask was null, now"),
     ],

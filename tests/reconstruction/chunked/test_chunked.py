@@ -4,6 +4,7 @@ import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
 import numpy as np
+import PIL.Image
 import pytest
 
 import tisfm
@@ -18,6 +19,7 @@ from tests.reconstruction.chunked.filmed import (
 )
 from tests.reconstruction.films import along, path_error
 from tisfm import Reconstruction
+from tisfm.camera_file import read_camera
 from tisfm.reconstruction.chunked.entry import reconstruct_in_chunks
 from tisfm.reconstruction.run import NEW_PIECE
 from tisfm.scenes import room_film
@@ -91,7 +93,7 @@ def test_a_focal_length_is_found_once(frames, tmp_path):
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = in_chunks(frames, tmp_path / "out", camera=None, depth_of="none")
     assert found.calibration.origin in ("estimated", "guessed")
-    assert tisfm.camera_file.read_camera(found.folder).focal == found.camera.focal
+    assert read_camera(found.folder).focal == found.camera.focal
 
 
 def test_one_chunk_is_the_same_as_at_once(frames, at_once, tmp_path):
@@ -114,6 +116,37 @@ def test_given_poses_are_those_of_the_result(frames, tmp_path):
         for one in (at_once, found)
     )
     assert parts < 1.5 * once
+
+
+def test_a_camera_is_guessed_once(tmp_path):
+    """By the first file, though those of later chunks state another focal length."""
+    source = write_frames(tmp_path / "film", film().frames)
+    for k in range(COUNT):
+        exif = PIL.Image.Exif()
+        exif.get_ifd(0x8769)[0xA405] = 50 if k == 0 else 90  # as of a film of 35 mm
+        with PIL.Image.open(source / f"f{k:02d}.png") as picture:
+            picture.save(source / f"f{k:02d}.jpg", exif=exif, quality=95)
+        (source / f"f{k:02d}.png").unlink()
+    cameras = []
+
+    def looked_at(function, items):
+        yield from in_turn(function, items)
+        cameras.extend(read_camera(item.folder).focal for item in items)
+
+    with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
+        found = in_chunks(
+            source,
+            tmp_path / "out",
+            camera=None,
+            finished=looked_at,
+            poses=film().poses,
+            depth_of="keyframes",
+        )
+    assert found.calibration.origin == "guessed"
+    guess = tisfm.focal_guess.guess_focal(source / "f00.jpg").focal
+    assert guess != tisfm.focal_guess.guess_focal(source / "f08.jpg").focal
+    assert found.camera.focal == read_camera(found.folder).focal == guess
+    assert cameras == [guess] * 3
 
 
 def test_other_frames_of_the_source(frames, tmp_path):

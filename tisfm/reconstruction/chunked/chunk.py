@@ -94,9 +94,9 @@ class Chunk:
         except (FormatError, OSError, LookupError, TypeError):
             return False
 
-    def with_camera(self, folder: Path, camera: Camera | Path | None) -> "Chunk":
-        """Return the chunk in another folder, with a camera that is known."""
-        return replace(self, folder=folder, camera=camera, calibrate="nothing")
+    def with_camera(self, camera: Camera) -> "Chunk":
+        """Return the chunk with a camera that is known."""
+        return replace(self, camera=camera, calibrate="nothing")
 
 
 def make_chunk(chunk: Chunk) -> Exception | None:

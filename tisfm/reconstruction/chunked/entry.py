@@ -11,7 +11,7 @@ from typing import Any
 import numpy.typing as npt
 
 from tisfm.camera import Camera
-from tisfm.camera_file import file_of
+from tisfm.camera_file import file_of, read_camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.formats.outputs import make_folder
@@ -211,10 +211,15 @@ class ChunkedRun:
             self._begin(path / CHUNKS, resume)
             chunks, count = self._chunks, len(self._taken)
             tell("path", 0, count)
-            camera = None
+            found = None  # what the camera is found with
             if len(chunks) > 1 and is_sought(chunks[0], self._stated):
-                camera = shared_camera(chunks, finished, path / CHUNKS)
-                chunks = [one.with_camera(one.folder, camera.camera) for one in chunks]
+                shared = shared_camera(chunks, finished, path / CHUNKS)
+                found = shared.found
+                chunks = [one.with_camera(shared.camera) for one in chunks]
+            elif len(chunks) > 1 and self._stated is None:  # it is guessed, by the first file
+                list(made(chunks[:1], finished))
+                guessed = read_camera(chunks[0].folder)
+                chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
             done = 0
             for number in made(chunks, finished):
                 done += chunks[number].span.count
@@ -228,7 +233,7 @@ class ChunkedRun:
                     path,
                     parts,
                     places,
-                    camera=parts[0].result if camera is None else camera.found,
+                    camera=found or parts[0].result,
                     missing=self._missing,
                 )
 
