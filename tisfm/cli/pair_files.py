@@ -227,10 +227,13 @@ def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
 
 def _summary(result: Interpretation) -> dict[str, Any]:
     """Return what the table of a run says of a pair beside its status."""
-    speed = np.sqrt((result.flow.astype(np.float64) ** 2).sum(axis=-1))
+    with np.errstate(over="ignore"):
+        speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
+    finite = np.isfinite(speed)
+    mean = np.mean(speed, where=finite, dtype=np.float64) if finite.any() else np.nan
     return {
-        "speed": _rounded(speed[np.isfinite(speed)].mean()) if np.isfinite(speed).any() else None,
-        "occluded": _rounded(result.occlusion.mean()),
+        "speed": _rounded(float(mean)),
+        "occluded": _rounded(np.count_nonzero(result.occlusion) / result.occlusion.size),
         "confidence": _rounded(result.confidence.mean(dtype=np.float64)),
         "twists": _finite_list(result.motions),
     }
