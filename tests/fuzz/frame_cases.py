@@ -1,0 +1,365 @@
+"""One random case of frames given to an entry point of the library, told by its number."""
+
+import traceback
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+import tisfm
+from tests.fuzz import promises, small_frames
+from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room_film
+
+PRESETS = ("fast", "balanced", "accurate")
+WAYS = (
+    ("interpret", "field"), ("interpret", "camera"), ("interpret", "objects"),
+    ("sequence", "field"), ("sequence", "camera"), ("sequence", "objects"),
+    ("reconstruct", "camera"), ("reconstruct", "objects"), ("stream", "camera"),
+)  # fmt: skip
+CAMERAS = ("guessed", "pinhole", "off_centre", "lens", "oblong", "rolling")
+GIVEN = ("nothing", "mask", "pose", "labels", "mask_and_pose")
+ROOM = "room"  # a kind of sequence: a rendered film, of which some frames are spoilt
+# What a call may raise of frames that are valid, as its docstring says.
+REFUSALS = ("distortion leaves data at", "mask is black at all pixels")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What is called, and how.
+
+    Attributes
+    ----------
+    entry, motion, preset : str
+    kind : str
+        What the first frame shows; ``"room"`` for a spoilt film.
+    following : tuple of str
+        How each other frame comes from the one before.
+    shape : (int, int)
+    type : str
+        Of the arrays.
+    colour : tuple of 3 floats, or None
+    camera : str
+        Of `CAMERAS`.
+    given : str
+        Of `GIVEN`, as far as the entry takes it.
+    options : dict
+        Of the entry.
+    changes : dict
+        Of the settings.
+    seed : tuple of int
+        Of what the frames show, and of the numbers that are given.
+    """
+
+    entry: str
+    motion: str
+    preset: str
+    kind: str
+    following: tuple[str, ...]
+    shape: tuple[int, int]
+    type: str
+    colour: tuple[float, ...] | None
+    camera: str
+    given: str
+    options: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=dict)
+    seed: tuple[int, ...]
+
+    def settings(self):
+        return tisfm.Settings.preset(self.preset, motion=self.motion, **self.changes)
+
+
+def drawn(seed, number, *, way=None, preset=None, kind=None, shape=None):
+    """Return the case of a number, with choices that are fixed instead of drawn."""
+    rng = np.random.default_rng([seed, number])
+    chance = rng.random(8)
+    entry, motion = way or WAYS[rng.integers(len(WAYS))]
+    preset = preset or str(rng.choice(PRESETS))
+    kinds = list(small_frames.KINDS)
+    is_pair, is_film = entry == "interpret", entry in ("reconstruct", "stream")
+    kind = kind or (ROOM if is_film and chance[0] < 0.4 else str(rng.choice(kinds)))
+    count = 1 if is_pair else int(rng.integers(1, 8 if is_film else 4))
+    if kind == ROOM:
+        count += 3
+    following = [str(rng.choice(list(small_frames.FOLLOWING))) for _ in range(count)]
+    if chance[1] < 0.5:  # one kind of motion throughout
+        following = [following[0]] * count
+    how = shape or str(rng.choice(list(small_frames.SHAPES), p=(0.15, 0.4, 0.15, 0.1, 0.2)))
+    height, width = small_frames.SHAPES[how](rng)
+    colour = None
+    if chance[2] < 0.3:
+        colour = tuple(np.round(rng.uniform(0.2, 1, 3), 3).tolist())
+    return Case(
+        entry=entry,
+        motion=motion,
+        preset=preset,
+        kind=kind,
+        following=tuple(following),
+        shape=(height, width),
+        type=str(rng.choice(small_frames.TYPES)),
+        colour=colour,
+        camera=str(rng.choice(CAMERAS)),
+        given=str(rng.choice(GIVEN)) if chance[3] < 0.5 else "nothing",
+        options=_options(rng, entry, motion),
+        changes=_changes(rng) if chance[4] < 0.25 else {},
+        seed=(seed, number),
+    )
+
+
+def _options(rng, entry, motion):
+    """Return options of an entry."""
+    if entry == "sequence":
+        window = 3 if motion == "field" and rng.random() < 0.5 else 2
+        return {"window": window}
+    if entry == "stream":
+        return {"delay": int(rng.integers(6, 9)), "calibrate": _one(rng, None, "nothing", "focal")}
+    if entry == "reconstruct":
+        return {
+            "depth_of": _one(rng, "all", "all", "keyframes", "none"),
+            "calibrate": _one(rng, None, "nothing", "focal", "radial"),
+        }
+    return {}
+
+
+def _changes(rng):
+    """Return settings other than the preset's."""
+    choices = {
+        "align_scales": True,
+        "model": "translation",
+        "max_objects": int(rng.integers(1, 4)),
+        "solver": "cholesky",
+        "finest_level": 1,
+        "derivatives": "cube",
+        "normalization": None,
+        "data_contrast": None,
+        "pyramid_levels": 1,
+        "presmoothing": 0.0,
+        "cycles": 1,
+    }
+    names = rng.choice(list(choices), rng.integers(1, 4), replace=False)
+    return {str(name): choices[name] for name in names}
+
+
+def _one(rng, *choices):
+    return choices[rng.integers(len(choices))]
+
+
+def frames_of(case):
+    """Return the frames of a case as they are given."""
+    rng = np.random.default_rng([*case.seed, 1])
+    if case.kind == ROOM:
+        found = _spoilt_room(rng, case)
+    else:
+        found = small_frames.frames(rng, case.shape, case.kind, case.following)
+    return [small_frames.converted(frame, case.type, case.colour) for frame in found]
+
+
+def _spoilt_room(rng, case):
+    """Return the frames of a camera that moves through a room, some of them followed by others."""
+    poses = np.tile(np.eye(4), (len(case.following) + 1, 1, 1))
+    step = rng.normal(0, 0.1, 3)
+    for k, pose in enumerate(poses):
+        pose[:3, 3] = step * k
+    film = room_film(poses, *case.shape, samples=1, seed=int(rng.integers(100)))
+    found = [np.float32(frame) for frame in film.frames]
+    for k, way in enumerate(case.following):
+        if rng.random() < 0.2:
+            found[k + 1] = small_frames.FOLLOWING[way](rng, found[k], "noise")
+    return found
+
+
+def camera_of(case):
+    """Return the camera of a case."""
+    rng = np.random.default_rng([*case.seed, 2])
+    height, width = case.shape
+    side = max(height, width)
+    focal = side * np.exp(rng.uniform(np.log(0.4), np.log(4)))
+    if case.camera == "guessed":
+        return None
+    if case.camera == "off_centre":
+        return tisfm.Camera(focal, (rng.uniform(0, width), rng.uniform(0, height)))
+    if case.camera == "lens":
+        return tisfm.Camera(focal, distortion=rng.normal(0, (0.1, 0.02, 0.002, 0.002)))
+    if case.camera == "oblong":
+        return tisfm.Camera(focal, aspect=np.exp(rng.normal(0, 0.2)))
+    if case.camera == "rolling":
+        return tisfm.Camera(focal, readout=rng.uniform(-1, 1))
+    return tisfm.Camera(focal)
+
+
+def pose_of(case, rng):
+    """Return a known motion: a 4×4 or 3×3 matrix."""
+    pose = pose_matrix([*rng.normal(0, 1, 3), *rng.normal(0, 0.03, 3)])
+    pose[:3, 3] *= _one(rng, 0, 1, 1, 1e-3, 1e3)
+    return pose if rng.random() < 0.6 else pose[:3, :3]
+
+
+def mask_of(case, rng):
+    """Return a mask of any share of the pixels, with one white pixel at least."""
+    height, width = case.shape
+    mask = rng.random((height, width)) < rng.random()
+    if rng.random() < 0.7:  # a part of the frame
+        mask = np.ones((height, width), bool)
+        top, left = rng.integers(height), rng.integers(width)
+        mask[top : top + height // 2 + 1, left : left + width // 2 + 1] = False
+        if rng.random() < 0.3:
+            mask = ~mask
+    mask[rng.integers(height), rng.integers(width)] = True
+    return mask
+
+
+def run(case):
+    """Run a case, with warnings as errors; `AssertionError` if a promise is broken.
+
+    Returns
+    -------
+    str
+        ``"result"``, or ``"refused"`` where the docstring names the error.
+    """
+    images = frames_of(case)
+    before = [image.copy() for image in images]
+    with warnings.catch_warnings(), TemporaryDirectory(prefix="tisfm-fuzz-") as folder:
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", GuessedFocalWarning)
+        try:
+            _CALLS[case.entry](case, images, Path(folder))
+        except ValueError as error:
+            if not str(error).startswith(REFUSALS):
+                raise
+            return "refused"
+    for image, given in zip(images, before, strict=True):
+        promises.check_same(image, given, "a frame was modified: it")
+    return "result"
+
+
+def outcome(case):
+    """Return what `run` returns, or what is wrong, with where it was raised."""
+    try:
+        return run(case)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)
+        own = [f for f in place if "/tisfm/" in f.filename or "/tests/" in f.filename][-1]
+        where = f"{Path(own.filename).name}:{own.lineno}"
+        return f"wrong: {type(error).__name__} at {where}: {' '.join(str(error).split())[:300]}"
+
+
+def _interpret(case, images, folder):
+    rng = np.random.default_rng([*case.seed, 3])
+    pose = pose_of(case, rng) if "pose" in case.given and case.motion == "camera" else None
+    mask = None
+    if "mask" in case.given:
+        mask = mask_of(case, rng)
+        if rng.random() < 0.5:
+            mask = np.stack([mask, mask_of(case, rng)])
+    options = dict(camera=camera_of(case), settings=case.settings(), pose=pose, mask=mask)
+    result = tisfm.interpret(*images, **options)
+    promises.check_interpretation(result, case.shape, case.settings(), pose=pose)
+    promises.check_saved(result, folder / "result.npz")
+    if rng.random() < 0.1:
+        again = tisfm.interpret(*images, **options)
+        for name in ("rho", "inverse_depth", "confidence", "occlusion", "status"):
+            promises.check_same(getattr(again, name), getattr(result, name), f"{name}, once more,")
+
+
+def _sequence(case, images, folder):
+    rng = np.random.default_rng([*case.seed, 3])
+    poses = mask = None
+    if "pose" in case.given and case.motion == "camera":
+        poses = [pose_of(case, rng) for _ in images[1:]]
+    if "mask" in case.given:
+        mask = np.stack([mask_of(case, rng) for _ in images])
+    found = list(
+        tisfm.interpret_sequence(
+            images,
+            camera=camera_of(case),
+            settings=case.settings(),
+            poses=poses,
+            mask=mask,
+            **case.options,
+        )
+    )
+    promises.promise(len(found) == len(images) - 1, f"there are {len(found)} pairs")
+    for number, result in enumerate(found):
+        pose = None if poses is None else poses[number]
+        promises.check_interpretation(result, case.shape, case.settings(), pose=pose)
+        promises.check_saved(result, folder / "result.npz")
+
+
+def _reconstruct(case, images, folder):
+    rng = np.random.default_rng([*case.seed, 3])
+    options, camera = dict(case.options), camera_of(case)
+    poses = mask = labels = sizes = None
+    if "pose" in case.given:
+        poses = _path(case, rng, len(images))
+        options["calibrate"] = None
+        if options["depth_of"] == "none":
+            options["depth_of"] = "all"
+    if "mask" in case.given:
+        mask = np.stack([mask_of(case, rng) for _ in images])
+    if case.given == "labels" and case.motion == "objects":
+        labels = np.stack([_labels(case, rng) for _ in images])
+        sizes = {int(n): rng.uniform(0.1, 2) for n in np.unique(labels) if 0 < n < 255}
+    if camera is not None and camera.distortion and options["calibrate"] == "radial":
+        options["calibrate"] = "focal"
+    result = tisfm.reconstruct(
+        images,
+        camera=camera,
+        settings=case.settings(),
+        poses=poses,
+        mask=mask,
+        labels=labels,
+        object_sizes=sizes,
+        folder=folder / "result",
+        **options,
+    )
+    promises.check_reconstruction(
+        result,
+        len(images),
+        case.shape,
+        settings=case.settings(),
+        depth_of=options["depth_of"],
+        poses=poses,
+    )
+    promises.check_copied(result, folder / "copy")
+
+
+def _path(case, rng, count):
+    """Return poses of so many frames, some of them not known."""
+    step = pose_matrix([*rng.normal(0, 0.2, 3), *rng.normal(0, 0.01, 3)])
+    poses = np.stack([np.linalg.matrix_power(step, k) for k in range(count)])
+    if rng.random() < 0.3:
+        poses[rng.integers(count)] = np.nan
+    return poses
+
+
+def _labels(case, rng):
+    """Return labels of a frame: rectangles, of which some are ignored."""
+    height, width = case.shape
+    labels = np.zeros((height, width), np.uint8)
+    for number in rng.choice((1, 2, 7, 254, 255), rng.integers(0, 4), replace=False):
+        top, left = rng.integers(height), rng.integers(width)
+        labels[top : top + 1 + height // 2, left : left + 1 + width // 2] = number
+    return labels
+
+
+def _stream(case, images, folder):
+    rng = np.random.default_rng([*case.seed, 3])
+    mask = mask_of(case, rng) if "mask" in case.given else None
+    found = list(
+        tisfm.reconstruct_stream(
+            iter(images), camera=camera_of(case), settings=case.settings(), mask=mask,
+            **case.options,
+        )
+    )  # fmt: skip
+    promises.check_stream(found, len(images), case.shape)
+
+
+_CALLS = {
+    "interpret": _interpret,
+    "sequence": _sequence,
+    "reconstruct": _reconstruct,
+    "stream": _stream,
+}
