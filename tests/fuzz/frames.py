@@ -55,7 +55,7 @@ def one(chosen):
 
 def work(chosen):
     """Run case after case, with a line of JSON before and after each."""
-    from tests.fuzz.frame_cases import WAYS, drawn, outcome
+    from tests.fuzz.frame_cases import WAYS, drawn
     from tisfm import runtime
 
     runtime.start(threads=chosen.threads)
@@ -66,18 +66,29 @@ def work(chosen):
     ]
     number, end, limit = chosen.first, time.monotonic() + chosen.seconds, 2 * LIMIT
     while time.monotonic() < end:
-        case = drawn(chosen.seed, number, way=None if ways == list(WAYS) else ways[number % len(ways)])
+        case = drawn(
+            chosen.seed, number, way=None if ways == list(WAYS) else ways[number % len(ways)]
+        )
         print(json.dumps({"begun": number, "like": like(case)}), flush=True)
         faulthandler.dump_traceback_later(limit, exit=True)
         with said() as text:
-            began = time.process_time()
-            found = outcome(case)
-            took = time.process_time() - began
+            took, found = timed(case)
+            if took > LEAST_SLOW and found == "result":  # kernels are compiled by now
+                took = min(took, timed(case)[0])
         faulthandler.cancel_dump_traceback_later()
         if text and found == "result":
             found = f"wrong: it writes to standard error: {text[0][:300]}"
         print(json.dumps({"number": number, "found": found, "took": took}), flush=True)
         number, limit = number + 1, LIMIT
+
+
+def timed(case):
+    """Return the time of the processor that a case takes, s, and what came of it."""
+    from tests.fuzz.frame_cases import outcome
+
+    began = time.process_time()
+    found = outcome(case)
+    return time.process_time() - began, found
 
 
 @contextlib.contextmanager
@@ -100,8 +111,8 @@ def like(case):
     """Return what cases that take about as long have in common."""
     pixels = case.shape[0] * case.shape[1]
     size = "small" if pixels < 1000 else "middle" if pixels < 8000 else "large"
-    film = f" {case.kind == 'room'}" if case.entry == "reconstruct" else ""
-    return f"{case.entry} {case.motion} {case.preset} {size}{film}"
+    more = " room" * (case.kind == "room") + " changed" * bool(case.changes)
+    return f"{case.entry} {case.motion} {case.preset} {size}{more}"
 
 
 def watch(chosen):

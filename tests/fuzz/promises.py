@@ -12,7 +12,8 @@ WILD = ("diverged", "pose_mismatch")  # numbers may be of no use: docs/formats.m
 WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
 )  # fmt: skip
-OF_ONE_MOTION = ("two_motions", "behind_camera", "unexplained")
+OF_CAMERA = ("behind_camera", "unexplained")
+OF_RIGID = ("two_motions", "little_parallax", "pure_rotation", "uncertain")
 OF_FRAMES = ("converged", "no_motion", "no_texture", "little_parallax", "unrelated")
 SCALES = ("size", "contact", "around", "none")
 HALF = 2**-11  # what 11 significant bits are off by
@@ -46,7 +47,8 @@ def check_interpretation(result, shape, settings, *, pose=None):
     motion, status = settings.motion, result.status
     promise(status in STATUSES, f"the status is {status!r}")
     promise(status == "converged" or status.message, f"{status} says nothing")
-    promise(motion == "camera" or status not in OF_ONE_MOTION, f"{status} under {motion}")
+    promise(motion == "camera" or status not in OF_CAMERA, f"{status} under {motion}")
+    promise(motion != "field" or status not in OF_RIGID, f"{status} under {motion}")
     promise(pose is not None or status != "pose_mismatch", "pose_mismatch without a pose")
     promise(result.settings == settings, "the settings are others")
     promise(result.camera.is_pinhole, "the camera is no pinhole")
