@@ -82,7 +82,7 @@ def drawn(seed, number, *, way=None, preset=None, kind=None, shape=None):
     is_pair, is_film = entry == "interpret", entry in ("reconstruct", "stream")
     kind = kind or (ROOM if is_film and chance[0] < 0.4 else str(rng.choice(kinds)))
     count = 1 if is_pair else int(rng.integers(1, 8 if is_film else 4))
-    if kind == ROOM:
+    if kind == ROOM and is_film:
         count += 3
     following = [str(rng.choice(list(small_frames.FOLLOWING))) for _ in range(count)]
     if chance[1] < 0.5:  # one kind of motion throughout

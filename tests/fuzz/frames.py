@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 
-LIMIT = 60  # s a case may take, the first of a process twice that: kernels are compiled
+LIMIT = 60  # s a case may take; the first of a process twice that, as kernels are compiled
 SLOW, LEAST_SLOW = 10, 1.0  # times the median of its like, and s: what is reported
 SHOWN = 5  # slowest cases
 LIKE = 5  # cases, from which a median is told
@@ -30,6 +30,7 @@ def main(arguments=None):
     parser.add_argument("--case", type=int, help="one case alone, with all that is known of it")
     parser.add_argument("--entry", choices=("interpret", "sequence", "reconstruct", "stream"))
     parser.add_argument("--motion", choices=("field", "camera", "objects"))
+    parser.add_argument("--limit", type=float, default=LIMIT, help="s that a case may take")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     chosen = parser.parse_args(arguments)
@@ -59,18 +60,20 @@ def work(chosen):
     from tisfm import runtime
 
     runtime.start(threads=chosen.threads)
+    errors = os.dup(2)  # what is said to standard error is looked at
+    faulthandler.enable(errors)
     ways = [
         (entry, motion)
         for entry, motion in WAYS
         if chosen.entry in (None, entry) and chosen.motion in (None, motion)
     ]
-    number, end, limit = chosen.first, time.monotonic() + chosen.seconds, 2 * LIMIT
+    number, end, limit = chosen.first, time.monotonic() + chosen.seconds, 2 * chosen.limit
     while time.monotonic() < end:
         case = drawn(
             chosen.seed, number, way=None if ways == list(WAYS) else ways[number % len(ways)]
         )
         print(json.dumps({"begun": number, "like": like(case)}), flush=True)
-        faulthandler.dump_traceback_later(limit, exit=True)
+        faulthandler.dump_traceback_later(limit, exit=True, file=errors)
         with said() as text:
             took, found = timed(case)
             if took > LEAST_SLOW and found == "result":  # kernels are compiled by now
@@ -79,7 +82,7 @@ def work(chosen):
         if text and found == "result":
             found = f"wrong: it writes to standard error: {text[0][:300]}"
         print(json.dumps({"number": number, "found": found, "took": took}), flush=True)
-        number, limit = number + 1, LIMIT
+        number, limit = number + 1, chosen.limit
 
 
 def timed(case):
@@ -122,11 +125,11 @@ def watch(chosen):
     while (left := end - time.monotonic()) > 0:
         command = [sys.executable, "-m", "tests.fuzz.frames", "--worker", "--seconds", str(left)]
         command += ["--seed", str(chosen.seed), "--first", str(number)]
-        command += ["--threads", str(chosen.threads)]
+        command += ["--threads", str(chosen.threads), "--limit", str(chosen.limit)]
         for name in ("entry", "motion"):
             if getattr(chosen, name):
                 command += [f"--{name}", getattr(chosen, name)]
-        begun, number = None, number
+        begun = None
         with tempfile.TemporaryFile() as errors:
             process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
             for line in process.stdout:

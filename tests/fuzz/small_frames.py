@@ -228,4 +228,4 @@ def frames(rng, shape, kind, following):
     found = [KINDS[kind](rng, *shape)]
     for way in following:
         found.append(FOLLOWING[way](rng, found[-1], kind))
-    return found
+    return [np.float32(frame).clip(0, 255) for frame in found]
