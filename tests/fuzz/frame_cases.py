@@ -10,9 +10,10 @@ import numpy as np
 
 import tisfm
 from tests.fuzz import promises, small_frames
+from tisfm import runtime
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
+from tisfm.scenes import bodies_film, bodies_path, room_film
 
 PRESETS = ("fast", "balanced", "accurate")
 WAYS = (
@@ -22,7 +23,11 @@ WAYS = (
 )  # fmt: skip
 CAMERAS = ("guessed", "pinhole", "off_centre", "lens", "oblong", "rolling")
 GIVEN = ("nothing", "mask", "pose", "labels", "mask_and_pose")
-ROOM = "room"  # a kind of sequence: a rendered film, of which some frames are spoilt
+SCENES = (
+    "room",
+    "layers",
+    "bodies",
+)  # kinds that move as a scene does, of which some frames are spoilt
 # What a call may raise of frames that are valid, as its docstring says.
 REFUSALS = ("distortion leaves data at", "mask is black at all pixels")
 
@@ -35,7 +40,7 @@ class Case:
     ----------
     entry, motion, preset : str
     kind : str
-        What the first frame shows; ``"room"`` for a spoilt film.
+        What the first frame shows; or one of `SCENES`.
     following : tuple of str
         How each other frame comes from the one before.
     shape : (int, int)
@@ -80,14 +85,16 @@ def drawn(seed, number, *, way=None, preset=None, kind=None, shape=None):
     preset = preset or str(rng.choice(PRESETS))
     kinds = list(small_frames.KINDS)
     is_pair, is_film = entry == "interpret", entry in ("reconstruct", "stream")
-    kind = kind or (ROOM if is_film and chance[0] < 0.4 else str(rng.choice(kinds)))
+    if kind is None:
+        kind = str(rng.choice(SCENES if chance[0] < (0.7 if is_film else 0.5) else kinds))
     count = 1 if is_pair else int(rng.integers(1, 8 if is_film else 4))
-    if kind == ROOM and is_film:
-        count += 3
+    if kind in SCENES and is_film:
+        count += 4
     following = [str(rng.choice(list(small_frames.FOLLOWING))) for _ in range(count)]
     if chance[1] < 0.5:  # one kind of motion throughout
         following = [following[0]] * count
-    how = shape or str(rng.choice(list(small_frames.SHAPES), p=(0.15, 0.4, 0.15, 0.1, 0.2)))
+    odds = (0.05, 0.1, 0.1, 0.15, 0.1, 0.5) if kind in SCENES else (0.2, 0.4, 0.15, 0.1, 0.15, 0)
+    how = shape or str(rng.choice(list(small_frames.SHAPES), p=odds))
     height, width = small_frames.SHAPES[how](rng)
     colour = None
     if chance[2] < 0.3:
@@ -150,25 +157,34 @@ def _one(rng, *choices):
 def frames_of(case):
     """Return the frames of a case as they are given."""
     rng = np.random.default_rng([*case.seed, 1])
-    if case.kind == ROOM:
-        found = _spoilt_room(rng, case)
+    if case.kind in SCENES:
+        found = _scene(rng, case)
     else:
         found = small_frames.frames(rng, case.shape, case.kind, case.following)
     return [small_frames.converted(frame, case.type, case.colour) for frame in found]
 
 
-def _spoilt_room(rng, case):
-    """Return the frames of a camera that moves through a room, some of them followed by others."""
-    poses = np.tile(np.eye(4), (len(case.following) + 1, 1, 1))
-    step = rng.normal(0, 0.1, 3)
-    for k, pose in enumerate(poses):
-        pose[:3, 3] = step * k
-    film = room_film(poses, *case.shape, samples=1, seed=int(rng.integers(100)))
-    found = [np.float32(frame) for frame in film.frames]
+def _scene(rng, case):
+    """Return frames of a scene, some of which are others: those follow the frames before them."""
+    count, camera = len(case.following) + 1, camera_of(case)
+    focal = 1.2 * max(case.shape) if camera is None else camera.focal
+    options = {"samples": 1, "focal": focal, "seed": int(rng.integers(100))}
+    if case.kind == "layers":
+        found = small_frames.layers(rng, *case.shape, count)
+    elif case.kind == "bodies":
+        bodies = int(rng.integers(1, 4))
+        film = bodies_film(bodies_path(count), *case.shape, bodies=bodies, **options)
+        found = [np.float32(frame) for frame in film.frames]
+    else:
+        step = pose_matrix([*rng.normal(0, 0.1, 3), *rng.normal(0, 0.01, 3)])
+        poses = [np.linalg.matrix_power(step, k) for k in range(count)]
+        film = room_film(poses, *case.shape, **options)
+        found = [np.float32(frame) for frame in film.frames]
+    spoilt = rng.choice((0, 0.1, 0.3))
     for k, way in enumerate(case.following):
-        if rng.random() < 0.2:
+        if rng.random() < spoilt:
             found[k + 1] = small_frames.FOLLOWING[way](rng, found[k], "noise")
-    return found
+    return [np.float32(frame).clip(0, 255) for frame in found]
 
 
 def camera_of(case):
@@ -219,6 +235,7 @@ def run(case):
     str
         ``"result"``, or ``"refused"`` where the docstring names the error.
     """
+    runtime.start()  # Taichi itself warns
     images = frames_of(case)
     before = [image.copy() for image in images]
     with warnings.catch_warnings(), TemporaryDirectory(prefix="tisfm-fuzz-") as folder:

@@ -112,9 +112,11 @@ def said():
 
 def like(case):
     """Return what cases that take about as long have in common."""
+    from tests.fuzz.frame_cases import SCENES
+
     pixels = case.shape[0] * case.shape[1]
     size = "small" if pixels < 1000 else "middle" if pixels < 8000 else "large"
-    more = " room" * (case.kind == "room") + " changed" * bool(case.changes)
+    more = " scene" * (case.kind in SCENES) + " changed" * bool(case.changes)
     return f"{case.entry} {case.motion} {case.preset} {size}{more}"
 
 

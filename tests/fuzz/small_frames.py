@@ -166,8 +166,48 @@ FOLLOWING = {
     for way in (same, shifted, warped, parted, noisy, lit, cut, cut_to_another)
 }  # fmt: skip
 
+# Frames of one scene, of which other parts move by other amounts: depth and things are found there.
+
+
+def layers(rng, height, width, count):
+    """Rectangles before a slanted ground, past which the camera moves; some move on their own."""
+    margin = 2 * max(height, width)
+    ground = sum(
+        cv2.resize(
+            noise(rng, *side), (width + margin, height + margin), interpolation=cv2.INTER_CUBIC
+        )
+        for side in ((5, 7), (17, 23), (height + margin, width + margin))
+    )
+    ground = cv2.normalize(ground, None, 0, 255, cv2.NORM_MINMAX)
+    step = rng.normal(0, rng.choice((0.3, 1, 3)), 2)
+    slant = rng.normal(0, 2 / height)
+    things = [_thing(rng, height, width) for _ in range(rng.integers(0, 4))]
+    found = []
+    for k in range(count):
+        moved = k * step
+        matrix = np.array([[1.0, moved[0] * slant, moved[0]], [0, 1 + moved[1] * slant, moved[1]]])
+        matrix[:, 2] -= margin / 2
+        frame = cv2.warpAffine(ground, matrix, (width, height), borderMode=cv2.BORDER_REFLECT)
+        for content, place, nearness, own in things:
+            matrix[:] = np.eye(2, 3)
+            matrix[:, 2] = place + k * (nearness * step + own)
+            seen = cv2.warpAffine(np.ones_like(content), matrix, (width, height))
+            frame += seen * (cv2.warpAffine(content, matrix, (width, height)) - frame)
+        found.append(frame)
+    return found
+
+
+def _thing(rng, height, width):
+    """Return what a rectangle shows, its place, how near it is, and its own motion, px/frame."""
+    sides = np.maximum(2, rng.uniform(0.15, 0.6, 2) * (height, width)).astype(int)
+    content = KINDS[rng.choice(("texture", "texture", "noise", "patches", "constant"))](rng, *sides)
+    own = rng.normal(0, 2, 2) * (rng.random() < 0.7)
+    return content, rng.uniform(0, (width, height)) - sides[::-1] / 2, rng.uniform(1, 3), own
+
+
 # The type that frames are given as: grey or RGB.
-TYPES = ("uint8", "uint16", "float32", "float64", "unit")  # the last: float32 in [0, 1]
+# "unit" is float32 in [0, 1], "far" on a scale of its own.
+TYPES = ("uint8", "uint8", "uint16", "float32", "float64", "unit", "far")
 
 
 def converted(frame, kind, colour):
@@ -180,6 +220,8 @@ def converted(frame, kind, colour):
         return np.rint(frame * 257).astype(np.uint16)
     if kind == "unit":
         return (frame / np.float32(255)).astype(np.float32)
+    if kind == "far":
+        return (frame.astype(np.float64) - 100) * 3e4
     return frame.astype(kind)
 
 
@@ -210,7 +252,12 @@ def square(rng):
     return side, side
 
 
-SHAPES = {shape.__name__: shape for shape in (smallest, usual, long, wide, square)}
+def film(rng):
+    """As large as paths of the camera need."""
+    return tuple(int(side) for side in rng.integers(48, 150, 2))
+
+
+SHAPES = {shape.__name__: shape for shape in (smallest, usual, long, wide, square, film)}
 
 
 def frames(rng, shape, kind, following):

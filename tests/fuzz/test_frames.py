@@ -8,7 +8,7 @@ import pytest
 
 import tisfm
 from tests.fuzz import frame_cases, frames, promises, small_frames
-from tests.fuzz.frame_cases import PRESETS, ROOM, WAYS, drawn, outcome
+from tests.fuzz.frame_cases import PRESETS, SCENES, WAYS, drawn, outcome
 from tests.pairwise import pairwise
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
@@ -16,7 +16,7 @@ FAST = tisfm.Settings.preset("fast", motion="camera")
 
 @pairwise(
     way=list(WAYS),
-    kind=[*small_frames.KINDS, ROOM],
+    kind=[*small_frames.KINDS, *SCENES],
     preset=list(PRESETS),
     shape=["smallest", "usual", "long", "square"],
 )
