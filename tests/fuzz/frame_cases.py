@@ -21,7 +21,9 @@ WAYS = (
     ("sequence", "field"), ("sequence", "camera"), ("sequence", "objects"),
     ("reconstruct", "camera"), ("reconstruct", "objects"), ("stream", "camera"),
 )  # fmt: skip
-CAMERAS = ("guessed", "pinhole", "off_centre", "lens", "oblong", "rolling")
+CAMERAS = (
+    "guessed", "guessed", "pinhole", "pinhole", "off_centre", "lens", "oblong", "rolling", "absurd",
+)  # fmt: skip
 GIVEN = ("nothing", "mask", "pose", "labels", "mask_and_pose")
 SCENES = (
     "room",
@@ -197,6 +199,10 @@ def camera_of(case):
         return None
     if case.camera == "off_centre":
         return tisfm.Camera(focal, (rng.uniform(0, width), rng.uniform(0, height)))
+    if case.camera == "absurd":
+        focal = side * 10.0 ** rng.uniform(-4, 3)
+        center = (width, height) * rng.normal(0.5, 10.0 ** rng.uniform(-1, 3), 2)
+        return tisfm.Camera(focal, center if rng.random() < 0.5 else None)
     if case.camera == "lens":
         return tisfm.Camera(focal, distortion=rng.normal(0, (0.1, 0.02, 0.002, 0.002)))
     if case.camera == "oblong":
@@ -209,7 +215,7 @@ def camera_of(case):
 def pose_of(case, rng):
     """Return a known motion: a 4×4 or 3×3 matrix."""
     pose = pose_matrix([*rng.normal(0, 1, 3), *rng.normal(0, 0.03, 3)])
-    pose[:3, 3] *= _one(rng, 0, 1, 1, 1e-3, 1e3)
+    pose[:3, 3] *= _one(rng, 0, 1, 1, 1, 1e-3, 1e3, 1e-29, 1e29)
     return pose if rng.random() < 0.6 else pose[:3, :3]
 
 
@@ -275,6 +281,8 @@ def _interpret(case, images, folder):
     result = tisfm.interpret(*images, **options)
     promises.check_interpretation(result, case.shape, case.settings(), pose=pose)
     promises.check_saved(result, folder / "result.npz")
+    if pose is None and case.camera != "rolling" and mask is None:
+        promises.check_same_frames(*images, result)
     if rng.random() < 0.1:
         again = tisfm.interpret(*images, **options)
         for name in ("rho", "inverse_depth", "confidence", "occlusion", "status"):
@@ -341,6 +349,8 @@ def _reconstruct(case, images, folder):
         poses=poses,
     )
     promises.check_copied(result, folder / "copy")
+    if rng.random() < 0.5:
+        promises.check_fused(result)
 
 
 def _path(case, rng, count):

@@ -77,6 +77,15 @@ def check_interpretation(result, shape, settings, *, pose=None):
     check_points(result.points(min_confidence=0.5, max_depth=None, occluded=True), shape)
 
 
+def check_same_frames(frame0, frame1, result):
+    """Frames that are identical show exactly no motion."""
+    if np.array_equal(frame0, frame1):
+        promise(
+            result.status in ("no_motion", "no_texture"), f"the same frames are {result.status}"
+        )
+        promise(not result.rho.any() and not result.flow.any(), "the same frame moves")
+
+
 def check_history(history):
     lengths = {len(record) for record in vars(history).values()}
     promise(len(lengths) == 1, "the history has several lengths")
@@ -161,6 +170,11 @@ def check_reconstruction(result, count, shape, *, settings, depth_of, poses=None
         )
     check_calibration(result.calibration)
     keyframes = list(result.keyframes)
+    for number in pieces if poses is None else ():
+        first = next((key for key in keyframes if result.piece[key] == number), None)
+        if first is not None:
+            middle = np.median(1 / result.inverse_depth(first)[result.inverse_depth(first) > 0])
+            promise(abs(middle - 1) < 0.05, f"the median depth of frame {first} is {middle}")
     promise(keyframes == sorted(set(keyframes)), f"keyframes are {keyframes}")
     promise(all(result.piece[key] >= 0 for key in keyframes), "a keyframe has no pose")
     for frame in range(count):
@@ -181,6 +195,28 @@ def check_reconstruction(result, count, shape, *, settings, depth_of, poses=None
     points = result.points()
     promise(np.isfinite(points.positions).all(), "a point is nowhere")
     promise(len(result.points(agreeing=1, max_relative_std=1)) >= len(points), "fewer points")
+
+
+def check_fused(result):
+    """Check the mesh, points on a grid, and the same in another unit."""
+    mesh = result.mesh(agreeing=1, max_relative_std=0.5)
+    promise(np.isfinite(mesh.vertices).all(), "a vertex is nowhere")
+    faces = mesh.faces
+    promise(not len(faces) or 0 <= faces.min() <= faces.max() < len(mesh.vertices), "faces")
+    promise(np.isfinite(mesh.voxel) and mesh.voxel >= 0, f"the voxel is {mesh.voxel}")
+    points = result.points(agreeing=1, max_relative_std=0.5)
+    promise(len(result.points(agreeing=1, max_relative_std=0.5, voxel=0.1)) <= len(points), "grid")
+    placed = np.flatnonzero(result.piece == result.largest_piece)
+    moved = (
+        np.linalg.norm(np.diff(result.poses[placed][[0, -1], :3, 3], axis=0)) if len(placed) else 0
+    )
+    if moved == 0:
+        return
+    scaled = result.rescaled(placed[0], placed[-1], 2 * moved)
+    for frame in placed:
+        expected = result.inverse_depth(frame) / 2
+        off = np.abs(scaled.inverse_depth(frame) - expected) > 1e-5 * np.abs(expected)
+        promise(not off.any(), "rescaled, it has another depth")
 
 
 def check_frame(
