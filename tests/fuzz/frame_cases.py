@@ -55,6 +55,8 @@ class Case:
         Of `GIVEN`, as far as the entry takes it.
     options : dict
         Of the entry.
+    view : dict
+        Which part of the frames is taken, and at what size: ``crop`` and ``size``.
     changes : dict
         Of the settings.
     seed : tuple of int
@@ -72,6 +74,7 @@ class Case:
     camera: str
     given: str
     options: dict = field(default_factory=dict)
+    view: dict = field(default_factory=dict)
     changes: dict = field(default_factory=dict)
     seed: tuple[int, ...]
 
@@ -113,6 +116,7 @@ def drawn(seed, number, *, way=None, preset=None, kind=None, shape=None):
         camera=str(rng.choice(CAMERAS)),
         given=str(rng.choice(GIVEN)) if chance[3] < 0.5 else "nothing",
         options=_options(rng, entry, motion),
+        view={} if is_pair or chance[5] < 0.8 else _view(rng, height, width),
         changes=_changes(rng) if chance[4] < 0.25 else {},
         seed=(seed, number),
     )
@@ -131,6 +135,24 @@ def _options(rng, entry, motion):
             "calibrate": _one(rng, None, "nothing", "focal", "radial"),
         }
     return {}
+
+
+def _view(rng, height, width):
+    """Return a part of frames, and a size that leaves 4 px of its shorter side."""
+    columns, rows = (int(rng.integers(4, side + 1)) for side in (width, height))
+    left, top = int(rng.integers(width - columns + 1)), int(rng.integers(height - rows + 1))
+    longer, shorter = max(rows, columns), min(rows, columns)
+    least = int(np.ceil(4 * longer / shorter))
+    return {"crop": (left, top, columns, rows), "size": int(rng.integers(least, longer + 3))}
+
+
+def shape_of(case):
+    """Return the shape of the frames as they are taken."""
+    if not case.view:
+        return case.shape
+    *_, columns, rows = case.view["crop"]
+    scale = min(1.0, case.view["size"] / max(rows, columns))
+    return round(rows * scale), round(columns * scale)
 
 
 def _changes(rng):
@@ -304,12 +326,13 @@ def _sequence(case, images, folder):
             poses=poses,
             mask=mask,
             **case.options,
+            **case.view,
         )
     )
     promises.promise(len(found) == len(images) - 1, f"there are {len(found)} pairs")
     for number, result in enumerate(found):
         pose = None if poses is None else poses[number]
-        promises.check_interpretation(result, case.shape, case.settings(), pose=pose)
+        promises.check_interpretation(result, shape_of(case), case.settings(), pose=pose)
         promises.check_saved(result, folder / "result.npz")
 
 
@@ -326,7 +349,8 @@ def _reconstruct(case, images, folder):
         mask = np.stack([mask_of(case, rng) for _ in images])
     if case.given == "labels" and case.motion == "objects":
         labels = np.stack([_labels(case, rng) for _ in images])
-        sizes = {int(n): rng.uniform(0.1, 2) for n in np.unique(labels) if 0 < n < 255}
+        if not case.view:  # of which things are left
+            sizes = {int(n): rng.uniform(0.1, 2) for n in np.unique(labels) if 0 < n < 255}
     if camera is not None and camera.distortion and options["calibrate"] == "radial":
         options["calibrate"] = "focal"
     result = tisfm.reconstruct(
@@ -337,13 +361,14 @@ def _reconstruct(case, images, folder):
         mask=mask,
         labels=labels,
         object_sizes=sizes,
-        folder=folder / "result",
+        folder=folder / "result" if rng.random() < 0.7 else None,
         **options,
+        **case.view,
     )
     promises.check_reconstruction(
         result,
         len(images),
-        case.shape,
+        shape_of(case),
         settings=case.settings(),
         depth_of=options["depth_of"],
         poses=poses,
@@ -379,9 +404,10 @@ def _stream(case, images, folder):
         tisfm.reconstruct_stream(
             iter(images), camera=camera_of(case), settings=case.settings(), mask=mask,
             **case.options,
+            **case.view,
         )
     )  # fmt: skip
-    promises.check_stream(found, len(images), case.shape)
+    promises.check_stream(found, len(images), shape_of(case))
 
 
 _CALLS = {
