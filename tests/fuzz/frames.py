@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 
-LIMIT = 60  # s a case may take; the first of a process twice that, as kernels are compiled
+LIMIT = 240  # s a case may take where others work beside it; the first of a process twice that
 SLOW, LEAST_SLOW = 10, 1.0  # times the median of its like, and s: what is reported
 SHOWN = 5  # slowest cases
 LIKE = 5  # cases, from which a median is told
@@ -77,6 +77,7 @@ def work(chosen):
         with said() as text:
             took, found = timed(case)
             if took > LEAST_SLOW and found == "result":  # kernels are compiled by now
+                faulthandler.dump_traceback_later(limit, exit=True, file=errors)
                 took = min(took, timed(case)[0])
         faulthandler.cancel_dump_traceback_later()
         if text and found == "result":
