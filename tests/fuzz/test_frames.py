@@ -62,7 +62,7 @@ def modifying(case, images, folder):
 
 
 def refusing(case, images, folder):
-    raise ValueError("distortion leaves data at 1% of the pixels")
+    raise ValueError("frames 1 and 2: distortion leaves data at 1% of the pixels")
 
 
 @pytest.mark.parametrize(
