@@ -222,7 +222,7 @@ def camera_of(case):
     if case.camera == "off_centre":
         return tisfm.Camera(focal, (rng.uniform(0, width), rng.uniform(0, height)))
     if case.camera == "absurd":
-        focal = side * 10.0 ** rng.uniform(-4, 3)
+        focal = max(1e-3, side * 10.0 ** rng.uniform(-4, 3))
         center = (width, height) * rng.normal(0.5, 10.0 ** rng.uniform(-1, 3), 2)
         return tisfm.Camera(focal, center if rng.random() < 0.5 else None)
     if case.camera == "lens":
