@@ -142,6 +142,29 @@ def check_saved(result, path):
     first = path.read_bytes()
     loaded.save(path)
     promise(path.read_bytes() == first, "saved again, it has other bytes")
+    check_compact(result, path)
+
+
+def check_compact(result, path):
+    """Saved compact and loaded, it is the same but for the rounding that is documented."""
+    result.save(path, compact=True)
+    loaded = Interpretation.load(path)
+    for name in ("occlusion", "labels", "motions", "frame"):
+        check_same(getattr(loaded, name), getattr(result, name), name)
+    if result.status in WILD:
+        return
+    for name in ("rho", "flow", "confidence"):
+        off = np.abs(getattr(loaded, name) - getattr(result, name).astype(np.float64))
+        most = STEP if name == "confidence" else STEP / 2
+        promise((off <= most + 2**-23 * np.abs(getattr(result, name))).all(), f"{name} was lost")
+    for name in ("inverse_depth", "inverse_depth_std"):
+        exact = getattr(result, name)
+        if exact is None:
+            continue
+        promise((np.isinf(getattr(loaded, name)) == np.isinf(exact)).all(), f"{name} is finite")
+        known = np.isfinite(exact)
+        off = np.abs(getattr(loaded, name)[known] - exact[known].astype(np.float64))
+        promise((off <= 2**-12 * np.abs(exact[known])).all(), f"{name} was lost")
 
 
 def check_same(found, expected, name):
