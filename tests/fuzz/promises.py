@@ -6,6 +6,7 @@ Every function raises `AssertionError` with a word on what is broken.
 import numpy as np
 
 from tisfm import Interpretation, Reconstruction, StreamedFrame
+from tisfm.formats.packing import STEP
 from tisfm.outcome import STATUSES
 
 WILD = ("diverged", "pose_mismatch")  # numbers may be of no use: docs/formats.md
