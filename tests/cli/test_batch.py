@@ -45,6 +45,8 @@ def test_sequences_are_reconstructed(tisfm_run, frames, jobs):
     code, _, err = tisfm_run("batch", jobs(text), "--command", "reconstruct")
     assert code == 0 and err.endswith("1 of 1 done\n")
     assert Path("out/reconstruction.json").exists()
+    code, _, err = tisfm_run("batch", "jobs.csv", "--command", "reconstruct", "--resume")
+    assert code == 0 and err.startswith("out: out is complete: nothing is left to do.")
 
 
 @pytest.mark.parametrize(
@@ -71,8 +73,6 @@ def test_what_is_no_list(tisfm_run, frames, jobs, text, words):
 
 def test_other_mistakes(tisfm_run, frames, jobs):
     name = jobs("source,output\nframes,a\n")
-    reconstructed = ("batch", name, "--command", "reconstruct", "--resume")
-    assert_one_line(*tisfm_run(*reconstructed)[::2], "reconstruct begins anew")
     for option in ("--workers", "--threads"):
         assert_one_line(*tisfm_run("batch", name, option, "0")[::2], "expected a positive number")
     assert_one_line(*tisfm_run("batch", "gone.csv")[::2], "gone.csv")

@@ -72,6 +72,11 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--calibrate",
                 "--depth-of",
                 "--scale",
+                "--workers",
+                "--cluster",
+                "--chunk",
+                "--resume",
+                "--no-resume",
             }
             | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
             | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}

@@ -16,6 +16,8 @@ from typing import Literal
 
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.run_record import RECORD
+from tisfm.reconstruction.folder import ASKED
+from tisfm.reconstruction.renewal import CHUNKS
 
 Command = Literal["run", "reconstruct"]
 
@@ -100,13 +102,11 @@ def batch(
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}: expected a positive number")
-    if resume and command != "run":
-        raise ValueError(f"resume is given, but {command} begins anew: leave it out")
     if threads is not None and threads < 1:
         raise ValueError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
     each = threads or max(1, (os.cpu_count() or 1) // workers)
-    calls = [_arguments(job, command, each, resume=resume and command == "run") for job in jobs]
+    calls = [_arguments(job, command, each, resume=resume) for job in jobs]
     for job, call in zip(jobs, calls, strict=True):
         try:
             check(call)
@@ -206,8 +206,8 @@ class _Processes:
             code, said = process.returncode, _said(errors.decode("utf-8", "replace"))
             if code >= 0 or code in _WANTED:
                 break
-            if call[0] == "run" and "--resume" not in call and _state(output) != before:
-                call.append("--resume")  # its first pairs are written
+            if "--resume" not in call and _state(output) != before:
+                call.append("--resume")  # its first pairs, or chunks, are written
         return code, said
 
 
@@ -219,9 +219,13 @@ def _said(errors: str) -> str:
 
 
 def _state(output: Path) -> object:
-    """Return what changes when the record of a run is written."""
+    """Return what changes when the record of a run, or what chunks are asked for, is written."""
+    return [_about(path) for path in (output / RECORD, output / CHUNKS / ASKED)]
+
+
+def _about(path: Path) -> tuple[int, int, int] | None:
     try:
-        about = os.stat(output / RECORD)
+        about = os.stat(path)
     except OSError:
         return None
     return about.st_ino, about.st_mtime_ns, about.st_size

@@ -356,6 +356,17 @@ class Reconstruct:
     """Write points.ply, a coloured point cloud."""
     mesh: Literal["ply", "glb"] | None = None
     """Write mesh.ply or mesh.glb, a coloured surface; it needs pip install 'tisfm[mesh]'."""
+    workers: int = 1
+    """Processes at a time, each with chunks of frames, which are joined. For motion 'camera'."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Make chunks of frames on the workers of a Dask cluster, such as tcp://10.0.0.1:8786. They
+    read SOURCE and write DIR under the same paths."""
+    chunk: int | None = None
+    """Frames of a chunk, at most: 150 with --workers or --cluster. It changes the result; how many
+    workers there are does not."""
+    resume: bool = False
+    """Go on with the same command, however it was interrupted: with chunks that are complete. What
+    is complete already is left as it is."""
     arch: Arch | None = None
     """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
@@ -387,6 +398,10 @@ class Reconstruct:
             scale=self.scale,
             ply=self.ply,
             mesh=self.mesh,
+            workers=self.workers,
+            cluster=self.cluster,
+            chunk=self.chunk,
+            resume=self.resume,
             arch=self.arch,
             threads=self.threads,
         )
@@ -501,7 +516,7 @@ class Batch:
     threads: int | None = None
     """Most CPU threads of each; by default its share of all cores."""
     resume: bool = False
-    """With --command run, continue runs that were interrupted."""
+    """Continue runs and reconstructions that were interrupted."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""

@@ -9,13 +9,14 @@ import numpy as np
 
 from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
-from tisfm.cli.run_record import ENDINGS, check_sum
+from tisfm.cli.run_record import ENDINGS
 from tisfm.formats import (
     choose_depth_scale,
     write_depth_png,
     write_flo,
     write_png,
 )
+from tisfm.formats.accounts import check_sum
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.show import (

@@ -5,21 +5,21 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 
-import tisfm
-from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
@@ -48,14 +48,26 @@ def reconstruct(
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
     mesh: str | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    chunk: int | None = None,
+    resume: bool = False,
     arch: Arch | None = None,
     threads: int | None = None,
 ) -> int:
     """Reconstruct a sequence, write its folder, and return the exit code.
 
     `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
-    two frames and the distance of the camera's places; `mesh` is "ply" or "glb".
+    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `workers`, a
+    `cluster` or a `chunk`, it is made in chunks of frames.
     """
+    in_chunks = workers != 1 or cluster is not None or chunk is not None
+    _check_workers(workers, cluster)
+    if in_chunks and (labels is not None or object_sizes):
+        raise ValueError(
+            "--labels and --object-sizes are of things that move on their own, which are not found "
+            "in chunks: drop --workers, --cluster and --chunk"
+        )
     given = None if poses is None else read_trajectory(poses)
     for file in (poses, camera):
         if isinstance(file, Path):
@@ -73,7 +85,36 @@ def reconstruct(
         check_library()
     if isinstance(camera, Path):
         _check_fits(camera, source, frames)
-    runtime.start(arch, threads=threads)
+    options = {
+        "camera": camera,
+        "calibrate": calibrate,
+        "settings": settings,
+        "poses": given,
+        "mask": mask,
+        "labels": labels,
+        "object_sizes": object_sizes,
+        "depth_of": depth_of,
+    }
+    run = _run_of(
+        source,
+        output,
+        options,
+        frames=frames,
+        others={"scale": scale, "ply": ply, "mesh": mesh},
+        arch=arch,
+        threads=threads,
+        in_chunks={
+            "chunk": CHUNK if chunk is None else chunk,
+            "workers": workers,
+            "cluster": cluster,
+        }
+        if in_chunks
+        else None,
+    )
+    if resume and run.is_done():
+        run.finish()  # what a killed command left is removed
+        tell(f"{output} is complete: nothing is left to do. Results in {output}.")
+        return 0
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
         tell("Ctrl-C ends the recording; a second one ends the command.")
@@ -90,20 +131,7 @@ def reconstruct(
                 raise Enough
             bar.update(task, description=_STAGES[stage], completed=done, total=total)
 
-        result = tisfm.reconstruct(
-            source,
-            camera=camera,
-            calibrate=calibrate,
-            settings=settings,
-            poses=given,
-            mask=mask,
-            labels=labels,
-            object_sizes=object_sizes,
-            depth_of=depth_of,
-            folder=output,
-            progress=tell_progress,
-            **asdict(frames),
-        )
+        result = run.result(resume=resume, progress=tell_progress)
     # What was found is written and told before anything that may not be possible with it.
     write_trajectories(result, output)
     _tell(result, output)
@@ -115,7 +143,32 @@ def reconstruct(
         result.points().save(output / POINTS)
     if mesh is not None:
         result.mesh().save(output / f"mesh.{mesh}")
+    run.finish()
     return 0
+
+
+def _run_of(
+    source: Source,
+    output: Path,
+    options: Mapping[str, Any],
+    *,
+    in_chunks: Mapping[str, Any] | None,
+    **others: Any,
+) -> ReconstructRun:
+    """Return what makes the result, at once or in chunks."""
+    if in_chunks is None:
+        return WholeRun(source, output, options, **others)
+    return ChunksRun(source, output, options, **others, **in_chunks)
+
+
+def _check_workers(workers: int, cluster: str | None) -> None:
+    if workers < 1:
+        raise ValueError(f"workers is {workers}: expected a positive number")
+    if workers > 1 and cluster is not None:
+        raise ValueError(
+            f"workers is {workers}, and cluster is {cluster}, which has workers of its own: give "
+            "one of them"
+        )
 
 
 def _check_fits(file: Path, source: Source, frames: FrameOptions) -> None:

@@ -5,16 +5,14 @@ import io
 import json
 import math
 import os
-import stat
 import time
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from isal import isal_zlib
-
 from tisfm.formats import atomic_write
+from tisfm.formats.accounts import check_sum, differing, said
 
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
@@ -34,8 +32,6 @@ ENDINGS = {
 """What names of a pair's files end in, by outputs."""
 FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit")
 _LEAST_APART, _SHARE = 1.0, 20.0  # s between renewals; and times what the last one took
-_PIECE = 2**20  # bytes of a file that are read at a time
-_MOST_SAID = 4  # differences
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",
@@ -108,13 +104,11 @@ class RunRecord:
         if before is None:
             return
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
-        differing = list(_differing({key: before.get(key) for key in ASKED}, asked))
-        if differing:
-            more = len(differing) - _MOST_SAID
-            said = differing[:_MOST_SAID] + [f"and {more} more"] * (more > 0)
+        differences = said(differing({key: before.get(key) for key in ASKED}, asked))
+        if differences:
             raise ValueError(
                 f"{self._folder} holds a run with another camera, other settings or outputs, or "
-                f"of another version ({'; '.join(said)}): repeat its options, or run without "
+                f"of another version ({differences}): repeat its options, or run without "
                 "--resume to start again"
             )
         self._about = _checked(before, self._folder / RECORD)
@@ -287,26 +281,3 @@ def _read(path: Path) -> bytes:
         return path.read_bytes() if path.is_file() else b""
     except OSError:
         return b""
-
-
-def check_sum(path: Path) -> tuple[int, int] | None:
-    """Return the length of a file, bytes, and its CRC-32; None if there is none."""
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
-            return None
-        with open(path, "rb", 0) as file:
-            length, total = 0, 0
-            while piece := file.read(_PIECE):
-                length, total = length + len(piece), isal_zlib.crc32(piece, total)
-    except (FileNotFoundError, IsADirectoryError):
-        return None
-    return length, total
-
-
-def _differing(before: Any, now: Any, name: str = "") -> Iterator[str]:
-    """Yield what differs between two accounts."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            yield from _differing(before.get(key), now.get(key), f"{name}.{key}" if name else key)
-    elif before != now:
-        yield f"{name} was {json.dumps(before)}, now {json.dumps(now)}"

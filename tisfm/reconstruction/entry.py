@@ -148,7 +148,7 @@ def reconstruct(
         raise ValueError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
     if depth_of == "none" and poses is not None:
         raise ValueError('poses are given and depth_of="none": there is nothing to find')
-    given = None if poses is None else _checked_poses(poses)
+    given = None if poses is None else checked_poses(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
     of_result = labels_of_result(labels, source)
     sizes = checked_object_sizes(object_sizes)
@@ -183,7 +183,7 @@ def reconstruct(
         of_result.check(stated, calibrate)
     if folder is not None:
         files = [file_of(camera)] if isinstance(camera, Path) else []
-        _refuse_inside([*frames.files, *files], Path(folder))
+        refuse_inside([*frames.files, *files], Path(folder))
     runtime.start()
     temporary = None
     if folder is None:
@@ -216,7 +216,7 @@ def reconstruct(
     return result if temporary is None else replace(result, _temporary=temporary)
 
 
-def _refuse_inside(files: Iterable[Path], folder: Path) -> None:
+def refuse_inside(files: Iterable[Path], folder: Path) -> None:
     """Refuse a folder that holds what is to be read: what lies there may be replaced."""
     place = folder.resolve()
     for file in files:
@@ -284,7 +284,8 @@ def checked_settings(
     return settings
 
 
-def _checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
+def checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
+    """Return poses that are given, each rigid or NaN."""
     if isinstance(poses, Trajectory):
         return poses
     refuse_masked(poses, "poses")

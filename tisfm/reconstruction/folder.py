@@ -38,7 +38,8 @@ LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 sig
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
-OTHERS = ("poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
+ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
+OTHERS = (ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
 
 
 def write_depth(

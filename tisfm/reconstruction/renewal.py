@@ -26,7 +26,9 @@ from tisfm.reconstruction.folder import (
 EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
 # The same, while not all of it is there yet, and while not all of it is back.
 LEAVING, RESTORING = ".tisfm-leaving", ".tisfm-restoring"
-_FOLDERS = (EARLIER, LEAVING, RESTORING)
+# Chunks of a result that is not there yet.
+CHUNKS = ".tisfm-chunks"
+_FOLDERS = (EARLIER, LEAVING, RESTORING, CHUNKS)
 
 
 @contextmanager
@@ -54,13 +56,21 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = make_folder(folder)
     with locked_folder(path):
-        try:
-            _begin(path)
+        with renewed(path):
             yield path
-        except BaseException:
-            _put_back(path)
-            raise
-        shutil.rmtree(path / EARLIER, ignore_errors=True)
+        shutil.rmtree(path / CHUNKS, ignore_errors=True)  # of another run, which did not end
+
+
+@contextmanager
+def renewed(path: Path) -> Iterator[None]:
+    """Do what `renewed_folder` does with a folder that is there and locked."""
+    try:
+        _begin(path)
+        yield
+    except BaseException:
+        _put_back(path)
+        raise
+    shutil.rmtree(path / EARLIER, ignore_errors=True)
 
 
 def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
@@ -84,16 +94,7 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
 
 def _begin(path: Path) -> None:
     """Put an earlier result aside, remove one that is not complete, and make what is needed."""
-    known = {*PARTS, *OTHERS, CACHE, BEGUN}
-    there = sorted(item.name for item in path.iterdir())
-    ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
-    others = [name for name in there if name not in known | ours]
-    if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
-        others = [name for name in there if name not in ours]  # of such names, but whose?
-    if others:
-        raise FileExistsError(
-            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
-        )
+    refuse_others(path)
     (path / BEGUN).touch()
     # What a run was killed at is done to its end first.
     if (path / RESTORING).exists():
@@ -108,6 +109,20 @@ def _begin(path: Path) -> None:
     _remove(path)
     for name in (DEPTH, PICTURES, CACHE):
         (path / name).mkdir()
+
+
+def refuse_others(path: Path) -> None:
+    """Raise FileExistsError if a folder holds anything that is not of a reconstruction."""
+    known = {*PARTS, *OTHERS, CACHE, BEGUN}
+    there = sorted(item.name for item in path.iterdir())
+    ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
+    others = [name for name in there if name not in known | ours]
+    if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
+        others = [name for name in there if name not in ours]  # of such names, but whose?
+    if others:
+        raise FileExistsError(
+            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+        )
 
 
 def _put_back(path: Path) -> None:

@@ -34,6 +34,9 @@ from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
+NEW_PIECE = (
+    "nothing that it shows leads to the frames before: a new piece begins, in a scale of its own"
+)
 NO_PARALLAX = Status(
     "little_parallax", "no frame near by shows enough parallax to see depth by; its pose is known"
 )
@@ -355,9 +358,13 @@ def unit_of_points(piece: Piece, seen: Sequence[Seen]) -> float:
 
 def begins_piece(status: Status) -> Status:
     """Return the status of a frame that begins another piece than the first."""
-    told = "nothing that it shows leads to the frames before: a new piece begins, in a scale of "
-    told += "its own"
-    return Status(str(status), f"{status.message}; {told}" if status.message else told)
+    message = f"{status.message}; {NEW_PIECE}" if status.message else NEW_PIECE
+    return Status(str(status), message)
+
+
+def begins_none(status: Status) -> Status:
+    """Return what the status of a frame was before `begins_piece` said that a piece begins."""
+    return Status(str(status), status.message.removesuffix(NEW_PIECE).removesuffix("; "))
 
 
 def _count(source: FrameSource) -> int | None:

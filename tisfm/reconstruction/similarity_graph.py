@@ -6,6 +6,7 @@ Edges say how two of them lie to one another, by points that both have.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -57,6 +58,22 @@ class Edge:
         return self.first, self.second
 
 
+class Link(Protocol):
+    """A similarity between two nodes, as `Edge` has it."""
+
+    @property
+    def first(self) -> int:
+        """The node whose coordinates `similarity` leads to."""
+
+    @property
+    def second(self) -> int:
+        """The other one."""
+
+    @property
+    def similarity(self) -> np.ndarray:
+        """From the second's coordinates to those of the first, (4, 4) float64."""
+
+
 def placed(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
     """Place nodes by their edges.
 
@@ -80,12 +97,15 @@ def placed(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
     """
     return [
         _adjusted(begun, [edge for edge in edges if edge.first in begun])
-        for begun in _groups(count, edges)
+        for begun in connected(count, edges)
     ]
 
 
-def _groups(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
-    """Return the groups of connected nodes, each node placed along the first edges that connect."""
+def connected(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
+    """Return the groups of connected nodes, each node placed along the first edges that connect.
+
+    Arguments and what is returned are as for `placed`.
+    """
     group = {node: [node] for node in range(count)}
     place = {node: np.eye(4) for node in range(count)}
     for edge in edges:

@@ -1,0 +1,179 @@
+"""`tisfm reconstruct` in chunks, by several processes, and after a kill."""
+
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.command_line import TISFM, assert_one_line
+from tests.reconstruction.chunked.filmed import COUNT, contents, film, in_turn, write_frames
+from tisfm import Reconstruction
+from tisfm.cli import crew, reconstruct_runs
+from tisfm.trajectory import read_kitti
+
+CHUNKS = ("--preset", "fast", "--depth-of", "keyframes", "--chunk", "12")
+
+
+@pytest.fixture
+def frames(place):
+    """The folder `film` with images."""
+    return write_frames(place / "film", film().frames)
+
+
+def command(*more, output="out"):
+    return ("reconstruct", "film", "-o", output, "--focal", str(film().camera.focal), *more)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Let workers be this process; return what they were asked for."""
+    asked = []
+
+    class Here:
+        def __init__(self, **options):
+            asked.append(options)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *about):
+            pass
+
+        def finished(self, function, items):
+            items = [item.__class__(**{**vars(item), "threads": None}) for item in items]
+            return in_turn(function, items)
+
+    monkeypatch.setattr(crew, "crew", Here)
+    return asked
+
+
+def test_the_folder_is_that_of_any_reconstruction(tisfm_run, frames, place, in_this_process):
+    code, out, err = tisfm_run(*command(*CHUNKS, "--workers", "2"))
+    assert code == 0 and out == ""
+    assert err.startswith(f"{COUNT} of {COUNT} frames have a pose, in 1 piece")
+    assert in_this_process == [{"workers": 2, "cluster": None}]
+    assert len(read_kitti("out/poses.txt").poses) == len(Reconstruction.load("out")) == COUNT
+    assert not [path for path in place.joinpath("out").iterdir() if path.name.startswith(".")]
+    assert tisfm_run(*command(*CHUNKS, output="alone"))[0] == 0  # chunks, but one process
+    assert contents(place / "out") == contents(place / "alone")
+    cluster = ("--cluster", "tcp://127.0.0.1:8786")
+    assert tisfm_run(*command(*CHUNKS, *cluster, output="there"))[0] == 0
+    assert in_this_process[1:] == [{"workers": 1, "cluster": "tcp://127.0.0.1:8786"}]
+    assert contents(place / "there") == contents(place / "alone")
+
+
+def test_chunks_have_a_length_by_default(tisfm_run, frames, in_this_process):
+    fast = ("--preset", "fast", "--depth-of", "none")
+    assert tisfm_run(*command(*fast, "--workers", "2"))[0] == 0
+    code, _, err = tisfm_run(*command(*fast, "--chunk", "150", "--resume"))
+    assert code == 0 and "out is complete" in err
+
+
+def test_nothing_is_left_to_do(tisfm_run, frames, place, monkeypatch):
+    run = command(*CHUNKS[:4], "--scale", "0", "20", "2.5", "--ply")
+    assert tisfm_run(*run, "--resume")[0] == 0  # there is nothing to go on with
+    before = contents(place / "out")
+    monkeypatch.setattr(reconstruct_runs.tisfm, "reconstruct", None)
+    code, _, err = tisfm_run(*run, "--resume")
+    assert (code, err) == (0, "out is complete: nothing is left to do. Results in out.\n")
+    assert contents(place / "out") == before
+
+
+@pytest.mark.parametrize("name", ["poses.txt", "points.ply", "asked.json", "frames/000003.jpg"])
+def test_what_is_not_complete_is_made_again(tisfm_run, frames, place, name):
+    run = command(*CHUNKS[:4], "--ply")
+    assert tisfm_run(*run)[0] == 0
+    before = contents(place / "out")
+    (place / "out" / name).unlink()
+    code, _, err = tisfm_run(*run, "--resume")
+    assert code == 0 and "have a pose" in err
+    assert contents(place / "out") == before
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--preset", "balanced"), "settings"),
+        (("--chunk", "12"), "chunk was null, now 12"),
+        (("--stop", "20"), "stop was null, now 20"),
+        (("--ply",), "ply was false, now true"),
+        (("--scale", "0", "20", "3"), "scale was null, now"),
+        (("--mask", "mask.png"), "mask was null, now"),
+    ],
+)
+def test_resume_refuses_other_options(tisfm_run, frames, place, options, text):
+    fast = ("--preset", "fast", "--depth-of", "none")
+    (place / "mask.png").write_bytes((frames / "f00.png").read_bytes())
+    assert tisfm_run(*command(*fast))[0] == 0
+    before = contents(place / "out")
+    code, _, err = tisfm_run(*command(*fast), *options, "--resume")
+    assert_one_line(code, err, text, "without --resume")
+    assert contents(place / "out") == before
+
+
+def test_chunks_of_another_command_are_not_gone_on_with(tisfm_run, frames, place):
+    """Neither at once, nor with other chunks."""
+    (place / "out" / ".tisfm-chunks").mkdir(parents=True)
+    assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
+    asked = (place / "whole" / "asked.json").read_bytes()
+    (place / "out" / ".tisfm-chunks" / "asked.json").write_bytes(asked)
+    for options in (CHUNKS[:4], (*CHUNKS[:5], "13")):
+        code, _, err = tisfm_run(*command(*options, "--resume"))
+        assert_one_line(code, err, "chunk was 12, now")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--workers", "0"), "workers is 0: expected a positive number"),
+        (("--workers", "2", "--cluster", "tcp://here:1"), "has workers of its own"),
+        (("--chunk", "0"), "chunk is 0"),
+        (("--chunk", "11"), "expected a number of frames, at least 12"),
+        (("--workers", "2", "--motion", "objects"), "reconstruct it in one process"),
+        (("--workers", "2", "--labels", "film"), "--labels and --object-sizes"),
+        (("--chunk", "20", "--object-sizes", "1=2"), "--labels and --object-sizes"),
+    ],
+)
+def test_what_cannot_be_made_in_chunks(tisfm_run, frames, place, options, text):
+    code, _, err = tisfm_run(*command(*options))
+    assert_one_line(code, err, text)
+    assert not (place / "out").exists()
+
+
+def test_a_camera_at_the_computer_has_no_chunks(tisfm_run, place):
+    webcam = ("reconstruct", "webcam:0", "-o", "out")
+    code, _, err = tisfm_run(*webcam, "--workers", "2")
+    assert_one_line(code, err, "record the camera to a file first")
+    code, _, err = tisfm_run(*webcam, "--resume")
+    assert_one_line(code, err, "webcam:0 shows other frames now")
+    assert not (place / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
+@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("seen", ["camera-000.json", "000.json", "001"])
+def test_killed_and_given_again(tisfm_run, frames, place, workers, seen):
+    """Whatever is there by then; the bytes are those of a run that nobody interrupted."""
+    arguments = command(*CHUNKS, "--workers", workers)
+    process = subprocess.Popen(
+        [*TISFM, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 240
+    try:
+        while not Path("out/.tisfm-chunks", seen).exists() and time.monotonic() < deadline:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.02)
+    finally:
+        process.kill()
+        process.communicate()
+    assert Path("out/.tisfm-chunks", seen).exists()
+    assert not Path("out/reconstruction.json").exists()
+    done = subprocess.run(
+        [*TISFM, *arguments, "--resume"], capture_output=True, text=True, timeout=480
+    )
+    assert done.returncode == 0, done.stderr
+    assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
+    assert contents(place / "out") == contents(place / "whole")

@@ -1,0 +1,42 @@
+"""A film in files, and what makes chunks in this process."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+import tisfm
+from tests.reconstruction.films import along
+from tisfm.scenes import room_film
+
+FAST = tisfm.Settings.preset("fast", motion="camera")
+COUNT, CHUNK = 24, 12  # frames of the film, and of a chunk: it has three
+
+
+@cache
+def film():
+    """Return a film whose camera goes on slowly."""
+    return room_film(along(COUNT, np.array((0.06, 0, 0.025, 0, 0.006, 0))), 180, 240, samples=2)
+
+
+def write_frames(folder, frames):
+    """Write frames f00.png, f01.png, …"""
+    folder.mkdir()
+    for k, frame in enumerate(frames):
+        cv2.imwrite(str(folder / f"f{k:02d}.png"), frame)
+    return folder
+
+
+def in_turn(function, items):
+    """Call a function with each item, here."""
+    for number, item in enumerate(items):
+        yield number, function(item)
+
+
+def contents(folder):
+    """Return the files below a folder, by their names."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }

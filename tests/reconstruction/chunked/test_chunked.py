@@ -1,0 +1,197 @@
+"""A film in chunks, beside the same film at once."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, as_completed
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.chunked.filmed import (
+    CHUNK,
+    COUNT,
+    FAST,
+    contents,
+    film,
+    in_turn,
+    write_frames,
+)
+from tests.reconstruction.films import along, path_error
+from tisfm import Reconstruction
+from tisfm.reconstruction.chunked.entry import reconstruct_in_chunks
+from tisfm.reconstruction.run import NEW_PIECE
+from tisfm.scenes import room_film
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("source") / "film", film().frames)
+
+
+def in_chunks(source, folder, **options):
+    options = {
+        "camera": film().camera, "settings": FAST, "chunk": CHUNK, "finished": in_turn, **options
+    }  # fmt: skip
+    return reconstruct_in_chunks(source, folder, **options)
+
+
+@pytest.fixture(scope="module")
+def found(frames, tmp_path_factory):
+    return in_chunks(frames, tmp_path_factory.mktemp("result") / "out")
+
+
+@pytest.fixture(scope="module")
+def at_once(frames):
+    return tisfm.reconstruct(frames, camera=film().camera, settings=FAST)
+
+
+def scales(result):
+    """Return what the depth of each frame is to be multiplied by to be the true one."""
+    return np.array([np.nanmedian(true / result.depth(k)) for k, true in enumerate(film().depth)])
+
+
+def test_the_result_is_that_of_any_reconstruction(found):
+    loaded = Reconstruction.load(found.folder)
+    assert len(loaded) == COUNT and loaded.names == tuple(f"f{k:02d}" for k in range(COUNT))
+    assert (loaded.piece == 0).all() and loaded.unit == (1.0,)
+    np.testing.assert_array_equal(loaded.poses, found.poses)
+    np.testing.assert_allclose(loaded.poses[0], np.eye(4), atol=1e-12)
+    assert all(status == "converged" and not status.message for status in loaded.status)
+    assert np.nanmedian(loaded.depth(loaded.keyframes[0])) == pytest.approx(1, abs=2e-3)
+    assert loaded.picture(COUNT - 1).shape == film().frames[0].shape
+    assert sorted(path.name for path in found.folder.iterdir()) == [
+        "asked.json", "camera.json", "depth", "frames", "path.npz", "reconstruction.json",
+    ]  # fmt: skip
+
+
+def test_the_path_is_nearly_as_exact_as_at_once(found, at_once):
+    once, parts = (path_error(one.poses, film().poses) for one in (at_once, found))
+    assert once < 0.01 and parts < 0.02
+
+
+def test_there_is_one_scale(found, at_once):
+    """Depth is in the scale of that at once, on both sides of where the next chunk begins."""
+    part, whole = scales(found), scales(at_once)
+    ratio = part / whole * np.median(whole) / np.median(part)
+    assert np.abs(ratio - 1).max() < 0.04
+
+
+def test_depth_of_keyframes_or_none(frames, tmp_path):
+    keys = in_chunks(frames, tmp_path / "keys", depth_of="keyframes")
+    assert (keys.piece == 0).all()
+    written = sorted(int(path.stem) for path in (keys.folder / "depth").iterdir())
+    assert written == list(keys.keyframes)
+    none = in_chunks(frames, tmp_path / "none", depth_of="none")
+    assert (none.piece == 0).all() and not list((none.folder / "depth").iterdir())
+    for one in (keys, none):
+        assert path_error(one.poses, film().poses) < 0.02
+
+
+def test_a_focal_length_is_found_once(frames, tmp_path):
+    with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
+        found = in_chunks(frames, tmp_path / "out", camera=None, depth_of="none")
+    assert found.calibration.origin in ("estimated", "guessed")
+    assert tisfm.camera_file.read_camera(found.folder).focal == found.camera.focal
+
+
+def test_one_chunk_is_the_same_as_at_once(frames, at_once, tmp_path):
+    found = in_chunks(frames, tmp_path / "out", chunk=150)
+    assert contents(at_once.folder).items() <= contents(found.folder).items()
+
+
+def test_given_poses_are_those_of_the_result(frames, tmp_path):
+    poses = film().poses.copy()
+    poses[9] = np.nan
+    found = in_chunks(frames, tmp_path / "out", poses=poses, depth_of="keyframes")
+    np.testing.assert_allclose(found.poses, poses, atol=1e-12)
+    assert found.status[9] == "unrelated" and (np.delete(found.piece, 9) == 0).all()
+    at_once = tisfm.reconstruct(
+        frames, camera=film().camera, settings=FAST, poses=poses, depth_of="keyframes"
+    )
+    # Of the least exact keyframe, as near to the truth.
+    once, parts = (
+        max(abs(np.nanmedian(film().depth[k] / one.depth(k)) - 1) for k in one.keyframes)
+        for one in (at_once, found)
+    )
+    assert parts < 1.5 * once
+
+
+def test_other_frames_of_the_source(frames, tmp_path):
+    """Every second one, from the third on, with one that cannot be read."""
+    source = write_frames(tmp_path / "film", np.repeat(film().frames, 2, axis=0))
+    (source / "f10.png").write_bytes(b"no picture")
+    found = in_chunks(source, tmp_path / "out", start=2, step=2, bad_frames="skip", depth_of="none")
+    names = [f"f{k:02d}" for k in range(2, 2 * COUNT, 2) if k != 10]
+    assert found.names == tuple(names)
+    assert [index for index, _ in found.skipped] == [10]
+    true = film().poses[[int(name[1:]) // 2 for name in names]]
+    assert (found.piece == 0).all() and path_error(found.poses, true) < 0.02
+
+
+def test_a_cut_stays_a_cut(tmp_path):
+    """Two places, 14 frames each: two pieces, as at once, each through two chunks."""
+    one, other = (
+        room_film(along(14, np.array((way, 0, 0.02, 0, 0, 0))), 180, 240, seed=seed, samples=2)
+        for way, seed in ((0.06, 0), (-0.06, 7))
+    )
+    both = [*one.frames, *(255 - other.frames)]
+    source = write_frames(tmp_path / "film", both)
+    at_once = tisfm.reconstruct(source, camera=film().camera, settings=FAST, depth_of="none")
+    found = in_chunks(source, tmp_path / "out")
+    assert at_once.piece.tolist() == found.piece.tolist() == [0] * 14 + [1] * 14
+    assert [k for k, status in enumerate(found.status) if NEW_PIECE in status.message] == [14]
+    np.testing.assert_allclose(found.poses[14], np.eye(4), atol=1e-9)
+    assert path_error(found.poses[:14], one.poses) < 0.03
+    assert path_error(found.poses[14:], other.poses) < 0.03
+
+
+def spawned(function, items):
+    """Call a function with each item in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        tasks = {pool.submit(function, item): number for number, item in enumerate(items)}
+        for task in as_completed(tasks):
+            yield tasks[task], task.result()
+
+
+@pytest.mark.slow
+def test_other_processes_find_the_same(frames, found, tmp_path):
+    there = in_chunks(frames, tmp_path / "out", finished=spawned)
+    assert contents(there.folder) == contents(found.folder)
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "error", "text"),
+    [
+        ("film", {"chunk": 11}, ValueError, "chunk is 11: expected a number of frames, at least"),
+        ("film", {"settings": tisfm.Settings.preset("fast", motion="objects")}, ValueError,
+         "no number that is the same in all of them"),
+        ("film", {"settings": tisfm.Settings.preset("fast")}, ValueError, 'motion is "field"'),
+        ("film", {"mask": np.ones((180, 240), bool)}, TypeError, "mask is ndarray"),
+        ("film", {"poses": np.tile(np.eye(4), (3, 1, 1))}, ValueError, "poses are 3"),
+        ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "bad_frames": "skip"}, ValueError,
+         "would not fit"),
+        ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "calibrate": "focal"}, ValueError,
+         'calibrate="focal"'),
+        ("webcam:0", {}, ValueError, "record the camera to a file"),
+        ("arrays", {}, TypeError, "source is no path"),
+        ("gone", {}, FileNotFoundError, "gone"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_made_in_chunks(frames, tmp_path, source, options, error, text):
+    given = {"film": frames, "arrays": iter(film().frames)}.get(source, source)
+    with pytest.raises(error, match=text):
+        in_chunks(given, tmp_path / "out", **options)
+    assert not (tmp_path / "out" / "reconstruction.json").exists()
+
+
+def test_what_a_chunk_raises_is_told(tmp_path):
+    source = write_frames(tmp_path / "film", film().frames)
+    (source / "f20.png").write_bytes(b"no picture")
+    with pytest.raises(ValueError, match=r"f20\.png"):
+        in_chunks(source, tmp_path / "out")
+
+
+def test_a_result_never_lies_among_frames(frames):
+    with pytest.raises(ValueError, match="which is written to"):
+        in_chunks(frames, frames)

@@ -1,0 +1,222 @@
+"""A command that was killed, given again: nothing is done twice, and the result is the same."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.chunked.filmed import (
+    CHUNK,
+    FAST,
+    contents,
+    film,
+    in_turn,
+    write_frames,
+)
+from tisfm import Reconstruction
+from tisfm.reconstruction import folder as folder_module
+from tisfm.reconstruction import run as run_module
+from tisfm.reconstruction.chunked import chunk as chunk_module
+from tisfm.reconstruction.chunked import entry, joining
+from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
+from tisfm.reconstruction.renewal import CHUNKS
+
+
+class Killed(BaseException):
+    """The process is no more."""
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("source") / "film", film().frames)
+
+
+def again(source, folder, **options):
+    options = {
+        "camera": film().camera, "settings": FAST, "chunk": CHUNK, "finished": in_turn,
+        "depth_of": "keyframes", "resume": True, **options,
+    }  # fmt: skip
+    return reconstruct_in_chunks(source, folder, **options)
+
+
+@pytest.fixture(scope="module")
+def whole(frames, tmp_path_factory):
+    """Return what an uninterrupted run leaves."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    again(frames, folder, resume=False)
+    return contents(folder)
+
+
+@pytest.fixture(scope="module")
+def begun(frames, tmp_path_factory):
+    """Return a folder of a run that was killed when all chunks were made."""
+    folder = tmp_path_factory.mktemp("begun") / "out"
+    run = ChunkedRun(
+        frames, folder, camera=film().camera, settings=FAST, chunk=CHUNK, depth_of="keyframes"
+    )
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(entry, "places_of", kill)
+        run.result(in_turn)
+    return folder
+
+
+def kill(*arguments, **options):
+    raise Killed
+
+
+def at(count, original):
+    """Return a function that is killed when it is called for so many times."""
+    calls = []
+
+    def call(*arguments, **options):
+        calls.append(arguments)
+        if len(calls) == count:
+            raise Killed
+        return original(*arguments, **options)
+
+    return call
+
+
+STAGES = [
+    # The second chunk, half way; the account of the first, which is not written any more.
+    (run_module, "write_depth", 6),
+    (chunk_module, "files_below", 1),
+    # The camera that all share, before there is a chunk.
+    (chunk_module, "reconstruct", 1),
+    # The whole, half way; its record; and what is left to do then.
+    (joining, "_take", 9),
+    (folder_module, "atomic_write", 20),
+    (joining, "write_record", 1),
+    (entry, "write_asked", 2),
+    (shutil, "rmtree", 12),
+]
+
+
+@pytest.mark.parametrize(("module", "name", "count"), STAGES)
+def test_the_same_bytes_wherever_it_is_killed(
+    frames, whole, tmp_path, monkeypatch, module, name, count
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, at(count, getattr(module, name)))
+        try:
+            again(frames, tmp_path / "out", resume=False)
+        except Killed:
+            left = contents(tmp_path / "out")
+            assert any(path.startswith(CHUNKS) for path in left)
+        else:
+            assert name in ("atomic_write", "rmtree")  # it is called less often
+    again(frames, tmp_path / "out")
+    assert contents(tmp_path / "out") == whole
+
+
+def test_chunks_that_are_whole_are_not_made_again(frames, whole, begun, tmp_path, monkeypatch):
+    shutil.copytree(begun, tmp_path / "out")
+    monkeypatch.setattr(chunk_module, "reconstruct", kill)
+    again(frames, tmp_path / "out")
+    assert contents(tmp_path / "out") == whole
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda chunk: (chunk / "path.npz").write_bytes(b"cut off"),
+        lambda chunk: (chunk / "frames" / "000003.jpg").unlink(),
+        lambda chunk: (chunk / "depth" / "000099.npz").write_bytes(b"one too many"),
+        lambda chunk: chunk.with_name("001.json").write_text("{"),
+        lambda chunk: chunk.with_name("001.json").write_text('{"digest": "other", "files": {}}'),
+        lambda chunk: shutil.rmtree(chunk),
+    ],
+)
+def test_a_chunk_that_is_damaged_is_made_again(frames, whole, begun, tmp_path, monkeypatch, damage):
+    shutil.copytree(begun, tmp_path / "out")
+    damage(tmp_path / "out" / CHUNKS / "001")
+    made, original = [], chunk_module.reconstruct
+
+    def counted(*arguments, **options):
+        made.append(options["folder"].name)
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(chunk_module, "reconstruct", counted)
+    again(frames, tmp_path / "out")
+    assert made == ["001"]
+    assert contents(tmp_path / "out") == whole
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"chunk": 13}, "chunk was 12, now 13"),
+        ({"camera": tisfm.Camera(focal=100.0)}, "camera.focal was 144.0, now 100.0"),
+        ({"depth_of": "all"}, 'depth_of was "keyframes", now "all"'),
+        ({"settings": tisfm.Settings.preset("balanced", motion="camera")}, "settings"),
+        ({"start": 1}, "start was 0, now 1"),
+        ({"size": 200}, "size was null, now 200"),
+        ({"poses": np.array(film().poses)}, "poses was null"),
+        ({"others": {"ply": True}}, "ply was null, now true"),
+    ],
+)
+def test_other_options_are_refused(frames, begun, options, text):
+    before = contents(begun)
+    with pytest.raises(ValueError, match=text):
+        again(frames, begun, **options)
+    assert contents(begun) == before
+
+
+def test_other_frames_and_versions_are_refused(frames, begun, tmp_path, monkeypatch):
+    other = write_frames(tmp_path / "film", film().frames)
+    (other / "f07.png").write_bytes((other / "f08.png").read_bytes())
+    with pytest.raises(ValueError, match="frames was"):
+        again(other, begun)
+    shutil.copytree(begun, tmp_path / "out")
+    path = tmp_path / "out" / CHUNKS / "asked.json"
+    about = json.loads(path.read_text())
+    about["asked"]["version"] = "0.0.1"
+    path.write_text(json.dumps(about))
+    with pytest.raises(ValueError, match=r'version was "0\.0\.1", now'):
+        again(frames, tmp_path / "out")
+
+
+def test_what_is_complete_is_left_as_it_is(frames, whole, tmp_path, monkeypatch):
+    folder = tmp_path / "out"
+    again(frames, folder)  # there is nothing to go on with
+    assert contents(folder) == whole
+    monkeypatch.setattr(chunk_module, "reconstruct", kill)
+    assert len(again(frames, folder)) == len(film().frames)
+    assert contents(folder) == whole
+    with pytest.raises(ValueError, match="size was null, now 200"):
+        again(frames, folder, size=200)
+    with pytest.raises(Killed):  # without it all is made again
+        again(frames, folder, resume=False)
+    assert len(Reconstruction.load(folder)) == len(film().frames)
+
+
+def test_an_earlier_result_is_there_until_the_next_one_is(frames, begun, tmp_path, monkeypatch):
+    """It can be opened while chunks are made; and comes back where joining them fails."""
+    folder = tmp_path / "out"
+    camera = film().camera
+    tisfm.reconstruct(frames, stop=6, camera=camera, settings=FAST, depth_of="none", folder=folder)
+    before = contents(folder)
+    shutil.copytree(begun / CHUNKS, folder / CHUNKS)
+    with monkeypatch.context() as patch:
+        patch.setattr(joining, "_take", at(5, joining._take))
+        with pytest.raises(Killed):
+            again(frames, folder)
+    after = contents(folder)
+    assert {name: after[name] for name in before} == before
+    assert len(Reconstruction.load(folder)) == 6
+    assert len(again(frames, folder)) == len(film().frames)
+
+
+def test_a_run_at_once_removes_the_chunks(frames, begun, tmp_path):
+    shutil.copytree(begun, tmp_path / "out")
+    tisfm.reconstruct(
+        frames,
+        stop=4,
+        camera=film().camera,
+        settings=FAST,
+        depth_of="none",
+        folder=tmp_path / "out",
+    )
+    assert not (tmp_path / "out" / CHUNKS).exists()

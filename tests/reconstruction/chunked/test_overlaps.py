@@ -1,0 +1,135 @@
+"""How chunks lie to one another, by what both know of the same frames."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import along
+from tisfm.reconstruction.chunked.overlaps import (
+    scale_of_depth,
+    scale_of_places,
+    similarity_of,
+    turn_of,
+)
+from tisfm.reconstruction.folder import write_depth
+from tisfm.reconstruction.similarities import moved_pose, scale_of
+from tisfm.rigid import pose_matrix
+
+COUNT, SHAPE = 8, (60, 80)
+SIMILARITY = pose_matrix((0.3, -0.2, 0.5, 0.1, -0.4, 0.2))
+SIMILARITY[:3, :3] *= 1.7
+
+
+class Chunk(SimpleNamespace):
+    """Poses and depth, as a reconstruction has them."""
+
+    def inverse_depth(self, frame):
+        return np.asarray(self.inverse[frame], np.float32)
+
+    def inverse_depth_std(self, frame):
+        return np.asarray(self.deviation[frame], np.float32)
+
+
+def chunk(folder, poses, depth, *, with_depth=range(COUNT), off=0.01):
+    (folder / "depth").mkdir(parents=True)
+    inverse = 1 / depth
+    for frame in with_depth:
+        write_depth(folder, frame, np.float32(inverse[frame]), np.float32(off * inverse[frame]))
+    return Chunk(
+        folder=folder,
+        poses=poses,
+        inverse=inverse,
+        deviation=off * inverse,
+        shape=SHAPE,
+        camera=tisfm.Camera(focal=80.0),
+    )
+
+
+@pytest.fixture
+def both(tmp_path):
+    """Return two chunks of a plane before a camera, the second in coordinates of its own."""
+    poses = along(COUNT)
+    depth = np.stack([_plane(pose) for pose in poses])
+    there = np.array([moved_pose(np.linalg.inv(SIMILARITY), pose) for pose in poses])
+    first = chunk(tmp_path / "0", poses, depth)
+    second = chunk(tmp_path / "1", there, depth / scale_of(SIMILARITY))
+    return first, second
+
+
+def _plane(pose, away=4.0):
+    """Return the depth of a plane Z = 4 as a camera sees it."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    rays = np.stack([(x - 39.5) / 80, (y - 29.5) / 80, np.ones(SHAPE)], axis=-1)
+    return (away - pose[2, 3]) / (rays @ pose[:3, :3].T)[..., 2]
+
+
+SHARED = [(k, k) for k in range(COUNT)]
+
+
+def test_the_similarity_is_found(both):
+    found = similarity_of(*both, SHARED)
+    np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
+
+
+def test_depth_of_other_frames_will_do(both, tmp_path):
+    """As where keyframes alone have depth, and the second's are others than the first's."""
+    first, second = both
+    one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=(1, 5))
+    two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=(2, 7))
+    scale, _ = scale_of_depth(one, two, SHARED)
+    assert scale == pytest.approx(np.log(scale_of(SIMILARITY)), abs=2e-3)
+
+
+def test_a_camera_at_rest_is_placed_by_depth_alone(both):
+    first, second = both
+    shared = [(3, 3)]
+    found = similarity_of(first, second, shared)
+    np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
+
+
+def test_places_alone_will_do(both, tmp_path):
+    first, second = both
+    one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=())
+    two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=())
+    assert scale_of_depth(one, two, SHARED) is None
+    np.testing.assert_allclose(similarity_of(one, two, SHARED), SIMILARITY, atol=1e-9)
+    assert similarity_of(one, two, SHARED[:3]) is None  # too few to tell
+
+
+def test_a_third_of_wrong_depth_changes_little(both):
+    first, second = both
+    second.inverse[:, : SHAPE[0] // 3] *= 2
+    found = similarity_of(first, second, SHARED)
+    np.testing.assert_allclose(found, SIMILARITY, rtol=0.01, atol=0.02)
+
+
+def test_nothing_is_told_by_depth_that_agrees_on_nothing(both):
+    first, second = both
+    random = np.random.default_rng(0)
+    second.inverse *= np.exp(random.normal(0, 1, second.inverse.shape))
+    assert scale_of_depth(first, second, SHARED) is None
+
+
+def test_depth_that_is_not_sure_counts_nothing(both):
+    first, second = both
+    second.deviation = 0.5 * second.inverse
+    assert scale_of_depth(first, second, SHARED) is None
+
+
+def test_places_of_two_ways_tell_nothing():
+    random = np.random.default_rng(0)
+    poses, others = along(COUNT), along(COUNT)
+    others[:, :3, 3] = random.normal(0, 1, (COUNT, 3))
+    assert scale_of_places(poses, others, np.eye(3)) is None
+    others[:, :3, 3] = 0
+    assert scale_of_places(poses, others, np.eye(3)) is None
+
+
+def test_the_rotation_is_the_mean_of_all():
+    turn = pose_matrix((0, 0, 0, 0.2, -0.1, 0.4))[:3, :3]
+    poses = along(COUNT)
+    others = poses.copy()
+    others[:, :3, :3] = turn.T @ poses[:, :3, :3]
+    np.testing.assert_allclose(turn_of(poses, others), turn, atol=1e-12)

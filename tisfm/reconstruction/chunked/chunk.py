@@ -1,0 +1,135 @@
+"""A chunk: what it is made of, and how it is made, in whichever process."""
+
+import hashlib
+import json
+import shutil
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.text import read_json
+from tisfm.reconstruction.asked import files_below
+from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.chunked.spans import Span
+from tisfm.reconstruction.entry import reconstruct
+from tisfm.reconstruction.progress import DepthOf
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import Source
+from tisfm.stated import is_stated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chunk:
+    """A chunk, as a process is told of it.
+
+    Attributes
+    ----------
+    folder : Path
+        That it is written to, absolute.
+    source : str or list of str
+        Absolute paths.
+    span : Span
+        Its frames.
+    frames : mapping
+        Other options of `tisfm.reconstruct` that say what is taken of the source.
+    camera : Camera, Path or None
+    calibrate : {"nothing", "focal", "radial"}
+    settings : Settings
+    poses : (N, 4, 4) float64, or None
+        Of its frames, if they are given.
+    depth_of : {"all", "keyframes", "none"}
+    asked : str
+        Digest of what the whole was asked for.
+    arch, threads
+        As for `tisfm.runtime.start`.
+    """
+
+    folder: Path
+    source: Source
+    span: Span
+    frames: Mapping[str, Any]
+    camera: Camera | Path | None
+    calibrate: Calibrate
+    settings: Settings
+    poses: np.ndarray | None = field(repr=False, default=None)
+    depth_of: DepthOf = "all"
+    asked: str
+    arch: Arch | None = None
+    threads: int | None = None
+
+    @property
+    def account(self) -> Path:
+        """The file that says that it is complete, beside its folder."""
+        return self.folder.with_name(f"{self.folder.name}.json")
+
+    @property
+    def digest(self) -> str:
+        """Of what its result depends on."""
+        camera = self.camera
+        about = [
+            self.asked,
+            asdict(self.span),
+            asdict(camera) if isinstance(camera, Camera) else None,
+            self.calibrate,
+            self.depth_of,
+        ]
+        return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:32]
+
+    def is_complete(self) -> bool:
+        """Return whether it was made, of this, and its files are as they were then."""
+        try:
+            about = read_json(self.account)
+            return bool(
+                about["digest"] == self.digest and about["files"] == files_below(self.folder)
+            )
+        except (FormatError, OSError, LookupError, TypeError):
+            return False
+
+    def with_camera(self, folder: Path, camera: Camera | Path | None) -> "Chunk":
+        """Return the chunk in another folder, with a camera that is known."""
+        return replace(self, folder=folder, camera=camera, calibrate="nothing")
+
+
+def make_chunk(chunk: Chunk) -> Exception | None:
+    """Make a chunk, unless it is complete; return an error that its user is to be told."""
+    try:
+        _make(chunk)
+    except Exception as error:
+        if not is_stated(error):
+            raise
+        return error.with_traceback(None)
+    return None
+
+
+def _make(chunk: Chunk) -> None:
+    if chunk.is_complete():
+        return
+    chunk.account.unlink(missing_ok=True)
+    shutil.rmtree(chunk.folder, ignore_errors=True)
+    runtime.start(chunk.arch, threads=chunk.threads)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GuessedFocalWarning)  # told once, of the whole
+        reconstruct(
+            chunk.source,
+            camera=chunk.camera,
+            calibrate=chunk.calibrate,
+            settings=chunk.settings,
+            poses=chunk.poses,
+            depth_of=chunk.depth_of,
+            start=chunk.span.start,
+            stop=chunk.span.stop,
+            folder=chunk.folder,
+            **chunk.frames,
+        )
+    about = {"digest": chunk.digest, "files": files_below(chunk.folder)}
+    with atomic_write(chunk.account, durable=True) as file:
+        file.write(json.dumps(about, indent=1).encode())

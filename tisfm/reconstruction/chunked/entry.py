@@ -1,0 +1,314 @@
+"""A sequence in chunks, from the source to the folder; begun anew, or gone on with."""
+
+import os
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from tisfm.camera import Camera
+from tisfm.camera_file import file_of
+from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats.folder_lock import locked_folder
+from tisfm.formats.outputs import make_folder
+from tisfm.outcome import Status
+from tisfm.reconstruction.asked import (
+    asked_for,
+    digest_of,
+    is_done,
+    read_asked,
+    refuse_differing,
+    write_asked,
+)
+from tisfm.reconstruction.calibration import Calibrate
+from tisfm.reconstruction.chunked.chunk import Chunk
+from tisfm.reconstruction.chunked.placing import Part, places_of
+from tisfm.reconstruction.chunked.shared_camera import Finished, is_sought, made, shared_camera
+from tisfm.reconstruction.chunked.spans import CHUNK, check_chunk, spans_of
+from tisfm.reconstruction.entry import (
+    checked_calibrate,
+    checked_camera,
+    checked_poses,
+    checked_settings,
+    refuse_inside,
+)
+from tisfm.reconstruction.given_poses import poses_of_frames
+from tisfm.reconstruction.progress import DepthOf, Progress
+from tisfm.reconstruction.renewal import CHUNKS, refuse_others, renewed
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.files import times_of_names
+from tisfm.sources.reading import is_path
+from tisfm.sources.webcam import webcam_number
+from tisfm.trajectory import Trajectory
+
+
+class ChunkedRun:
+    """A reconstruction in chunks of frames, and what it is asked for.
+
+    Parameters
+    ----------
+    source : path, or sequence of paths
+        A video, a folder of images, a glob pattern, or image files.
+    folder : path
+        Where the result is to lie, and meanwhile its chunks, in ``.tisfm-chunks``.
+    camera, calibrate, settings, poses, depth_of, step, start, stop, size, crop, bad_frames
+        As for `tisfm.reconstruct`. Settings are of ``motion="camera"``.
+    mask : path, optional
+        As for `tisfm.reconstruct`.
+    chunk : int
+        Frames of a chunk, at most.
+    arch, threads
+        As for `tisfm.runtime.start`, of each process.
+    others : mapping, optional
+        What else is asked for, as JSON has it.
+
+    Attributes
+    ----------
+    asked : dict
+        All that the result depends on.
+
+    Raises
+    ------
+    OSError, TypeError, ValueError
+        As `tisfm.reconstruct` does; if the source is a webcam or no files; if chunks are too short;
+        if settings are of ``motion="objects"``.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        folder: str | os.PathLike[str],
+        *,
+        camera: Camera | str | os.PathLike[str] | None = None,
+        calibrate: Calibrate | None = None,
+        settings: Settings | None = None,
+        poses: npt.ArrayLike | Trajectory | None = None,
+        mask: str | os.PathLike[str] | None = None,
+        depth_of: DepthOf = "all",
+        step: int = 1,
+        start: int = 0,
+        stop: int | None = None,
+        size: int | None = None,
+        crop: tuple[int, int, int, int] | None = None,
+        bad_frames: BadFrames = "raise",
+        chunk: int = CHUNK,
+        arch: Arch | None = None,
+        threads: int | None = None,
+        others: Mapping[str, Any] | None = None,
+    ) -> None:
+        settings = checked_settings(settings)
+        if settings.motion == "objects":
+            raise ValueError(
+                'motion is "objects", and chunks are asked for: what moves on its own has no '
+                "number that is the same in all of them; reconstruct it in one process"
+            )
+        check_chunk(chunk)
+        if mask is not None and not is_path(mask):
+            raise TypeError(f"mask is {type(mask).__name__}: expected a path, for other processes")
+        source = _absolute(source)
+        sources = FrameSource(
+            source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
+            bad_frames=bad_frames,
+        )  # fmt: skip
+        given = None if poses is None else checked_poses(poses)
+        if given is not None and bad_frames == "skip":
+            raise ValueError(
+                'poses are given and bad_frames="skip": they would not fit what is left'
+            )
+        calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
+        camera, self._stated = checked_camera(camera)
+        self.folder = Path(folder).absolute()
+        files = [file_of(camera)] if isinstance(camera, Path) else []
+        refuse_inside([*sources.files, *files], self.folder)
+        self._taken, times = _taken(sources)
+        self._missing: dict[int, Status] = {}
+        known = None
+        if given is not None:
+            known, self._missing = poses_of_frames(given, times)
+        self.asked = asked_for(
+            sources,
+            camera=camera,
+            settings=settings,
+            poses=given,
+            arch=arch,
+            files={"mask": None if mask is None else os.fspath(mask)},
+            others={
+                "calibrate": calibrate, "depth_of": depth_of, "size": size, "crop": crop,
+                "bad_frames": bad_frames, "chunk": chunk, **(others or {}),
+            },
+        )  # fmt: skip
+        self._chunks = [
+            Chunk(
+                folder=self.folder / CHUNKS / f"{number:03d}",
+                source=source,
+                span=span,
+                frames={
+                    "step": step, "size": size, "crop": crop, "bad_frames": bad_frames,
+                    "mask": None if mask is None else os.path.abspath(mask),
+                },
+                camera=camera.absolute() if isinstance(camera, Path) else camera,
+                calibrate=calibrate,
+                settings=settings,
+                poses=None if known is None else known[span.of(self._taken)],
+                depth_of=depth_of,
+                asked=digest_of(self.asked),
+                arch=arch,
+                threads=threads,
+            )
+            for number, span in enumerate(spans_of(self._taken, stop, chunk))
+        ]  # fmt: skip
+
+    def is_done(self) -> bool:
+        """Return whether the folder holds the complete result.
+
+        Raises
+        ------
+        ValueError
+            If it holds a result, or chunks, of something else.
+        """
+        chunks = read_asked(self.folder / CHUNKS)
+        if chunks is None:
+            return is_done(self.folder, self.asked)
+        refuse_differing(self.folder, chunks["asked"], self.asked)
+        whole = read_asked(self.folder)
+        same = whole is not None and whole["asked"] == self.asked
+        return same and is_done(self.folder, self.asked)
+
+    def result(
+        self, finished: Finished, *, resume: bool = False, progress: Progress | None = None
+    ) -> Reconstruction:
+        """Make the chunks, and of them the whole; chunks stay until `finish`.
+
+        Parameters
+        ----------
+        finished : callable
+            ``finished(function, items)`` calls a function, which can be pickled, with each item,
+            in whichever process, and yields (number of the item, what was returned) as they come.
+        resume : bool
+            Go on with chunks that lie in the folder, as far as they are whole.
+        progress : callable, optional
+            As for `tisfm.reconstruct`.
+
+        Raises
+        ------
+        Exception
+            What `tisfm.reconstruct` raises; ValueError if chunks in the folder are of something
+            else.
+        """
+        from tisfm.reconstruction.chunked.joining import write_whole
+
+        tell: Progress = progress or (lambda stage, done, total: None)
+        path = make_folder(self.folder)
+        with locked_folder(path):
+            refuse_others(path)
+            self._begin(path / CHUNKS, resume)
+            chunks, count = self._chunks, len(self._taken)
+            tell("path", 0, count)
+            camera = None
+            if len(chunks) > 1 and is_sought(chunks[0], self._stated):
+                camera = shared_camera(chunks, finished, path / CHUNKS)
+                chunks = [one.with_camera(one.folder, camera.camera) for one in chunks]
+            done = 0
+            for number in made(chunks, finished):
+                done += chunks[number].span.count
+                tell("depth", min(done, count), count)
+            parts = [
+                Part.of(Reconstruction.load(one.folder), one.span, self._taken) for one in chunks
+            ]
+            places = places_of(parts, are_given=chunks[0].poses is not None)
+            with renewed(path):
+                return write_whole(
+                    path,
+                    parts,
+                    places,
+                    camera=parts[0].result if camera is None else camera.found,
+                    missing=self._missing,
+                )
+
+    def finish(self) -> None:
+        """Say that the result in the folder is complete, and remove the chunks."""
+        with locked_folder(self.folder):
+            write_asked(self.folder, self.asked)
+            shutil.rmtree(self.folder / CHUNKS, ignore_errors=True)
+
+    def _begin(self, chunks: Path, resume: bool) -> None:
+        before = read_asked(chunks) if resume else None
+        if before is not None:
+            refuse_differing(self.folder, before["asked"], self.asked)
+            return
+        shutil.rmtree(chunks, ignore_errors=True)
+        chunks.mkdir()
+        write_asked(chunks, self.asked)
+
+
+def reconstruct_in_chunks(
+    source: Source,
+    folder: str | os.PathLike[str],
+    *,
+    finished: Finished,
+    resume: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Reconstruction:
+    """Reconstruct a sequence in chunks of frames, and return the whole.
+
+    Parameters
+    ----------
+    source, folder, **options
+        As for `ChunkedRun`.
+    finished, resume, progress
+        As for `ChunkedRun.result`.
+    """
+    run = ChunkedRun(source, folder, **options)
+    if resume and run.is_done():
+        run.finish()
+        return Reconstruction.load(run.folder)
+    result = run.result(finished, resume=resume, progress=progress)
+    run.finish()
+    if not result.calibration.seen:
+        warnings.warn(result.calibration.message, GuessedFocalWarning, stacklevel=2)
+    return result
+
+
+def _absolute(source: Source) -> str | list[str]:
+    """Return a source of files as other processes find it."""
+    if isinstance(source, (str, os.PathLike)):
+        name = os.fspath(source)
+        if webcam_number(name) is not None and not os.path.exists(name):
+            raise ValueError(
+                f"source is {name}, and chunks are asked for: record the camera to a file first"
+            )
+        return os.path.abspath(name)
+    if isinstance(source, Sequence) and source and all(map(is_path, source)):
+        return [os.path.abspath(item) for item in source]
+    raise TypeError(
+        "source is no path, and chunks are asked for: expected a video, a folder, a pattern or "
+        "image files, which other processes can read"
+    )
+
+
+def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
+    """Return the numbers of the frames that are taken, and their times, as far as these are known.
+
+    Only reading tells how many a video has.
+    """
+    if source.names is not None:
+        files = source.frame_files
+        times = times_of_names([file.stem for file in files])
+        chosen = range(len(files))[source.chosen]
+        return chosen, [None if times is None else times[index] for index in chosen]
+    found: list[tuple[int, float | None]] = []
+    with closing(source.frames()) as frames:
+        for frame in frames:
+            found.append((frame.index, frame.time))
+    last = max([index for index, _ in found] + [index for index, _ in source.skipped], default=-1)
+    if not found:
+        raise ValueError(f"{source.title} has no frame that can be read: expected at least 2")
+    return range(last + 1)[source.chosen], [time for _, time in found]

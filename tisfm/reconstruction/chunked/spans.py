@@ -1,0 +1,73 @@
+"""Which frames a chunk has."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+from tisfm.sources.reading import is_whole
+
+CHUNK = 150  # frames of a chunk, at most
+# Frames that a chunk shares with the next: so many, or that share of a short one.
+OVERLAP, SHARE = 20, 3
+SMALLEST = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """The frames of a chunk.
+
+    Attributes
+    ----------
+    start : int
+        Number of the first in the source.
+    stop : int or None
+        Number of the first that is not of the chunk any more; None for the end of the source.
+    count : int
+        How many there are.
+    """
+
+    start: int
+    stop: int | None
+    count: int
+
+    def of(self, taken: range) -> slice:
+        """Return which of the frames that are taken these are."""
+        begin = taken.index(self.start)
+        return slice(begin, begin + self.count)
+
+
+def check_chunk(chunk: int) -> None:
+    """Raise ValueError if chunks are not to have enough frames."""
+    if not is_whole(chunk) or chunk < SMALLEST:
+        raise ValueError(f"chunk is {chunk!r}: expected a number of frames, at least {SMALLEST}")
+
+
+def overlap_of(chunk: int) -> int:
+    """Return how many frames chunks of so many frames share."""
+    return min(OVERLAP, chunk // SHARE)
+
+
+def spans_of(taken: range, stop: int | None, chunk: int) -> list[Span]:
+    """Return the frames of each chunk, as even as can be.
+
+    Parameters
+    ----------
+    taken : range
+        Numbers of all frames that are taken.
+    stop : int or None
+        As it was given: the last chunk ends there.
+    chunk : int
+        Frames of a chunk, at most.
+    """
+    count, overlap = len(taken), overlap_of(chunk)
+    chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
+    begins = [k * (count - overlap) // chunks for k in range(chunks + 1)]
+    if chunks == 1:
+        begins = [0, count - overlap]
+    return [
+        Span(
+            start=taken[begin],
+            stop=stop if end + overlap >= count else taken[end + overlap - 1] + 1,
+            count=end + overlap - begin,
+        )
+        for begin, end in pairwise(begins)
+    ]
