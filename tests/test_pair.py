@@ -116,6 +116,20 @@ def test_uniform_frames_have_no_texture():
     assert result.status == "no_texture"
 
 
+@pytest.mark.parametrize("motion", ["field", "camera", "objects"])
+@pytest.mark.parametrize("preset", ["paper", "fast", "balanced"])
+def test_a_uniform_frame_has_no_motion_whatever_follows(preset, motion, tmp_path):
+    settings = tisfm.Settings.preset(preset, motion=motion)
+    after = np.random.default_rng(0).normal(90, 4, (30, 40)).astype(np.float32)
+    result = tisfm.interpret(
+        np.full((30, 40), 90, np.float32), after, camera=tisfm.Camera(40.0), settings=settings
+    )
+    assert result.status == "no_texture"
+    for name in ("rho", "flow", "inverse_depth", "confidence"):
+        assert not getattr(result, name).any(), name
+    result.save(tmp_path / "result.npz")
+
+
 def test_iteration_limit_is_a_status_with_advice(blocks):
     settings = tisfm.Settings(outer_iterations=1, sweeps=1, tolerance=1e-4)
     result = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings)

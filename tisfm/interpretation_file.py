@@ -362,8 +362,8 @@ def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:
     """Round to 11 significant bits, and to 2⁻²⁴ where the numbers are tiny."""
     flat = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
     try:
-        # Several times as fast as NumPy.
-        rounded = cv2.add(flat, 0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
+        # Several times as fast as NumPy. −0 leaves every number as it is; 0 would change −0.
+        rounded = cv2.add(flat, -0.0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
     except cv2.error:  # of a version that cannot
         rounded = flat.astype(np.float16)
     return rounded.reshape(array.shape)

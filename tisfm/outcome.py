@@ -25,10 +25,10 @@ class Status(str):
     their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
     ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
     camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth;
-    and ``"uncertain"``, it changed its place so little that depth is rough. With
-    ``motion="camera"`` that is also the status where much of the depth has a large deviation, and
-    there are ``"two_motions"``, frames of one plane, or far apart, leave two motions that explain
-    them alike, and depth follows from one of them; ``"behind_camera"``, much of the scene would lie
+    ``"uncertain"``, it changed its place so little that depth is rough; and ``"two_motions"``,
+    frames of one plane, or far apart, leave two motions that explain them alike, and depth follows
+    from one of them. With ``motion="camera"``, ``"uncertain"`` is also the status where much of the
+    depth has a large deviation, and there are ``"behind_camera"``, much of the scene would lie
     behind the camera; and ``"unexplained"``, much of the texture is not alike where motion and
     depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``: it contradicts the
     images, and the depth is what follows from it all the same.

@@ -168,6 +168,8 @@ def interpret_pair(
     else:
         estimate = objects_estimate(pyramid, settings, *taken.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
+    if pyramid.contrast == 0:
+        estimate.precision[...] = 0  # it is of gradients of frame 1 alone
     with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
         leaves = leaves_image(flow)
         unseen = occlusion_in(

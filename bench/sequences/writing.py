@@ -1,13 +1,15 @@
 """What storing every result costs a sequence: ``python -m bench.writing``.
 
-`tisfm run --no-figures` and a loop over `tisfm.interpret_sequence` take the same frames in turns,
-in one process, so that both find their kernels compiled.
+A loop over `tisfm.interpret_sequence`, `tisfm run --no-figures`, and `tisfm run` with a figure of
+every tenth pair take the same frames in turns, in one process, so that all find their kernels
+compiled.
 """
 
 import argparse
 import contextlib
 import io
 import json
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -26,10 +28,12 @@ from tisfm.formats import write_png
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
-BAR = 1.6  # times the loop
+BARS = 1.3, 1.5  # times the loop: without figures, and with every tenth
+OPTIONS = ("--no-figures",), ("--figures", "10")
+NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
 ROUNDS, PAIRS = 7, 30
 HEIGHT, WIDTH = 540, 960
-Times = Sequence[tuple[float, float]]
+Times = Sequence[tuple[float, float, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +44,10 @@ class Outcome:
     ----------
     source : str
     pairs : int
-    times : sequence of (float, float)
-        The loop and the command line, s, in every round.
+    times : sequence of (float, float, float)
+        The loop and the command line, without figures and with every tenth, s, in every round.
     size : int
-        Bytes that the command line left.
+        Bytes that the command line left without figures.
     """
 
     source: str
@@ -51,11 +55,10 @@ class Outcome:
     times: Times
     size: int
 
-    @property
-    def ratios(self) -> tuple[float, float, float]:
-        """Lower quartile, median and upper quartile of command line over loop."""
+    def ratios(self, kind: int) -> tuple[float, float, float]:
+        """Lower quartile, median and upper quartile of a kind of command line over the loop."""
         times = np.array(self.times)
-        low, middle, high = np.quantile(times[:, 1] / times[:, 0], (0.25, 0.5, 0.75))
+        low, middle, high = np.quantile(times[:, 1 + kind] / times[:, 0], (0.25, 0.5, 0.75))
         return float(low), float(middle), float(high)
 
 
@@ -81,41 +84,56 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
     with tempfile.TemporaryDirectory() as left:
         turn = 0
 
-        def run() -> None:
+        def run(kind: int) -> None:
             nonlocal turn
             turn += 1
             arguments = ["run", str(source), "-o", f"{left}/{turn}", "--preset", preset]
             with contextlib.redirect_stdout(io.StringIO()):
-                code = tisfm_command([*arguments, "--no-figures"])
+                code = tisfm_command([*arguments, *OPTIONS[kind]])
             if code != 0:
                 raise RuntimeError(f"tisfm run ended with exit code {code}")
 
         loop()  # compiles
-        times = [(_seconds(loop), _seconds(run)) for _ in range(rounds)]
-        size = sum(file.stat().st_size for file in Path(left, str(turn)).rglob("*"))
+        times = []
+        for _ in range(rounds):
+            seconds = _seconds(loop), _seconds(lambda: run(0)), _seconds(lambda: run(1))
+            times.append(seconds)
+            shutil.rmtree(f"{left}/{turn}")  # a long video fills a disk
+            if len(times) < rounds:
+                shutil.rmtree(f"{left}/{turn - 1}")
+        size = sum(file.stat().st_size for file in Path(left, str(turn - 1)).rglob("*"))
     return Outcome(source=source.name, pairs=pairs, times=times, size=size)
 
 
 def bars(outcome: Outcome) -> list[Bar]:
-    """Return the bar of the ratio."""
-    return [Bar("tisfm run --no-figures over interpret_sequence", outcome.ratios[1], BAR)]
+    """Return the bars of the ratios."""
+    return [
+        Bar(f"{name} over interpret_sequence", outcome.ratios(kind)[1], bar)
+        for kind, (name, bar) in enumerate(zip(NAMES, BARS, strict=True))
+    ]
 
 
 def report(outcome: Outcome, conditions: dict[str, object]) -> str:
     """Return the results as Markdown."""
-    low, middle, high = outcome.ratios
-    loop, run = np.median(np.array(outcome.times), axis=0)
+    loop, *runs = np.median(np.array(outcome.times), axis=0)
+    rows = []
+    for kind, seconds in enumerate(runs):
+        low, middle, high = outcome.ratios(kind)
+        rows.append(
+            f"| {NAMES[kind]} | {outcome.pairs} | {len(outcome.times)} | {loop:.2f} | "
+            f"{seconds:.2f} | {middle:.2f} | {low:.2f}–{high:.2f} |"
+        )
     return "\n".join(
         [
             "# What storing every result costs",
             "",
             *(f"- {name}: {value}" for name, value in conditions.items()),
             "",
-            "| pairs | rounds | loop, s | `tisfm run --no-figures`, s | ratio | quartiles | MB "
-            "written |",
-            "| ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-            f"| {outcome.pairs} | {len(outcome.times)} | {loop:.2f} | {run:.2f} | {middle:.2f} | "
-            f"{low:.2f}–{high:.2f} | {outcome.size / 1e6:.0f} |",
+            "| | pairs | rounds | loop, s | run, s | ratio | quartiles |",
+            "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+            *rows,
+            "",
+            f"{outcome.size / 1e6:.0f} MB were written without figures.",
             "",
             *(f"- {bar}" for bar in bars(outcome)),
             "- loop: over `tisfm.interpret_sequence`, nothing stored. Medians, in turns; the "

@@ -13,7 +13,7 @@ import pytest
 
 from tests.cli.command_line import assert_one_line, files, promised, record
 from tisfm import pair
-from tisfm.cli import outputs, run_record
+from tisfm.cli import pair_files, run_record
 from tisfm.cli.background import Background
 from tisfm.formats.atomic import atomic_write
 
@@ -109,7 +109,7 @@ def test_nothing_is_held_when_it_is_done():
 
 
 def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
-    original, calls = outputs.write_depth_png, []
+    original, calls = pair_files.write_depth_png, []
 
     def full(*arguments, **options):
         calls.append(1)
@@ -117,7 +117,7 @@ def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
             raise OSError(28, "No space left on device")
         return original(*arguments, **options)
 
-    monkeypatch.setattr(outputs, "write_depth_png", full)
+    monkeypatch.setattr(pair_files, "write_depth_png", full)
     code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
     assert out == ""
     assert_one_line(code, err, "No space left on device")
@@ -128,7 +128,7 @@ def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
 @pytest.mark.parametrize("slow", [True, False])
 def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow):
     """Writing may lag behind: what was interpreted before is written whole."""
-    original, calls = outputs.write_depth_png, []
+    original, calls = pair_files.write_depth_png, []
 
     def write_depth_png(*arguments, **options):
         time.sleep(0.5 * slow)
@@ -142,7 +142,7 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
             raise KeyboardInterrupt
         return interpret(*arguments, **options)
 
-    monkeypatch.setattr(outputs, "write_depth_png", write_depth_png)
+    monkeypatch.setattr(pair_files, "write_depth_png", write_depth_png)
     monkeypatch.setattr(pair, "interpret", interrupted)
     code, out, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
     assert (code, out, err) == (130, "", "tisfm: interrupted\n")

@@ -8,7 +8,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
-from tisfm.cli import demo, outputs, paper_figures
+from tisfm.cli import demo, outputs, pair_files, paper_figures
 from tisfm.cli.motion_text import motion_rows
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.outcome import Status
@@ -307,7 +307,7 @@ def test_resume_knows_the_poses(tisfm_run):
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, monkeypatch, when):
     options = ("--motion", "camera", "--no-figures")
     assert tisfm_run("run", "frames", "-o", "whole", *options)[0] == 0
-    module = tisfm.pair if when == "interpret" else outputs
+    module = tisfm.pair if when == "interpret" else pair_files
     original, calls = getattr(module, when), []
 
     def interrupted(*arguments, **options):

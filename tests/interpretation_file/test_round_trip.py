@@ -93,6 +93,14 @@ def test_saving_again_changes_nothing(saved, tmp_path):
     assert (tmp_path / "again.npz").read_bytes() == saved.read_bytes()
 
 
+def test_saving_again_keeps_the_sign_of_zero(result, tmp_path):
+    rho = np.full_like(result.rho, -1e-9)  # which halves round to −0
+    dataclasses.replace(result, rho=rho).save(tmp_path / "once.npz")
+    Interpretation.load(tmp_path / "once.npz").save(tmp_path / "again.npz")
+    assert np.signbit(entries_of(tmp_path / "once.npz")["rho"]).all()
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "once.npz").read_bytes()
+
+
 def test_halves_without_help(result, saved, monkeypatch):
     """As with versions of OpenCV that cannot."""
 

@@ -265,7 +265,7 @@ def test_a_rotation_that_only_the_finer_flow_field_doubts():
 # One plane.
 
 
-def plane(normal, motion, noise=0.0):
+def plane(normal, motion, noise=0.0, settings=CAMERA):
     wall = Plane(texture=Texture(wavelength=0.06), point=(0, 0, 5), normal=normal, motion=motion)
     pair = Scene(objects=[wall], camera=Camera(focal=300.0), height=240, width=320).render()
     rng = np.random.default_rng(0)
@@ -273,7 +273,7 @@ def plane(normal, motion, noise=0.0):
         np.clip(frame + rng.normal(scale=noise, size=frame.shape), 0, 255).astype(np.uint8)
         for frame in (pair.frame0, pair.frame1)
     ]
-    return tisfm.interpret(*frames, camera=pair.camera, settings=CAMERA)
+    return tisfm.interpret(*frames, camera=pair.camera, settings=settings)
 
 
 FRONTAL, SLANTED = (0, 0, -1), (0.6, 0.1, -1)
@@ -295,4 +295,11 @@ def test_a_wall_shows_parallax(normal, motion, noise):
 @pytest.mark.parametrize("normal", [FRONTAL, SLANTED])
 def test_a_wall_that_is_approached_aslant_leaves_two_motions(normal, noise):
     result = plane(normal, (-0.4, 0, -0.4, 0.03, 0.02, 0), noise)
+    assert result.status == "two_motions" and result.inverse_depth.any()
+
+
+def test_so_it_does_where_things_might_move():
+    settings = tisfm.Settings.preset("fast", motion="objects")
+    result = plane(SLANTED, (-0.4, 0, -0.4, 0.03, 0.02, 0), settings=settings)
+    assert len(result.motions) == 1
     assert result.status == "two_motions" and result.inverse_depth.any()

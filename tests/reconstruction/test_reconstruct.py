@@ -1,7 +1,9 @@
 """`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
 
+import gc
 import json
 import tempfile
+import warnings
 
 import cv2
 import numpy as np
@@ -93,6 +95,18 @@ def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeyp
         tisfm.reconstruct(broken(), camera=film.camera, settings=FAST)
     assert len(there) == 1 and list(tmp_path.iterdir()) == []
     assert held.value.__traceback__ is not None  # it holds all that was at work
+
+
+def test_a_result_in_no_folder_ends_without_a_warning(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    flat = [np.full((8, 9), 90, np.uint8)] * 2
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        result = tisfm.reconstruct(flat, camera=tisfm.Camera(9.0), settings=FAST)
+        assert np.isnan(result.depth(0)).all() and result.folder.is_dir()
+        del result
+        gc.collect()
+    assert said == [] and list(tmp_path.iterdir()) == []
 
 
 def test_depth_of_keyframes_alone(film, found):

@@ -4,8 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.noise import moving_noise
 from tests.reconstruction.walks import CAMERA
+from tisfm import Camera
 from tisfm.reconstruction.found_flow import FoundFlow
+from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.tracks import Tracker, seeds, share_of, smaller, spread
 
@@ -72,3 +75,12 @@ def test_no_point_is_begun_on_ignored_pixels():
 def test_odd_sides_are_filled_up_before_they_are_halved(width):
     grey = np.zeros((376, width), np.uint8)
     assert share_of(smaller(grey), grey) == 0.5
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_image_motion_that_diverges_leaves_the_frame_but_no_further():
+    motion = ImageMotion(Camera(focal=0.01), TRACKING)
+    for frame in moving_noise(48, 64, (3, 1)):
+        motion.add(np.rint(frame.clip(0, 255)).astype(np.uint8))
+    for flow in (motion.forward(0), motion.backward(1)):
+        assert np.abs(flow).max() == 48 + 64

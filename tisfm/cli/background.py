@@ -46,6 +46,11 @@ class Background:
         self._raise()
         self._waiting.put(lambda: function(*arguments, **options))
 
+    def wait(self) -> None:
+        """Wait until all that was given is done, and raise what it raised."""
+        self._waiting.join()
+        self._raise()
+
     def __enter__(self) -> "Background":
         self._thread.start()
         self._usual = sys.getswitchinterval()
@@ -86,3 +91,4 @@ class Background:
                 except BaseException as error:
                     self._error = error
             del piece  # or it would be held while the next is waited for
+            self._waiting.task_done()

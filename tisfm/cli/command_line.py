@@ -130,17 +130,23 @@ class Run:
     """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    workers: int = 1
+    """Processes that share the pairs. Results do not depend on it."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """The scheduler of a Dask cluster whose workers share the pairs, such as tcp://10.0.0.1:8786.
+    They see the frames and DIR by the same paths."""
     arch: Arch | None = None
     """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
     threads: int | None = None
-    """Most CPU threads; by default all cores. Results do not depend on it."""
+    """Most CPU threads, of each worker if there are several; by default all cores, or its share of
+    them. Results do not depend on it."""
     frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        from tisfm.cli.commands import run
+        from tisfm.cli.run_command import run
 
         if not self.source:
             raise ValueError(
@@ -160,6 +166,8 @@ class Run:
             resume=self.resume,
             outputs=self._outputs(),
             figures=0 if self.no_figures else self.figures,
+            workers=self.workers,
+            cluster=self.cluster,
             arch=self.arch,
             threads=self.threads,
         )

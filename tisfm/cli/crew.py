@@ -1,46 +1,179 @@
-"""Processes that work on items one after the other."""
+"""Work that is done by other processes, here or on the machines of a cluster."""
 
-import multiprocessing
+import os
+import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from typing import Any
+from contextlib import AbstractContextManager, contextmanager, suppress
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for
+from typing import Any, TypeVar
 
-TRIES = 3  # of an item whose process died
+T = TypeVar("T")
+R = TypeVar("R")
+
+TRIES = 3  # of what was under way when a process was killed
+_AHEAD = 2  # pieces for each process: one that it does, one that waits
 
 
 class Crew:
-    """Spawned processes."""
+    """Does pieces of work in other processes, and again those that died with one.
 
-    def __init__(self, workers: int) -> None:
-        self._workers = workers
+    Attributes
+    ----------
+    workers : int
+        How many there are.
+    """
 
-    def finished(
-        self, function: Callable[[Any], Any], items: Sequence[Any]
-    ) -> Iterator[tuple[int, Any]]:
-        """Call a function with each item; give the item's number and what was returned."""
-        left = dict(enumerate(items))
-        for last in range(TRIES - 1, -1, -1):
-            context = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(self._workers, mp_context=context)
-            try:
-                tasks = {pool.submit(function, item): number for number, item in left.items()}
-                for task in as_completed(tasks):
-                    result = task.result()
-                    del left[tasks[task]]
-                    yield tasks[task], result
-                return
-            except BrokenProcessPool:
-                if not last:
-                    raise
-            finally:
-                pool.shutdown(cancel_futures=True)
+    def __init__(self, workers: int, opened: Callable[[], Executor]) -> None:
+        self.workers = workers
+        self._open, self._executor = opened, opened()
+
+    def finished(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
+        """Call a function with every item, and yield results as they come.
+
+        Items are begun in their order, and no more of them than there is work for.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module, as it is sent by its name.
+        items : sequence
+
+        Yields
+        ------
+        number : int
+            Of the item.
+        result
+
+        Raises
+        ------
+        RuntimeError
+            If processes were killed again and again.
+        Exception
+            What the function raised.
+        """
+        waiting, killed = list(reversed(range(len(items)))), 0
+        running: dict[Future[R], int] = {}
+        try:
+            while waiting or running:
+                try:
+                    while waiting and len(running) < _AHEAD * self.workers:
+                        future = self._executor.submit(function, items[waiting[-1]])
+                        running[future] = waiting.pop()
+                    done, _ = wait(running, return_when=FIRST_COMPLETED)
+                    for future in sorted(done, key=running.__getitem__):
+                        result = future.result()
+                        killed = 0
+                        yield running.pop(future), result
+                except BrokenProcessPool:
+                    killed += 1
+                    if killed >= TRIES:
+                        raise RuntimeError(
+                            f"a worker was killed, and {TRIES} times nothing was finished in "
+                            "between: it may lack memory; give fewer workers"
+                        ) from None
+                    lost = sorted({*running.values()}, reverse=True)
+                    yield from self._finished_before(running)
+                    waiting += [number for number in lost if number in {*running.values()}]
+                    running.clear()
+                    self._executor.shutdown(wait=False)
+                    self._executor = self._open()
+        finally:
+            for future in running:
+                future.cancel()
+
+    def _finished_before(self, running: dict[Future[R], int]) -> Iterator[tuple[int, R]]:
+        """Yield what was finished before a process was killed, and drop it from what runs."""
+        for future in list(running):
+            if future.done() and not future.cancelled() and future.exception() is None:
+                yield running.pop(future), future.result()
+
+    def close(self) -> None:
+        """End the processes, once what they are doing is done."""
+        self._executor.shutdown()
+
+
+def crew(workers: int, cluster: str | None = None) -> AbstractContextManager[Crew]:
+    """Return so many processes of this machine, or those of a Dask cluster.
+
+    Leaving the block waits for what is under way. Processes of this machine end with this one,
+    however it ends.
+
+    Parameters
+    ----------
+    workers : int
+    cluster : str, optional
+        The address of a scheduler of Dask, such as "tcp://10.0.0.1:8786".
+
+    Raises
+    ------
+    ImportError
+        If there is a cluster and Dask is not installed.
+    OSError
+        If the cluster does not answer, or has no worker.
+    """
+    return _here(workers) if cluster is None else _cluster(cluster)
 
 
 @contextmanager
-def crew(*, workers: int = 1, cluster: str | None = None) -> Iterator[Crew]:
-    """Give processes that work on items: spawned here, or those of a Dask cluster."""
-    if cluster is not None:
-        raise ValueError(f"cluster is {cluster!r}: this version starts processes here alone")
-    yield Crew(workers)
+def _here(workers: int) -> Iterator[Crew]:
+    made = Crew(workers, lambda: _processes(workers))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def _processes(workers: int) -> Executor:
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Crew]:
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise ImportError(
+            "a cluster needs Dask, which is not installed: pip install 'tisfm[cluster]'"
+        ) from None
+    try:
+        client = Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OSError(f"the cluster {address} does not answer: {error}") from error
+    with client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
+            raise OSError(f"the cluster {address} has no worker: start some")
+        made = Crew(threads, lambda: client.get_executor(pure=False))
+        try:
+            yield made
+        except (KilledWorker, CancelledError) as error:
+            raise RuntimeError(f"the cluster {address} lost what it had to do: {error}") from error
+        finally:
+            made.close()
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that gives the work, and end when that ends."""
+    with suppress(ValueError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: Any) -> None:
+    wait_for([sentinel])
+    sys.stdout.flush()
+    os._exit(1)

@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.formats import atomic_write
-from tisfm.formats.accounts import check_sum as _check_sum
-from tisfm.formats.accounts import differing as _differing
-from tisfm.formats.accounts import said
+from tisfm.formats.accounts import check_sum, differing, said
 
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
@@ -106,7 +104,7 @@ class RunRecord:
         if before is None:
             return
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
-        differences = said(_differing({key: before.get(key) for key in ASKED}, asked))
+        differences = said(differing({key: before.get(key) for key in ASKED}, asked))
         if differences:
             raise ValueError(
                 f"{self._folder} holds a run with another camera, other settings or outputs, or "
@@ -117,40 +115,16 @@ class RunRecord:
         self.statuses.update(pair["status"] for pair in self.pairs.values())
 
     def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
-        """Return whether a pair was finished, and its files are as they were then.
-
-        Parameters
-        ----------
-        name : str
-        digest : str
-            Hash of the pair's frames, and of its pose and masks if those were given.
-        endings : collection of str
-            What the names of its files end in.
-
-        Raises
-        ------
-        ValueError
-            If a pair of this name was finished, but of other frames, or with another pose or mask.
-        """
+        """Return whether a pair was finished, as `is_unchanged` says; not if it is not known."""
         pair = self.pairs.get(name)
-        if pair is None:
-            return False
-        if pair["frames"] != digest:
-            raise ValueError(
-                f"{self._folder} holds a run in which {name} was another pair of frames, or had "
-                "another pose or mask: give the same frames and step again, and the same poses and "
-                "masks, or run without --resume to start again"
-            )
-        return set(pair["files"]) == set(endings) and all(
-            _check_sum(self._folder / f"{name}{ending}") == tuple(known)
-            for ending, known in pair["files"].items()
-        )
+        return pair is not None and is_unchanged(self._folder, name, pair, digest, endings)
 
-    def finish(self, name: str, about: Mapping[str, Any], endings: list[str]) -> None:
-        """Take down that a pair is finished, and what its files are now."""
-        files = {end: _check_sum(self._folder / f"{name}{end}") for end in endings}
+    def finish(
+        self, name: str, about: Mapping[str, Any], files: Mapping[str, tuple[int, int]]
+    ) -> None:
+        """Take down that a pair is finished, and the check sums of its files, by their endings."""
         before = self.pairs.get(name)
-        self._about["pairs"][name] = {**about, "files": files}
+        self._about["pairs"][name] = {**about, "files": dict(files)}
         self.statuses[about["status"]] += 1
         if before is not None:
             self.statuses[before["status"]] -= 1
@@ -164,7 +138,9 @@ class RunRecord:
 
     def write(self) -> None:
         """Write ``run.json``, and the table of all pairs and their times, if there is any news."""
-        rows = ((name, *_row(pair)) for name, pair in self.pairs.items())
+        pairs = dict(sorted(self.pairs.items(), key=lambda item: item[1]["number"]))
+        self._about["pairs"] = pairs  # those of other processes come in any order
+        rows = ((name, *_row(pair)) for name, pair in pairs.items())
         if self._is_written:
             table = _table(_COLUMNS, rows)
             if self.pairs and _read(self._folder / TABLE) != _encoded(table):
@@ -178,6 +154,39 @@ class RunRecord:
         self._is_written = True
         end = time.monotonic()
         self._next = end + max(_LEAST_APART, _SHARE * (end - begin))
+
+
+def is_unchanged(
+    folder: Path, name: str, pair: Mapping[str, Any], digest: str, endings: Collection[str]
+) -> bool:
+    """Return whether the files of a pair are as they were when it was finished.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+    pair : mapping
+        What the record says of it.
+    digest : str
+        Hash of the pair's frames, and of its pose and masks if those were given.
+    endings : collection of str
+        What the names of its files end in.
+
+    Raises
+    ------
+    ValueError
+        If the pair that was finished was of other frames, or with another pose or mask.
+    """
+    if pair["frames"] != digest:
+        raise ValueError(
+            f"{folder} holds a run in which {name} was another pair of frames, or had another pose "
+            "or mask: give the same frames and step again, and the same poses and masks, or run "
+            "without --resume to start again"
+        )
+    return set(pair["files"]) == set(endings) and all(
+        check_sum(folder / f"{name}{ending}") == tuple(known)
+        for ending, known in pair["files"].items()
+    )
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -217,6 +226,7 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
             numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
             for length, total in pair["files"].values():
                 numbers += [length, total]
+            numbers.append(pair["number"])
             if not pair["files"] or not all(isinstance(text, str) for text in texts):
                 raise ValueError(f"it does not say enough of {name}")
             if not all(map(_is_number, numbers)):

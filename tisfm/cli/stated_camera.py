@@ -1,10 +1,12 @@
-"""The camera that a file states, and what the file says against it."""
+"""The camera that a file states, or that is guessed, and what is said of it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from tisfm.camera import Camera
 from tisfm.camera_file import doubt_of, read_camera
 from tisfm.cli.console import tell
+from tisfm.focal_guess import guess_focal
 
 
 def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
@@ -14,3 +16,10 @@ def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
     if doubt:
         tell(f"{file}: {doubt}")
     return camera
+
+
+def guessed_camera(camera: Camera, first: Path | tuple[int, ...]) -> Camera:
+    """Return the camera with a focal length guessed by the first frame, or its shape; say so."""
+    guess = guess_focal(first)
+    tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
+    return replace(camera, focal=guess.focal)

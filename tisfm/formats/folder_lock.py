@@ -44,11 +44,16 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         yield
         return
     try:
-        for item in path.iterdir():
-            if is_temporary(item.name):
-                item.unlink(missing_ok=True)
+        _remove_temporaries(path)
         yield
+        _remove_temporaries(path)  # of processes of this run that were killed
     finally:
         with contextlib.suppress(OSError):  # Windows removes no open file
             os.unlink(path / LOCK)
         lock.release()
+
+
+def _remove_temporaries(folder: Path) -> None:
+    for item in folder.iterdir():
+        if is_temporary(item.name):
+            item.unlink(missing_ok=True)

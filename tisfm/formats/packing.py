@@ -6,7 +6,7 @@ from one row to the next. ``docs/formats.md`` describes what is written.
 
 import math
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ _LEVEL = 1  # of ISA-L's four
 _MOST_STEPS = 2.0**30
 _LARGEST = 3e38  # what is beyond may become infinite by rounding
 _FIXED = ("int16", "int32")
+_BLOCK = 2**17  # bytes that are worked on at a time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,12 +164,12 @@ def _fixed_point(
     values: NDArray[np.float32], step: float, largest: float
 ) -> NDArray[np.signedinteger]:
     """Return the nearest multiples of a step, as int16 if they are small enough, else as int32."""
-    if largest / step < np.iinfo(np.int16).max:
-        flat = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
-        # Rounds half to even, several times as fast as NumPy.
-        counted = cv2.addWeighted(flat, 1 / step, flat, 0, 0, dtype=cv2.CV_16S)
-        return counted.reshape(values.shape).astype(np.int16, copy=False)
-    return np.rint(values / np.float32(step)).astype(np.int32)
+    is_small = largest / step < np.iinfo(np.int16).max
+    depth, kind = (cv2.CV_16S, np.int16) if is_small else (cv2.CV_32S, np.int32)
+    flat = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
+    # Rounds half to even, several times as fast as NumPy.
+    counted = cv2.addWeighted(flat, 1 / step, flat, 0, 0, dtype=depth)
+    return counted.reshape(values.shape).astype(kind, copy=False)
 
 
 def _leading_bits(values: NDArray[np.float32]) -> NDArray[np.uint32]:
@@ -180,17 +181,34 @@ def _leading_bits(values: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 def _stream(whole: NDArray[np.integer], down: int) -> NDArray[np.uint8]:
     """Return whole numbers as steps from row to row, byte by byte, in a zlib stream."""
-    numbers = np.ascontiguousarray(whole).view(f"u{whole.itemsize}")
-    steps = numbers.copy()
-    below, above = _neighbours(numbers.ndim, down)
-    np.subtract(numbers[below], numbers[above], out=steps[below])
+    width = whole.itemsize
+    numbers = np.ascontiguousarray(whole).view(f"<u{width}")
+    images = numbers.reshape(math.prod(whole.shape[:down]), whole.shape[down], -1)
+    planes = np.empty((width, *images.shape), np.uint8)
+    rows = max(1, _BLOCK // (images.shape[2] * width))
+    scratch = np.empty((rows, images.shape[2]), numbers.dtype)
+    largest = 0
+    for number, image in enumerate(images):
+        for first in range(0, len(image), rows):  # of a size that stays in the cache
+            codes = scratch[: len(image) - first]
+            _codes(image, first, codes)
+            largest |= int(np.bitwise_or.reduce(codes, axis=None))
+            for plane, part in zip(planes, _bytes_of(codes), strict=True):
+                plane[number, first : first + len(codes)] = part
+    used = max(1, -(-largest.bit_length() // 8))
+    return np.frombuffer(isal_zlib.compress(planes[:used].reshape(-1), _LEVEL), np.uint8)
+
+
+def _codes(image: NDArray[Any], first: int, codes: NDArray[Any]) -> None:
+    """Write the steps to some rows of an image, from the first of them on, each as its code."""
+    if first == 0:
+        codes[0] = image[0]
+    begin, end = max(first, 1), first + len(codes)
+    np.subtract(image[begin:end], image[begin - 1 : end - 1], out=codes[begin - first :])
     # Small steps either way become small numbers: 0, -1, 1, -2, 2 are 0, 1, 2, 3, 4.
-    signs = steps.view(f"i{steps.itemsize}") >> 8 * steps.itemsize - 1
-    steps <<= 1
-    steps ^= signs.view(steps.dtype)
-    planes = max(1, -(-int(steps.max(initial=0)).bit_length() // 8))
-    data = isal_zlib.compress(np.concatenate(_bytes_of(steps)[:planes]), _LEVEL)
-    return np.frombuffer(data, np.uint8)
+    signs = codes.view(f"<i{codes.itemsize}") >> 8 * codes.itemsize - 1
+    codes <<= 1
+    codes ^= signs.view(codes.dtype)
 
 
 def _numbers(
@@ -219,18 +237,9 @@ def _numbers(
     return numbers.view(kind)
 
 
-def _neighbours(axes: int, down: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return what takes all rows but the first, and all but the last."""
-    below, above = [slice(None)] * axes, [slice(None)] * axes
-    below[down], above[down] = slice(1, None), slice(None, -1)
-    return tuple(below), tuple(above)
-
-
-def _bytes_of(numbers: NDArray[np.unsignedinteger]) -> list[NDArray[np.uint8]]:
-    """Return the bytes of each number, the lowest ones first, (N,) each."""
+def _bytes_of(numbers: NDArray[Any]) -> Sequence[NDArray[Any]]:
+    """Return the bytes of each number, the lowest ones first, as an array each."""
     width = numbers.itemsize
     if width == 1:
-        return [numbers.reshape(-1)]
-    channels = numbers.astype(f"<u{width}", copy=False).reshape(1, -1).view(np.uint8)
-    planes = cv2.split(channels.reshape(1, -1, width))
-    return [plane.reshape(-1).view(np.uint8) for plane in planes]
+        return [numbers]
+    return cv2.split(numbers.view(np.uint8).reshape(*numbers.shape, width))

@@ -69,7 +69,7 @@ def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
     if not textured or not _any(solution.system.tensor, 3):
         return Status(
             "no_texture",
-            "the frames are uniform, so no motion can be seen: check that they are images of a "
+            "frame 0 is uniform, so no motion can be seen: check that the frames are images of a "
             "textured scene",
         )
     if not _any(solution.unknowns.rho, solution.unknowns.components):

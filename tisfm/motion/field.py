@@ -45,6 +45,8 @@ def field_estimate(
     )
     del solution  # the larger part of the memory
     rho = at_finest(pyramid, unknowns, pyramid.last)
+    if status == "no_texture":  # gradients of frame 1 alone may have moved what shows none
+        rho[...] = 0
     flow, inverse_depth = _read_out(rho, camera)
     if len(rho) < 6:
         rho = np.concatenate([rho, np.zeros((6 - len(rho), *rho.shape[1:]), np.float32)])

@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import get_args
 
 import numpy as np
@@ -22,6 +21,7 @@ from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.renewal import renewed_folder
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.result_labels import labels_of_result
+from tisfm.reconstruction.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.labels import GivenLabels, holds_labels, without_labels
@@ -187,7 +187,7 @@ def reconstruct(
     runtime.start()
     temporary = None
     if folder is None:
-        temporary = TemporaryDirectory(prefix="tisfm-")
+        temporary = TemporaryFolder()
         folder = temporary.name
     from tisfm.reconstruction.run import Run
 
@@ -211,7 +211,7 @@ def reconstruct(
                 shutil.rmtree(path / CACHE, ignore_errors=True)
     except BaseException:
         if temporary is not None:
-            temporary.cleanup()  # what was raised may be kept for long, and this with it
+            temporary.remove()  # what was raised may be kept for long, and this with it
         raise
     return result if temporary is None else replace(result, _temporary=temporary)
 

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from operator import index
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.calibration import GIVEN, Calibration
 from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Reconstruction:
     folder: Path
     version: str
     objects: tuple[MovingObject, ...] = ()
-    _temporary: TemporaryDirectory | None = field(repr=False, default=None)
+    _temporary: TemporaryFolder | None = field(repr=False, default=None)
 
     def __len__(self) -> int:
         """Return the number of frames."""

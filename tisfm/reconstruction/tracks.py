@@ -142,7 +142,7 @@ def flow_between(
     Returns
     -------
     (h, w, 2) float32
-        Px of the smaller frames.
+        Px of the smaller frames; of what leaves them for good, no more than their sides together.
     """
     scaled = Camera(focal=camera.focal * share)
     pyramid = ImagePyramid(
@@ -155,7 +155,10 @@ def flow_between(
     problem = flow_problem(settings, scaled.focal)
     amendment = proposals(pyramid, problem) if fast_things else None
     solution = coarse_to_fine(pyramid, problem, amendment=amendment)
-    return cv2.merge(list(solution.unknowns.flow()))
+    flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
+    if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, to NaN perhaps
+        flow = np.nan_to_num(flow, nan=limit).clip(-limit, limit)
+    return cv2.merge(list(flow))
 
 
 def carried(

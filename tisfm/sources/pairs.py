@@ -24,7 +24,8 @@ class FramePair:
     they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
     s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
     of the frames that do not count, or None where all do. `interval` is how many frames of the
-    source it is from the first to the second, by which a camera's readout is counted.
+    source it is from the first, whose number there is `index`, to the second: by it a camera's
+    readout is counted.
     """
 
     name0: str
@@ -38,6 +39,7 @@ class FramePair:
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
     interval: int = 1
+    index: int = 0
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(

@@ -135,6 +135,7 @@ class FrameSource:
             )
             self.files += self._labels.files
         self.skipped: list[tuple[int, str]] = []
+        self._stretch, self._is_rest = True, False
 
     @property
     def has_labels(self) -> bool:
@@ -159,6 +160,16 @@ class FrameSource:
         skipped = {index for index, _ in self.skipped}
         taken = range(len(self._reader.files))[self.chosen]
         return next((self._reader.files[index] for index in taken if index not in skipped), None)
+
+    def continue_another(self, *, stretch: bool) -> None:
+        """Take it for the rest of a source that has pairs: of its own it may have none.
+
+        Parameters
+        ----------
+        stretch : bool
+            Whether float frames before may be in [0, 1].
+        """
+        self._stretch, self._is_rest = stretch, True
 
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not.
@@ -193,12 +204,13 @@ class FrameSource:
                         ignored0=before.ignored,
                         ignored1=frame.ignored,
                         interval=frame.index - before.index,
+                        index=before.index,
                         _digests=(digest0, digest),
                     )
                     del before, digest0  # or the frame would be held while the next is read
                     pairs += 1
                 previous = frame, digest
-        if pairs == 0:
+        if pairs == 0 and not self._is_rest:
             skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
             raise ValueError(
                 f"{self.title} ended before there was a pair{skipped}: expected more frames"
@@ -224,7 +236,7 @@ class FrameSource:
         self.skipped = []
         found = self._found()
         ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
-        stretch = True
+        stretch = self._stretch
         with closing(read_ahead(found) if ahead else found) as frames:
             for frame in frames:
                 if isinstance(frame, BadFrame):

@@ -10,16 +10,20 @@ def outcome(*times):
 
 
 def test_report():
-    found = outcome((2.0, 3.0), (1.0, 1.2), (4.0, 5.6))
-    assert found.ratios == pytest.approx((1.3, 1.4, 1.45))
+    found = outcome((2.0, 2.6, 3.0), (1.0, 1.2, 1.3), (4.0, 5.0, 5.6))
+    assert found.ratios(0) == pytest.approx((1.225, 1.25, 1.275))
     text = writing.report(found, {"processor": "y"})
-    assert "| 4 | 3 | 2.00 | 3.00 | 1.40 | 1.30–1.45 | 2 |" in text
-    assert "pass  tisfm run --no-figures over interpret_sequence: 1.40 (at most 1.6)" in text
+    name = "`tisfm run --no-figures`"
+    assert f"| {name} | 4 | 3 | 2.00 | 2.60 | 1.25 | 1.23–1.27 |" in text
+    assert f"pass  {name} over interpret_sequence: 1.25 (at most 1.3)" in text
+    assert "2 MB were written" in text
 
 
-@pytest.mark.parametrize(("seconds", "met"), [(1.59, True), (1.61, False)])
-def test_bar(seconds, met):
-    assert [bar.met for bar in writing.bars(outcome((1.0, seconds)))] == [met]
+@pytest.mark.parametrize(
+    ("seconds", "met"), [((1.29, 1.49), [True, True]), ((1.31, 1.51), [False, False])]
+)
+def test_bars(seconds, met):
+    assert [bar.met for bar in writing.bars(outcome((1.0, *seconds)))] == met
 
 
 def test_smoke(capsys):

@@ -2,9 +2,12 @@
 
 import json
 import shutil
+import threading
+import time
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 import tisfm
 from tests.reconstruction.chunked.filmed import (
@@ -220,3 +223,30 @@ def test_a_run_at_once_removes_the_chunks(frames, begun, tmp_path):
         folder=tmp_path / "out",
     )
     assert not (tmp_path / "out" / CHUNKS).exists()
+
+
+def test_a_chunk_that_is_being_made_is_waited_for(frames, whole, begun, tmp_path, monkeypatch):
+    """As by a worker that outlives who gave it the work; then it is not made again."""
+    shutil.copytree(begun, tmp_path / "out")
+    account = tmp_path / "out" / CHUNKS / "001.json"
+    account.rename(tmp_path / "kept.json")
+    held, begun_here = threading.Event(), threading.Event()
+
+    def finish():
+        with FileLock(account.with_suffix(".lock")):
+            held.set()
+            begun_here.wait()
+            time.sleep(0.3)
+            (tmp_path / "kept.json").rename(account)
+
+    def in_other_process(function, items):
+        begun_here.set()
+        yield from in_turn(function, items)
+
+    monkeypatch.setattr(chunk_module, "reconstruct", kill)
+    thread = threading.Thread(target=finish)
+    thread.start()
+    held.wait()
+    again(frames, tmp_path / "out", finished=in_other_process)
+    thread.join()
+    assert contents(tmp_path / "out") == whole

@@ -4,12 +4,14 @@ import hashlib
 import json
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 
 from tisfm import runtime
 from tisfm.camera import Camera
@@ -102,12 +104,28 @@ class Chunk:
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Make a chunk, unless it is complete; return an error that its user is to be told."""
     try:
-        _make(chunk)
+        with _alone(chunk):
+            _make(chunk)
     except Exception as error:
         if not is_stated(error):
             raise
         return error.with_traceback(None)
     return None
+
+
+@contextmanager
+def _alone(chunk: Chunk) -> Iterator[None]:
+    """Wait until no other process makes a chunk, as one may that has lost who gave it the work."""
+    lock = FileLock(chunk.folder.with_name(f"{chunk.folder.name}.lock"))
+    try:
+        lock.acquire()
+    except NotImplementedError:  # a file system without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _make(chunk: Chunk) -> None:

@@ -1,0 +1,57 @@
+"""Work that other processes do."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from tisfm.cli.crew import crew
+
+
+def square(number):
+    return number**2
+
+
+def square_or_die(item):
+    """Kill the process at one item, the first so many times."""
+    number, folder, times = item
+    if number == 2:
+        marks = len(list(Path(folder).iterdir()))
+        if marks < times:
+            Path(folder, f"{marks}").touch()
+            time.sleep(0.2)  # others have begun
+            os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+def refuse(number):
+    if number == 1:
+        raise ValueError("one is refused")
+    return number
+
+
+def test_all_is_done_once():
+    with crew(2) as two:
+        assert sorted(two.finished(square, range(7))) == [(k, k**2) for k in range(7)]
+        assert list(two.finished(square, [])) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
+def test_what_died_is_done_again(tmp_path):
+    items = [(k, str(tmp_path), 2) for k in range(6)]
+    with crew(2) as two:
+        assert sorted(two.finished(square_or_die, items)) == [(k, k**2) for k in range(6)]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
+def test_what_always_dies_is_said(tmp_path):
+    with crew(2) as two, pytest.raises(RuntimeError, match="a worker was killed, and 3 times"):
+        list(two.finished(square_or_die, [(2, str(tmp_path), 100)]))
+
+
+def test_an_error_is_raised_here():
+    with crew(2) as two, pytest.raises(ValueError, match="one is refused"):
+        list(two.finished(refuse, range(3)))

@@ -1,0 +1,306 @@
+"""`tisfm run --workers` and `--cluster`: several processes share the pairs of a run."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.command_line import (
+    TISFM,
+    H,
+    W,
+    assert_one_line,
+    files,
+    make_frames,
+    record,
+)
+from tisfm.camera import Camera
+from tisfm.cli.chunk_work import Chunk, chunks_of, interpret_chunk
+from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.pair_files import USUAL, PairFiles
+from tisfm.cli.pair_work import PairSource, PairWork
+from tisfm.formats import write_png
+from tisfm.settings import Settings
+
+RUN = ("run", "film", "--preset", "fast")
+QUIET = ("--no-figures",)
+COUNT = 12
+
+
+@pytest.fixture
+def film(place):
+    """A folder of frames."""
+    (place / "film").mkdir()
+    for k, frame in enumerate(make_frames(COUNT, seed=5)):
+        write_png(place / f"film/f{k:02d}.png", frame)
+    return place / "film"
+
+
+def whole_of(folder):
+    """Return what a run left, but for how long it took, and check that nothing else is there."""
+    found = files(folder)
+    assert not [name for name in found if name.startswith(".")]
+    return found
+
+
+def assert_as_one(tisfm_run, *options, source="film", shared=("--workers", "2")):
+    """Check that several processes leave what one leaves; return it."""
+    command = ("run", source, "--preset", "fast", *options)
+    code, _, said = tisfm_run(*command, "-o", "one")
+    assert code == 0, said
+    code, _, also = tisfm_run(*command, *shared, "-o", "many")
+    assert code == 0, also
+    assert whole_of("many") == whole_of("one")
+    times = re.compile(r", \d+\.\d+ s each \(median\)")
+    assert times.sub("", also).replace("many", "one") == times.sub("", said)
+    return whole_of("one")
+
+
+def test_two_workers_leave_what_one_process_leaves(tisfm_run, film):
+    found = assert_as_one(tisfm_run, "--figures", "4")
+    assert len([name for name in found if name.endswith("_figure.png")]) == 3
+    assert [pair["number"] for pair in record("many")["pairs"].values()] == list(range(COUNT - 1))
+
+
+def test_every_second_frame_of_a_range_with_masks(tisfm_run, film, place):
+    (place / "masks").mkdir()
+    for k in range(COUNT):
+        mask = np.full((H, W), 255, np.uint8)
+        mask[-4:, : W // 2 + k] = 0
+        write_png(place / f"masks/f{k:02d}.png", mask)
+    options = ("--step", "2", "--start", "1", "--mask", "masks", *QUIET)
+    found = assert_as_one(tisfm_run, *options)
+    assert {name for name in found if name.endswith(".npz")} == {
+        f"f{k:02d}.npz" for k in (1, 3, 5, 7, 9)
+    }
+
+
+def test_damaged_frames_that_are_skipped(tisfm_run, film):
+    for name in ("f00", "f05", "f06"):
+        data = Path(f"film/{name}.png").read_bytes()
+        Path(f"film/{name}.png").write_bytes(data[: len(data) // 2])
+    found = assert_as_one(tisfm_run, "--bad-frames", "skip", "--figures", "3")
+    assert "f04.npz" in found and "f05.npz" not in found
+
+
+def test_a_video(tisfm_run, place):
+    writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this build of OpenCV cannot write MJPG video")
+    for frame in make_frames(9):
+        writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
+    writer.release()
+    assert_as_one(tisfm_run, *QUIET, source="clip.avi", shared=("--workers", "3"))
+
+
+def test_a_run_goes_on_with_workers_and_without(tisfm_run, film):
+    whole = assert_as_one(tisfm_run, *QUIET)
+    for name in ("f03_depth.png", "f07.npz"):
+        Path(f"many/{name}").unlink()
+    assert tisfm_run(*RUN, *QUIET, "-o", "many", "--workers", "2", "--resume")[0] == 0
+    assert whole_of("many") == whole
+    Path("many/f05.npz").write_bytes(b"")
+    assert tisfm_run(*RUN, *QUIET, "-o", "many", "--resume")[0] == 0
+    assert whole_of("many") == whole
+
+
+def test_an_error_in_a_worker_is_one_line(tisfm_run, film):
+    write_png("film/f09.png", np.zeros((H, W + 3), np.uint8))
+    code, _, err = tisfm_run(*RUN, *QUIET, "-o", "out", "--workers", "2")
+    assert_one_line(code, err, "f08", "f09", "must have the same size")
+    assert "f00" in record("out")["pairs"] and "f08" not in record("out")["pairs"]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--workers", "0"), "workers is 0"),
+        (("--workers", "2", "--window", "3"), "a window of 3 goes on from pair to pair"),
+        (("--cluster", "tcp://127.0.0.1:1"), "the cluster tcp://127.0.0.1:1 does not answer"),
+        (("--cluster", "nonsense"), "nonsense"),
+    ],
+)
+def test_what_cannot_be_shared(tisfm_run, film, options, words):
+    pytest.importorskip("distributed")
+    code, _, err = tisfm_run(*RUN, *QUIET, "-o", "out", *options)
+    assert_one_line(code, err, words)
+
+
+def test_a_cluster_without_dask(tisfm_run, film, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    code, _, err = tisfm_run(*RUN, *QUIET, "-o", "out", "--cluster", "tcp://127.0.0.1:1")
+    assert_one_line(code, err, "pip install 'tisfm[cluster]'")
+
+
+def chunk(folder, **changes):
+    files_ = PairFiles(folder=folder, outputs=USUAL, figures=0, has_pose=False)
+    settings = Settings.preset("fast")
+    about = dict(
+        source=PairSource(source="film", frames=FrameOptions(), settings=settings),
+        work=PairWork(camera=Camera(600.0), settings=settings, files=files_),
+        first=1,
+        end=COUNT - 1,
+        stretch=True,
+        arch=None,
+        threads=None,
+        alive=folder / "alive",
+    )
+    return Chunk(**{**about, **changes})
+
+
+def test_a_worker_of_another_version(film, place):
+    (place / "alive").touch()
+    with pytest.raises(RuntimeError, match=r"was started by 0\.0\.7"):
+        interpret_chunk(chunk(place, version="0.0.7"))
+
+
+def test_a_worker_that_does_not_see_the_folder(film, place):
+    with pytest.raises(RuntimeError, match="does not see the folder"):
+        interpret_chunk(chunk(place))
+
+
+def test_a_worker_stops_when_its_run_has_ended(film, place, monkeypatch):
+    (place / "alive").touch()
+    original = PairWork.interpret
+
+    def last(self, pair, window=None):
+        (place / "alive").unlink()
+        return original(self, pair, window)
+
+    monkeypatch.setattr(PairWork, "interpret", last)
+    done = interpret_chunk(chunk(place))
+    assert [pair.name for pair in done.pairs] == ["f01"]
+
+
+@pytest.mark.parametrize(("count", "workers"), [(1, 4), (7, 2), (1000, 3)])
+def test_chunks_are_all_that_is_left(count, workers, place):
+    parts = chunks_of(chunk(place, first=1, end=1 + count), workers)
+    assert [part.first for part in parts] + [1 + count] == [1] + [part.end for part in parts]
+    assert max(part.end - part.first for part in parts) <= 32
+    assert len(parts) >= min(count, workers)
+
+
+# Processes that are killed
+
+
+def started(*options):
+    return subprocess.Popen([*TISFM, *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
+
+
+def children_of(process):
+    """Return the processes that a process has started, without that of multiprocessing itself."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            command = (folder / "cmdline").read_bytes()
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == process.pid and b"spawn_main" in command:
+            found.append(int(folder.name))
+    return found
+
+
+def when(condition, process, limit=120.0):
+    """Wait until something holds while a process runs; return whether it does."""
+    end = time.monotonic() + limit
+    while time.monotonic() < end and process.poll() is None:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def is_running(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+on_linux = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc")
+
+
+@on_linux
+def test_what_a_killed_worker_had_is_done_again(tisfm_run, film):
+    assert tisfm_run(*RUN, "-o", "one")[0] == 0
+    process = started(*RUN, "-o", "many", "--workers", "2")
+    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
+    os.kill(children_of(process)[0], signal.SIGKILL)
+    _, said = process.communicate(timeout=200)
+    assert process.returncode == 0, said.decode()
+    assert whole_of("many") == whole_of("one")
+
+
+@on_linux
+def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
+    assert tisfm_run(*RUN, "-o", "one")[0] == 0
+    process = started(*RUN, "-o", "many", "--workers", "2")
+    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
+    workers = children_of(process)
+    assert workers
+    process.kill()
+    process.wait()
+    end = time.monotonic() + 60
+    while any(map(is_running, workers)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not any(map(is_running, workers))
+    process.stderr.close()
+    assert tisfm_run(*RUN, "-o", "many", "--workers", "2", "--resume")[0] == 0
+    assert whole_of("many") == whole_of("one")
+
+
+@on_linux
+def test_ctrl_c_ends_all(tisfm_run, film):
+    process = started(*RUN, "-o", "many", "--workers", "2")
+    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 2, process)
+    workers = children_of(process)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=100)
+    assert process.returncode == 130 and said.decode().splitlines()[-1] == "tisfm: interrupted"
+    assert not any(map(is_running, workers))
+    assert not [path for path in Path("many").iterdir() if path.name.startswith(".tisfm-")]
+
+
+# A cluster
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Two processes, of one thread each, under a scheduler."""
+    distributed = pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        dashboard_address=None,
+        local_directory=str(folder),
+        silence_logs=50,
+    ) as made:
+        yield made
+
+
+def test_a_cluster_leaves_what_one_process_leaves(tisfm_run, film, cluster):
+    shared = ("--cluster", cluster.scheduler_address)
+    assert_as_one(tisfm_run, "--figures", "4", shared=shared)
+
+
+@on_linux
+def test_what_a_killed_worker_of_a_cluster_had_is_done_again(tisfm_run, film, cluster):
+    assert tisfm_run(*RUN, "-o", "one")[0] == 0
+    process = started(*RUN, "-o", "many", "--cluster", cluster.scheduler_address)
+    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
+    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+    _, said = process.communicate(timeout=200)
+    assert process.returncode == 0, said.decode()
+    assert whole_of("many") == whole_of("one")

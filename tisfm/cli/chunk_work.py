@@ -1,0 +1,227 @@
+"""A part of a run that another process does: pairs that follow one another."""
+
+import atexit
+import os
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from tisfm import runtime
+from tisfm.cli.pair_files import Ranges, Sums
+from tisfm.cli.pair_work import PairSource, PairWork
+from tisfm.cli.run_record import is_unchanged
+from tisfm.formats.outputs import InputFiles
+from tisfm.runtime import Arch
+from tisfm.sources import FramePair, Source
+from tisfm.version import __version__
+
+_LONGEST = 32  # pairs: what is lost when a process is killed
+_EACH = 4  # parts for each process at least, so that none waits long for the last one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chunk:
+    """Pairs of a run, and all that is needed to interpret and write them.
+
+    Attributes
+    ----------
+    source : PairSource
+    work : PairWork
+    first, end : int
+        Numbers of the first pair, and of the first that is not of this part any more.
+    stretch : bool
+        Whether float frames may be in [0, 1].
+    arch, threads
+        As for `tisfm.runtime.start`.
+    ranges : Ranges or None
+        What pictures are drawn in.
+    known : mapping
+        What an earlier run says of pairs that it finished, by their names.
+    alive : Path
+        A file that is there as long as the run.
+    version : str
+        Of tisfm.
+    """
+
+    source: PairSource
+    work: PairWork
+    first: int
+    end: int
+    stretch: bool
+    arch: Arch | None
+    threads: int | None
+    ranges: Ranges | None = None
+    known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    alive: Path = Path()
+    version: str = __version__
+
+    def anywhere(self) -> "Chunk":
+        """Return it with paths that do not depend on the working folder."""
+        source = self.source
+        files = replace(self.work.files, folder=self.work.files.folder.absolute())
+        whole = replace(
+            source,
+            source=_absolute(source.source),
+            mask=None if source.mask is None else os.path.abspath(source.mask),
+            poses=None if source.poses is None else source.poses.absolute(),
+        )
+        return replace(self, source=whole, work=replace(self.work, files=files))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishedPair:
+    """What the record says of a pair, and of its files, and how long it took.
+
+    `about` is None if an earlier run finished it.
+    """
+
+    name: str
+    about: Mapping[str, Any] | None = None
+    sums: Sums | None = None
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishedChunk:
+    """What was done of a chunk.
+
+    Attributes
+    ----------
+    pairs : list of FinishedPair
+    skipped : list of (int, str)
+        Frames that the process has skipped so far, and why.
+    error : Exception or None
+        What ended it early.
+    """
+
+    pairs: list[FinishedPair]
+    skipped: list[tuple[int, str]]
+    error: Exception | None = None
+
+
+def _absolute(source: Source) -> Source:
+    """Return a path, or several, from the root of the file system."""
+    if isinstance(source, (str, os.PathLike)):
+        return os.path.abspath(source)
+    return [os.path.abspath(path) for path in source]  # type: ignore[arg-type]
+
+
+def chunks_of(whole: Chunk, workers: int) -> list[Chunk]:
+    """Return the parts that processes take in turns, of a chunk of all that is left."""
+    bare = replace(whole.work.files, inputs=InputFiles())  # each process looks at them itself
+    whole = replace(whole, work=replace(whole.work, files=bare))
+    count = whole.end - whole.first
+    length = max(1, min(_LONGEST, -(-count // (_EACH * workers))))
+    return [
+        replace(whole, first=first, end=min(first + length, whole.end))
+        for first in range(whole.first, whole.end, length)
+    ]
+
+
+def interpret_chunk(chunk: Chunk) -> FinishedChunk:
+    """Interpret and write the pairs of a chunk."""
+    if chunk.version != __version__:
+        raise RuntimeError(
+            f"a worker has tisfm {__version__}, but the run was started by {chunk.version}: "
+            "install the same everywhere"
+        )
+    if not chunk.alive.exists():
+        raise RuntimeError(
+            f"a worker does not see the folder {chunk.work.files.folder} of the run: give a "
+            "folder that all machines share, by the same path"
+        )
+    runtime.start(chunk.arch, threads=chunk.threads)
+    reading = _reading(chunk)
+    done: list[FinishedPair] = []
+    error: Exception | None = None
+    try:
+        while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
+            done.append(_finished(chunk, pair, reading.inputs))
+            del pair
+    except Exception as raised:  # what is done is not lost
+        error = raised
+        _forget_reading()
+    return FinishedChunk(pairs=done, skipped=list(reading.skipped), error=error)
+
+
+def _finished(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
+    number = chunk.source.number(pair)
+    files = replace(chunk.work.files, inputs=inputs)
+    known = chunk.known.get(pair.name0)
+    if known is not None and is_unchanged(
+        files.folder, pair.name0, known, pair.digest, files.endings(number)
+    ):
+        return FinishedPair(name=pair.name0)
+    begin = perf_counter()
+    result = chunk.work.interpret(pair)
+    seconds = perf_counter() - begin
+    about, sums = files.write(
+        pair.name0, result, ranges=chunk.ranges, **chunk.work.about(pair, number)
+    )
+    return FinishedPair(name=pair.name0, about=about, sums=sums, seconds=seconds)
+
+
+class _Reading:
+    """The pairs of a source from one on, of which a process takes some and leaves others."""
+
+    def __init__(self, chunk: Chunk) -> None:
+        frames = chunk.source.frames
+        begin = frames.start + chunk.first * frames.step
+        self._whole = chunk.source
+        opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
+        opened.continue_another(stretch=chunk.stretch)
+        self._opened = opened
+        self._waiting: FramePair | None = None
+        self.alive = chunk.alive
+        self.position = chunk.first
+        poses = [] if chunk.source.poses is None else [chunk.source.poses]
+        self.inputs = InputFiles([*opened.files, *poses])
+
+    @property
+    def skipped(self) -> list[tuple[int, str]]:
+        """Frames that were skipped so far."""
+        return self._opened.skipped
+
+    def next_of(self, chunk: Chunk) -> FramePair | None:
+        """Return the next pair of a chunk, None if there is none any more."""
+        while True:
+            pair, self._waiting = self._waiting or next(self._pairs, None), None
+            if pair is None:
+                return None
+            number = self._whole.number(pair)
+            self.position = number
+            if number >= chunk.end:
+                self._waiting = pair  # it is of another chunk
+                return None
+            if number >= chunk.first:
+                return pair
+            del pair
+
+    def close(self) -> None:
+        """End the thread that reads ahead."""
+        self._pairs.close()
+
+
+_of_thread = threading.local()
+
+
+def _reading(chunk: Chunk) -> _Reading:
+    """Return a reading that has not passed the chunk: that of the last one, where it goes on."""
+    last: _Reading | None = getattr(_of_thread, "reading", None)
+    if last is not None and last.alive == chunk.alive and last.position <= chunk.first:
+        return last
+    _forget_reading()
+    atexit.register(_forget_reading)  # or it would be closed when modules are gone
+    reading = _of_thread.reading = _Reading(chunk)
+    return reading
+
+
+def _forget_reading() -> None:
+    last: _Reading | None = getattr(_of_thread, "reading", None)
+    _of_thread.reading = None
+    atexit.unregister(_forget_reading)
+    if last is not None:
+        last.close()

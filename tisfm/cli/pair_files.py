@@ -1,0 +1,283 @@
+"""The files of one pair, as `tisfm run` and `tisfm demo` write them."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tisfm.cli.console import as_text
+from tisfm.cli.motion_text import motion_rows, write_motions
+from tisfm.cli.run_record import ENDINGS
+from tisfm.formats import (
+    choose_depth_scale,
+    write_depth_png,
+    write_flo,
+    write_png,
+)
+from tisfm.formats.accounts import check_sum
+from tisfm.formats.outputs import InputFiles
+from tisfm.interpretation import Interpretation
+from tisfm.show import (
+    anaglyph,
+    comparison_figure,
+    depth_grey,
+    flow_radius,
+    inverse_depth_limit,
+    rigid_figure,
+    save_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+USUAL = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
+"""What is written by default: what is large and in the ``.npz`` as well is not."""
+
+Sums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by their endings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """What pictures are drawn in, one for a whole sequence, so that nothing flickers.
+
+    Attributes
+    ----------
+    depth : float
+        The inverse depth that is shown brightest, in multiples of the mean inverse depth of the
+        pair, or, where poses are given, in the inverse of their unit.
+    depth16 : float
+        Values of a 16-bit picture per unit of depth.
+    flow : float
+        px: the speed that is shown in the strongest colour.
+    """
+
+    depth: float
+    depth16: float
+    flow: float
+
+    @classmethod
+    def of(cls, result: Interpretation, *, posed: bool) -> "Ranges | None":
+        """Return ranges that suit a pair; None if it shows no depth."""
+        if not shows_depth(result):
+            return None
+        return cls(
+            depth=inverse_depth_limit(result.inverse_depth) / _level(result, posed),
+            depth16=choose_depth_scale(result.depth),
+            flow=float(np.percentile(flow_radius(result.flow), 99)),
+        )
+
+    def limit(self, result: Interpretation, *, posed: bool) -> float | None:
+        """Return the inverse depth of a pair that is shown brightest; None if it shows none."""
+        if not shows_depth(result):
+            return None
+        return float(self.depth * _level(result, posed))
+
+
+def shows_depth(result: Interpretation) -> bool:
+    """Return whether a pair shows depth that may be drawn."""
+    wrong = result.status in ("diverged", "pose_mismatch")
+    return not wrong and bool((result.inverse_depth > 0).any())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairFiles:
+    """Writes the files of pairs into a folder.
+
+    Attributes
+    ----------
+    folder : Path
+    outputs : tuple of str
+        What is written of a pair: keys of `ENDINGS`.
+    figures : int
+        Figures are drawn of every so many pairs, from the first on; 0 for none.
+    has_pose : bool
+        Whether pairs have rigid motions.
+    inputs : InputFiles
+        Files that are not to be replaced.
+    """
+
+    folder: Path
+    outputs: tuple[str, ...]
+    figures: int
+    has_pose: bool
+    inputs: InputFiles = field(default_factory=InputFiles, repr=False)
+
+    def has_figure(self, number: int) -> bool:
+        """Return whether the figure of a pair, by its number in the run, is drawn."""
+        return bool(self.figures) and number % self.figures == 0
+
+    def endings(self, number: int) -> list[str]:
+        """Return what the files of a pair end in, by its number in the run."""
+        return [ENDINGS[output] for output in self._wanted(number)]
+
+    def all(self, name: str) -> list[Path]:
+        """Return the files that a pair may have."""
+        return [self.folder / f"{name}{ending}" for ending in ENDINGS.values()]
+
+    def write(
+        self,
+        name: str,
+        result: Interpretation,
+        *,
+        ranges: Ranges | None,
+        number: int = 0,
+        digest: str | None = None,
+        times: tuple[float, float] | None = None,
+        pose: np.ndarray | None = None,
+        baseline_flow: np.ndarray | None = None,
+        truth_flow: np.ndarray | None = None,
+        truth_inverse_depth: np.ndarray | None = None,
+    ) -> tuple[dict[str, Any], Sums]:
+        """Write all files of a pair; return what the record says of it, and of its files.
+
+        Parameters
+        ----------
+        name : str
+            Beginning of the file names.
+        result : Interpretation
+        ranges : Ranges or None
+            None if no pair showed depth yet.
+        number : int
+            Of the pair in the run, by which it has a figure or not.
+        digest : str, optional
+            Hash of the pair's frames and pose.
+        times : (float, float), optional
+            When its frames were taken, s.
+        pose : (4, 4), optional
+            The motion that the interpretation was given: depth has its unit, the same in all
+            pairs.
+        baseline_flow : (H, W, 2), optional
+            Horn and Schunck's flow, for the figure of ``motion="field"``.
+        truth_flow : (H, W, 2), optional
+            The true flow, for the figure.
+        truth_inverse_depth : (H, W), optional
+            The true inverse depth, for the figure.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        ValueError
+            If one of them is an input.
+        """
+        limit = None if ranges is None else ranges.limit(result, posed=pose is not None)
+        self.inputs.refuse(*self.all(name))
+        path = self.folder / name
+        # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
+        Path(f"{path}.npz").unlink(missing_ok=True)
+        motions = motion_rows(result, pose=pose)
+        wanted = self._wanted(number)
+        if "depth16" in wanted:
+            scale = 1.0 if ranges is None else ranges.depth16
+            write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
+        if "depth" in wanted:
+            write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
+        if "flow" in wanted:
+            write_flo(f"{path}_flow.flo", result.flow)
+        if "anaglyph" in wanted:
+            picture = anaglyph(result.frame, result.inverse_depth, limit=limit)
+            write_png(f"{path}_anaglyph.png", picture)
+        if "figure" in wanted:
+            figure = _figure(
+                as_text(name),
+                result,
+                baseline_flow=baseline_flow,
+                depth_limit=limit,
+                flow_limit=None if ranges is None else ranges.flow,
+                truth_flow=truth_flow,
+                truth_inverse_depth=truth_inverse_depth,
+            )
+            save_figure(f"{path}_figure.png", figure)
+        if "ply" in wanted:
+            result.points().save(f"{path}.ply")
+        if "pose" in wanted and motions is not None:
+            write_motions(f"{path}_pose.txt", motions)
+        if "npz" in wanted:
+            result.save(f"{path}.npz", compact=True)
+        about = {
+            "number": number,
+            "status": str(result.status),
+            "message": result.status.message,
+            "motions": _finite_list(motions),
+            "frames": digest,
+            "times": times,
+            **_summary(result),
+        }
+        files = {
+            ending: check_sum(self.folder / f"{name}{ending}") for ending in self.endings(number)
+        }
+        return about, {ending: known for ending, known in files.items() if known is not None}
+
+    def _wanted(self, number: int) -> list[str]:
+        """Return what is written of a pair, by its number in the run."""
+        left_out = set() if self.has_figure(number) else {"figure"}
+        left_out |= set() if self.has_pose else {"pose"}
+        return [output for output in self.outputs if output not in left_out]
+
+
+def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
+    """Return outputs in the order in which they are written, or raise ValueError."""
+    unknown = sorted(set(outputs) - set(ENDINGS))
+    if unknown or not outputs:
+        what = f"{unknown[0]!r} is none" if unknown else "there are none"
+        raise ValueError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
+    return tuple(output for output in ENDINGS if output in outputs)
+
+
+def _summary(result: Interpretation) -> dict[str, Any]:
+    """Return what the table of a run says of a pair beside its status."""
+    with np.errstate(over="ignore"):
+        speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
+    finite = np.isfinite(speed)
+    mean = np.mean(speed, where=finite, dtype=np.float64) if finite.any() else np.nan
+    return {
+        "speed": _rounded(float(mean)),
+        "occluded": _rounded(np.count_nonzero(result.occlusion) / result.occlusion.size),
+        "confidence": _rounded(result.confidence.mean(dtype=np.float64)),
+        "twists": _finite_list(result.motions),
+    }
+
+
+def _rounded(value: float) -> float | None:
+    """Return a number with six digits; it is for reading."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def _figure(
+    name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **shown: Any
+) -> "Figure":
+    """Draw what suits the motion model; `shown` are truth and limits, the same for all."""
+    arrays = result.frame, result.inverse_depth, result.flow
+    if result.motions is None or result.inverse_depth_std is None:
+        return comparison_figure(
+            *arrays, occlusion=result.occlusion, baseline_flow=baseline_flow, title=name, **shown
+        )
+    return rigid_figure(
+        *arrays,
+        inverse_depth_std=result.inverse_depth_std,
+        confidence=result.confidence,
+        labels=result.labels,
+        occlusion=result.occlusion,
+        title=name if result.status == "converged" else f"{name} ({result.status})",
+        **shown,
+    )
+
+
+def _level(result: Interpretation, posed: bool) -> float:
+    """Return the unit that inverse depth is shown in.
+
+    Each pair has a scale of its own, ‖T‖ = 1, which is taken out by the mean inverse depth, in
+    which what is no depth counts as infinitely far: a camera that speeds up would make everything
+    brighter. Not so with known poses.
+    """
+    if posed:
+        return 1.0
+    mean = np.maximum(result.inverse_depth, 0).mean(dtype=np.float64)
+    return float(f"{mean:.9g}")  # how NumPy adds up depends on where an array lies in memory
+
+
+def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
+    """Return numbers as JSON can hold them; it has no NaN."""
+    return None if numbers is None or not np.isfinite(numbers).all() else numbers.tolist()

@@ -1,0 +1,316 @@
+"""What `tisfm run` does."""
+
+import fnmatch
+import glob
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import closing, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
+from tisfm.cli.background import Background
+from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
+from tisfm.cli.console import tell
+from tisfm.cli.crew import Crew, crew
+from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.outputs import PairWriter
+from tisfm.cli.pair_files import USUAL
+from tisfm.cli.pair_work import PairSource, PairWork
+from tisfm.cli.run_progress import RunProgress
+from tisfm.cli.run_record import RECORD
+from tisfm.cli.stated_camera import guessed_camera, stated_camera
+from tisfm.formats.flo import require_writable_flow
+from tisfm.formats.outputs import InputFiles
+from tisfm.interpretation import Interpretation
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import FramePair, FrameSource, Source
+from tisfm.sources.webcam import webcam_number
+from tisfm.window import Window, WindowSize, window_of
+
+_MUCH = 2e8  # bytes: a run that writes more says so beforehand
+
+
+def run(
+    source: Source,
+    output: Path,
+    *,
+    camera: Camera | Path,
+    guess: bool = False,
+    settings: Settings,
+    frames: FrameOptions,
+    poses: Path | None = None,
+    mask: str | None = None,
+    window: WindowSize = 2,
+    resume: bool = False,
+    outputs: Collection[str] = USUAL,
+    figures: int = 1,
+    workers: int = 1,
+    cluster: str | None = None,
+    arch: Arch | None = None,
+    threads: int | None = None,
+) -> int:
+    """Interpret every pair of a source and write the results; return the exit code.
+
+    With `guess` the first frame decides on the focal length, whatever that of the camera. `camera`
+    may be a file of one. `poses` is a file of a pose for every frame, those that are not taken
+    included. `mask` is a picture, or a folder or pattern of one for every frame. With several
+    `workers`, processes, or a `cluster`, the address of a scheduler of Dask, these share the pairs;
+    results are the same.
+    """
+    if isinstance(camera, Path):
+        read_camera(camera)  # it is refused before anything else is done
+    kept = window_of(window, settings)
+    if kept is not None and resume and "npz" not in outputs:
+        raise ValueError(
+            "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
+            "the outputs"
+        )
+    if workers < 1:
+        raise ValueError(f"workers is {workers}: expected a positive number of processes")
+    is_shared = workers > 1 or cluster is not None
+    if is_shared:
+        _refuse_sharing(source, kept)
+    opened = PairSource(source=source, frames=frames, settings=settings, mask=mask, poses=poses)
+    pairs, posed = opened.open()
+    _refuse_mixing(source, pairs.frame_files, output)
+    if mask is not None:
+        _refuse_mixing(mask, pairs.mask_files, output, kind="masks")
+    total = _total(pairs)
+    if is_shared and total is None:
+        raise ValueError(f"{pairs.title} does not say how many frames it has: leave out workers")
+    first = next(posed)  # before anything is written; the others have its size
+    if "flow" in outputs:
+        require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
+    full, shape, stretch = first.full, first.frame0.shape, first.stretch
+    following = chain([first], posed)
+    del first  # or it would be held to the end
+    runtime.start(arch, threads=threads)
+    if isinstance(camera, Path):
+        camera = stated_camera(camera, full or shape[:2])
+    elif guess:
+        camera = guessed_camera(camera, pairs.first_file or full or shape)
+    camera = pairs.camera_after(camera, full)
+    writer = PairWriter(
+        output,
+        camera=camera,
+        settings=settings,
+        window=window,
+        outputs=outputs,
+        figures=figures,
+        start=pairs.chosen.start,
+        step=pairs.chosen.step,
+        resume=resume,
+        inputs=InputFiles([*pairs.files, *([] if poses is None else [poses])]),
+        names=_names(pairs, output),
+    )
+    work = PairWork(camera=camera, settings=settings, files=writer.files)
+    skipped: dict[int, str] = {}
+    others = crew(workers, cluster) if is_shared else nullcontext()
+    with closing(posed), others as many, writer, RunProgress(total) as progress:
+        here = _Here(writer, work, opened, progress, kept, total)
+        done = here.interpret(following, until_ranges=is_shared)
+        skipped.update(pairs.skipped)
+        if many is not None and total is not None and done < total:
+            posed.close()
+            whole = Chunk(
+                source=opened,
+                work=work,
+                first=done,
+                end=total,
+                stretch=stretch,
+                arch=arch,
+                threads=threads,
+            )
+            if cluster is not None:
+                whole = whole.anywhere()
+            elif threads is None:
+                whole = replace(whole, threads=max(1, (os.cpu_count() or 1) // workers))
+            for chunk in _shared(whole, writer, many):
+                here.seconds += _take(chunk, writer, progress)
+                skipped.update(chunk.skipped)
+                if chunk.error is not None:
+                    raise chunk.error
+    _tell(writer, here.seconds)
+    for _, reason in sorted(skipped.items()):
+        tell(f"skipped: {reason}")
+    return 0
+
+
+@dataclass
+class _Here:
+    """The pairs that this process interprets."""
+
+    writer: PairWriter
+    work: PairWork
+    source: PairSource
+    progress: RunProgress
+    kept: Window | None
+    total: int | None
+    seconds: list[float] = field(default_factory=list)
+    _is_announced: bool = False
+
+    def interpret(self, pairs: Iterable[FramePair], *, until_ranges: bool) -> int:
+        """Interpret pairs, all or until the ranges are known; return the number of the next."""
+        writer, kept, progress = self.writer, self.kept, self.progress
+        finished, number = None, -1
+        with Background() as background:
+            for pair in progress.timed("decoding", pairs):
+                name, number = pair.name0, self.source.number(pair)
+                if writer.knows(name) and writer.is_complete(name, pair.digest, number):
+                    finished = None if kept is None else pair
+                else:
+                    if kept is not None and finished is not None:
+                        before = Interpretation.load(writer.result_of(finished.name0))
+                        finished.keep(kept, before, camera=self.work.camera)
+                        del before
+                    finished = None
+                    with progress.stage("interpreting"):
+                        result = self.work.interpret(pair, kept)
+                    self.seconds.append(progress.last)
+                    writer.took(name, progress.last)
+                    with progress.stage("interpreting"):
+                        about = self.work.about(pair, number)
+                    with progress.stage("writing"):
+                        background.submit(writer.write, name, result, **about)
+                    del result, about  # or they would be held while the next is computed
+                progress.finish(name, writer.statuses)
+                self._announce()
+                del pair
+                if until_ranges:
+                    background.wait()
+                    if writer.ranges is not None:
+                        break
+        return number + 1
+
+    def _announce(self) -> None:
+        if not self._is_announced and self.total is not None and self.writer.statuses:
+            self._is_announced = True
+            _announce(self.writer, self.total)
+
+
+def _shared(whole: Chunk, writer: PairWriter, many: Crew) -> Iterator[FinishedChunk]:
+    """Let other processes do what is left, and yield what they have done, in any order."""
+    writer.begin()
+    with _alive(whole.work.files.folder) as alive:
+        parts = [
+            replace(
+                part, known=writer.known(part.first, part.end), alive=alive, ranges=writer.ranges
+            )
+            for part in chunks_of(whole, many.workers)
+        ]
+        for _, done in many.finished(interpret_chunk, parts):
+            yield done
+
+
+def _take(chunk: FinishedChunk, writer: PairWriter, progress: RunProgress) -> list[float]:
+    """Take down what another process did; return how long its pairs took."""
+    seconds = []
+    for pair in chunk.pairs:
+        if pair.about is not None and pair.sums is not None:
+            writer.finish(pair.name, pair.about, pair.sums)
+            writer.took(pair.name, pair.seconds)
+            seconds.append(pair.seconds)
+        progress.finish(pair.name, writer.statuses)
+    return seconds
+
+
+@contextmanager
+def _alive(folder: Path) -> Iterator[Path]:
+    """Make a file that is there within the block; of a killed run, the next one removes it."""
+    path = folder / f".tisfm-{secrets.token_hex(8)}.tmp"
+    path.touch()
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _refuse_sharing(source: Source, kept: Window | None) -> None:
+    """Refuse what several processes cannot share."""
+    if kept is not None:
+        raise ValueError(
+            "a window of 3 goes on from pair to pair, which several workers cannot: leave out "
+            "one of them"
+        )
+    if isinstance(source, str) and webcam_number(source) is not None:
+        raise ValueError(f"{source} is no file, which several workers could read: leave them out")
+
+
+def _total(pairs: FrameSource) -> int | None:
+    """Return the number of pairs, None where only reading tells."""
+    try:
+        return len(pairs)
+    except TypeError:
+        return None
+
+
+def _tell(writer: PairWriter, seconds: list[float]) -> None:
+    """Say what was done, and what to try where something is wrong."""
+    statuses = ", ".join(f"{count} {code}" for code, count in writer.statuses.items())
+    typical = f", {sorted(seconds)[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
+    number = sum(writer.statuses.values())
+    tell(
+        f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {writer.folder}, "
+        f"settings and scales in {writer.folder / RECORD}."
+    )
+    for code, advice in writer.advice.items():
+        tell(f"{code}: {advice}")
+
+
+def _announce(writer: PairWriter, total: int) -> None:
+    """Say how much a long run will write, and whether the disk has room for it."""
+    total -= sum(writer.statuses.values()) - 1  # those are written
+    expected, free = writer.expected_bytes(total), shutil.disk_usage(writer.folder).free
+    if expected > free:
+        tell(
+            f"about {_size(expected)} for {total} pairs, but {_size(free)} are free: see --outputs"
+        )
+    elif expected > _MUCH:
+        tell(f"about {_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
+
+
+def _size(count: float) -> str:
+    """Return a number of bytes as it is read."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _refuse_mixing(
+    source: Source, files: Iterable[Path], output: Path, *, kind: str = "frames"
+) -> None:
+    """Refuse to write among the frames, where results would count as frames the next time."""
+    if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
+        return
+    folders = {file.parent for file in files}
+    among = any(
+        folder.exists() and folder.samefile(output) for folder in folders if output.exists()
+    )
+    if among or (glob.has_magic(os.fspath(source)) and _matches(output, Path(source).parent)):
+        raise ValueError(
+            f"the results would lie among the {kind} in {output}, and count as {kind} the "
+            "next time: give another folder with -o"
+        )
+
+
+def _matches(folder: Path, pattern: Path) -> bool:
+    """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
+    parts, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
+    return len(parts) == len(patterns) and all(map(fnmatch.fnmatch, parts, patterns))
+
+
+def _names(pairs: FrameSource, output: Path) -> list[str]:
+    """Return names of pairs whose results may lie in a folder already."""
+    if pairs.names is not None:
+        return list(pairs.names)
+    if not output.is_dir():
+        return []
+    numbered = re.compile(re.escape(pairs.prefix) + r"_\d{6,}", re.IGNORECASE)
+    found = (numbered.match(name) for name in os.listdir(output))
+    return sorted({match.group() for match in found if match})
