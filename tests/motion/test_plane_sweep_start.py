@@ -120,7 +120,7 @@ def test_kernels_refuse_what_they_would_misread():
         aggregate(cost, guide, cost.astype(np.float64), step=1, jump=2, edge=1)
     features, motion = aligned_zeros((4, 5, 4)), np.zeros((3, 4), np.float32)
     options = {"center": (2, 2), "focal": 5, "first": 0, "step": 1, "near": 1}
-    with pytest.raises(ValueError, match="out is .*: expected \\(4, 5, 1, 8\\)"):
+    with pytest.raises(ValueError, match=r"out is .*: expected \(4, 5, 1, 8\)"):
         matching_cost(
             features, features, guide, guide, motion, aligned_zeros((5, 4, 1, 8)), **options
         )
