@@ -107,30 +107,28 @@ class DepthOperations(TaichiSide):
         )
 
     def matching_cost(self) -> Timed:
-        p, count = self.problem, len(HYPOTHESES)
+        p = self.problem
         arrays = []
         for features in p.features:
             arrays.append(aligned_zeros((p.height, p.width, 4)))
             arrays[-1][..., :3] = np.moveaxis(features, 0, -1)
-        out = aligned_zeros((p.height, p.width, count))
+        out = aligned_zeros(self._in_vectors())
         arguments = [array.astype(np.float32) for array in (p.guess, p.trust, p.motions[0])]
         options = {
             "center": p.camera.center_for(p.height, p.width),
             "focal": p.camera.focal,
             "first": HYPOTHESES[0],
             "step": HYPOTHESES[1] - HYPOTHESES[0],
-            "count": count,
             "near": NEAR,
         }
         return (
             lambda: plane_sweep.matching_cost(*arrays, *arguments, out, **options),
-            lambda _: np.moveaxis(out * p.decided, -1, 0),
+            lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.decided, -1, 0),
         )
 
     def aggregate(self) -> Timed:
-        p, lanes = self.problem, self.grid.lanes
-        shape = (p.height, p.width, len(HYPOTHESES) // lanes)
-        cost, out = (aligned_zeros(shape if lanes == 1 else (*shape, lanes)) for _ in range(2))
+        p = self.problem
+        cost, out = (aligned_zeros(self._in_vectors()) for _ in range(2))
         cost[...] = p.cost.reshape(cost.shape)
         guide = p.features[0, 0].astype(np.float32)
         return (
@@ -158,6 +156,12 @@ class DepthOperations(TaichiSide):
             lambda: readout.rigid_fields(*arguments, **options),
             lambda _: np.concatenate(fields),
         )
+
+    def _in_vectors(self) -> tuple[int, ...]:
+        """Return the shape of costs of all hypotheses, in lanes."""
+        p, lanes = self.problem, self.grid.lanes
+        shape = (p.height, p.width, len(HYPOTHESES) // lanes)
+        return shape if lanes == 1 else (*shape, lanes)
 
     def _geometry(self) -> tuple[LaneData, ...]:
         p, unknowns = self.problem, self.unknowns

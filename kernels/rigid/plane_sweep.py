@@ -3,8 +3,14 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.lanes import check_array
-from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.layout.lanes import (
+    LaneArray,
+    check_array,
+    lane_count,
+    lane_kernel,
+    lane_of,
+    set_lane,
+)
 from tisfm.kernels.model.constants import NEAREST
 
 
@@ -20,10 +26,9 @@ def matching_cost(
     focal: float,
     first: float,
     step: float,
-    count: int,
     near: float,
 ) -> None:
-    """Compare every pixel of frame 0 with frame 1 at `count` inverse depths.
+    """Compare every pixel of frame 0 with frame 1 at some inverse depths.
 
     A cost is min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|), in the units that the features have, and 1
     where a hypothesis takes the pixel out of the image; to which weight·min(1, |D − guess|/near)
@@ -37,33 +42,28 @@ def matching_cost(
         An inverse depth that is likely, px/frame, and how likely.
     motion : (3, 4) float32
         R and t.
-    out : (H, W, N) float32
-        Of hypothesis n, D = first + n·step. What is beyond `count` is left alone.
+    out : (H, W, M[, lanes]) float32
+        Of hypothesis n, D = first + n·step; as many lie side by side as the array has lanes.
     center : (float, float)
         Principal point, px.
     focal : float
         px.
     first, step : float
         px/frame.
-    count : int
     near : float
         px/frame.
     """
-    height, width, size = out.shape
-    for name, array, shape in (
-        ("features0", features0, (height, width, 4)),
-        ("features1", features1, (height, width, 4)),
-        ("out", out, (height, width, size)),
-    ):
-        check_array(array, shape, name)
+    height, width = guess.shape
+    lanes = 1 if out.ndim == 3 else out.shape[3]
+    for name, array in (("features0", features0), ("features1", features1)):
+        check_array(array, (height, width, 4), name)
+    check_array(out, (height, width, *out.shape[2:]), "out")
     check_array(guess, (height, width), "guess", aligned=False)
     check_array(weight, (height, width), "weight", aligned=False)
     check_array(motion, (3, 4), "motion", aligned=False)
-    if not 0 < count <= size:
-        raise ValueError(f"count is {count}: expected 1 to {size}")
-    _matching_cost(
-        features0,
-        features1,
+    _matching_cost[lanes](
+        features0.reshape(-1, 4),
+        features1.reshape(-1, 4),
         guess,
         weight,
         motion,
@@ -72,15 +72,14 @@ def matching_cost(
         first,
         step,
         1 / near,
-        count,
         out,
     )
 
 
-@Kernel
+@lane_kernel
 def _matching_cost(
-    features0: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=2),  # (H, W)
-    features1: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=2),  # (H, W)
+    features0: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=1),  # (H·W,)
+    features1: ti.types.ndarray(dtype=ti.types.vector(4, ti.f32), ndim=1),  # (H·W,)
     guess: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     weight: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
@@ -90,33 +89,49 @@ def _matching_cost(
     first: ti.f32,
     step: ti.f32,
     inverse_near: ti.f32,
-    count: ti.i32,
-    out: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, N)
+    out: LaneArray(3),  # (H, W, M)
 ):
-    height, width = features1.shape[0], features1.shape[1]
+    """Compare a vector of hypotheses at a time, each lane with a place of its own."""
+    height, width = guess.shape[0], guess.shape[1]
+    lanes = ti.static(lane_count(out))
     for y, x in ti.ndrange(height, width):
         x_hat, y_hat = (x - cx) / focal, (y - cy) / focal
-        p1 = motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2]
-        p2 = motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2]
+        # Where the point is, times its depth: p + D t / f, the first two times f.
+        p1 = focal * (motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2])
+        p2 = focal * (motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2])
         p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2]
-        here = features0[y, x]
-        for n in range(count):
-            hypothesis = first + n * step
-            d = hypothesis / focal
-            nearness = focal / ti.max(p3 + d * motion[2, 3], NEAREST)
-            x_there = cx + nearness * (p1 + d * motion[0, 3])
-            y_there = cy + nearness * (p2 + d * motion[1, 3])
-            value = 1.0
-            if x_there >= 0 and x_there <= width - 1 and y_there >= 0 and y_there <= height - 1:
-                column = ti.min(ti.cast(x_there, ti.i32), ti.max(width - 2, 0))
-                row = ti.min(ti.cast(y_there, ti.i32), ti.max(height - 2, 0))
-                right, below = ti.min(column + 1, width - 1), ti.min(row + 1, height - 1)
-                a, b = x_there - column, y_there - row
-                there = (1.0 - b) * (
-                    (1.0 - a) * features1[row, column] + a * features1[row, right]
-                ) + b * ((1.0 - a) * features1[below, column] + a * features1[below, right])
-                apart = there - here
-                apart = ti.max(apart, 0.0 - apart)
-                value = ti.min(1.0, apart[0]) + ti.min(1.0, apart[1] + apart[2])
-            away = inverse_near * (hypothesis - guess[y, x])
-            out[y, x, n] = value + weight[y, x] * ti.min(1.0, ti.max(away, 0.0 - away))
+        t1, t2, t3 = motion[0, 3], motion[1, 3], motion[2, 3] / focal
+        right_border, lower_border = width - 1.0, height - 1.0
+        last_column, last_row = ti.max(width - 2.0, 0.0), ti.max(height - 2.0, 0.0)
+        across, down = ti.min(1, width - 1), ti.min(1, height - 1) * width
+        here, likely, likeliness = features0[y * width + x], guess[y, x], weight[y, x]
+        hypothesis = 0.0 * out[y, x, 0] + first
+        for lane in ti.static(range(1, lanes)):
+            hypothesis[lane] = first + lane * step
+        for m in range(out.shape[2]):
+            nearness = 1.0 / ti.max(p3 + hypothesis * t3, NEAREST)
+            x_there = cx + nearness * (p1 + hypothesis * t1)
+            y_there = cy + nearness * (p2 + hypothesis * t2)
+            beyond = ti.max(
+                ti.max(0.0 - x_there, x_there - right_border),
+                ti.max(0.0 - y_there, y_there - lower_border),
+            )
+            column = ti.floor(ti.max(0.0, ti.min(x_there, last_column)))
+            row = ti.floor(ti.max(0.0, ti.min(y_there, last_row)))
+            a, b = x_there - column, y_there - row
+            value = 0.0 * hypothesis + 1.0
+            for lane in ti.static(range(lanes)):
+                if lane_of(beyond, lane, lanes) <= 0.0:
+                    corner = ti.cast(lane_of(row, lane, lanes), ti.i32) * width
+                    corner += ti.cast(lane_of(column, lane, lanes), ti.i32)
+                    right = lane_of(a, lane, lanes)
+                    above, below = features1[corner], features1[corner + down]
+                    above = above + right * (features1[corner + across] - above)
+                    below = below + right * (features1[corner + down + across] - below)
+                    apart = above + lane_of(b, lane, lanes) * (below - above) - here
+                    apart = ti.max(apart, 0.0 - apart)
+                    unlike = ti.min(1.0, apart[0]) + ti.min(1.0, apart[1] + apart[2])
+                    set_lane(value, lane, lanes, unlike)
+            away = inverse_near * (hypothesis - likely)
+            out[y, x, m] = value + likeliness * ti.min(1.0, ti.max(away, 0.0 - away))
+            hypothesis = hypothesis + lanes * step

@@ -10,7 +10,7 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import (
     CHUNK,
     LaneArray,
-    aligned_zeros,
+    aligned_empty,
     check_array,
     lane_count,
     lane_kernel,
@@ -18,6 +18,7 @@ from tisfm.kernels.layout.lanes import (
 from tisfm.kernels.layout.launch import Kernel
 
 FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
+COLUMNS = 32  # that are followed side by side, for what lies side by side in memory
 LEAST_BEND = 1e-6  # in place of a bend where hypotheses cost the same
 
 
@@ -57,11 +58,10 @@ def aggregate(
     check_array(cost, cost.shape, "cost")
     check_array(out, cost.shape, "out")
     check_array(guide, cost.shape[:2], "guide", aligned=False)
-    out[...] = 0
     for across in (True, False):
         lines = cost.shape[0] if across else cost.shape[1]
-        path = aligned_zeros((lines, *cost.shape[2:]))
-        _aggregate[lanes](cost, guide, path, step, jump, 1 / edge, across, out)
+        path, least = aligned_empty((lines, *cost.shape[2:])), np.empty(lines, np.float32)
+        _aggregate[lanes](cost, guide, path, least, step, jump, 1 / edge, across, out)
 
 
 def cheapest(cost: np.ndarray, out: np.ndarray, *, count: int) -> None:
@@ -107,21 +107,25 @@ def _aggregate(
     cost: LaneArray(3),  # (H, W, M)
     guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     path: LaneArray(2),  # (lines, M): L of the pixel before
+    least: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (lines,): the least of it
     step: ti.f32,
     jump: ti.f32,
     inverse_edge: ti.f32,
     across: ti.template(),
     out: LaneArray(3),  # (H, W, M)
 ):
+    """Sum along rows, which writes `out`, or along columns, which adds to it."""
     lines = path.shape[0]
     if ti.static(lane_count(cost) == 1):  # on a GPU, a thread for every line
         for line in range(lines):
-            _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+            _follow(cost, guide, path, least, step, jump, inverse_edge, across, out, line, line + 1)
     else:
-        for task in range(CHUNK * lines):
+        together = ti.static(1 if across else COLUMNS)
+        for task in range(CHUNK * ((lines + together - 1) // together)):
             if task % CHUNK == 0:
-                line = task // CHUNK
-                _follow(cost, guide, path, step, jump, inverse_edge, across, out, line)
+                first = task // CHUNK * together
+                end = ti.min(first + together, lines)
+                _follow(cost, guide, path, least, step, jump, inverse_edge, across, out, first, end)
 
 
 @ti.func
@@ -129,44 +133,57 @@ def _follow(
     cost: ti.template(),
     guide: ti.template(),
     path: ti.template(),
+    least: ti.template(),
     step,
     jump,
     inverse_edge,
     across: ti.template(),
     out: ti.template(),
-    line,
+    first,
+    end,
 ):
-    """Sum along one line of the image, there and back."""
+    """Sum along some lines of the image, side by side, there and back."""
     count = cost.shape[2]
     lanes = ti.static(lane_count(cost))
     length = cost.shape[1] if ti.static(across) else cost.shape[0]
     for way in range(2):
-        for m in range(count):
-            path[line, m] = 0.0 * cost[0, 0, m]
-        least, grey = 0.0, 0.0
+        adds = way == 1 or ti.static(not across)
+        for line in range(first, end):
+            least[line] = 0.0
+            for m in range(count):
+                path[line, m] = 0.0 * cost[0, 0, m]
         for i in range(length):
             at = i if way == 0 else length - 1 - i
-            y = line if ti.static(across) else at
-            x = at if ti.static(across) else line
-            apart = guide[y, x] - grey
-            apart = ti.max(apart, 0.0 - apart)
-            grey = guide[y, x]
-            leap = least + ti.max(step, jump / (1.0 + inverse_edge * apart))
-            before = 0.0 * cost[y, x, 0] + FORBIDDEN
-            here = path[line, 0]
-            smallest = 0.0 * here + 2.0 * FORBIDDEN
-            for m in range(count):
-                after = 0.0 * here + FORBIDDEN
-                if m + 1 < count:
-                    after = path[line, m + 1]
-                near = ti.min(_shifted_up(before, here, lanes), _shifted_down(here, after, lanes))
-                best = ti.min(ti.min(here, near + step), leap)
-                value = cost[y, x, m] + best - least
-                path[line, m] = value
-                out[y, x, m] = out[y, x, m] + value  # no atomic sum
-                smallest = ti.min(smallest, value)
-                before, here = here, after
-            least = _least(smallest, lanes)
+            before_at = ti.max(0, ti.min(at - 1 + 2 * way, length - 1))
+            for line in range(first, end):
+                y = line if ti.static(across) else at
+                x = at if ti.static(across) else line
+                apart = guide[y, x] - (
+                    guide[y, before_at] if ti.static(across) else guide[before_at, x]
+                )
+                apart = ti.max(apart, 0.0 - apart)
+                lowest = least[line]
+                leap = lowest + ti.max(step, jump / (1.0 + inverse_edge * apart))
+                before = 0.0 * cost[y, x, 0] + FORBIDDEN
+                here = path[line, 0]
+                smallest = 0.0 * here + 2.0 * FORBIDDEN
+                for m in range(count):
+                    after = 0.0 * here + FORBIDDEN
+                    if m + 1 < count:
+                        after = path[line, m + 1]
+                    near = ti.min(
+                        _shifted_up(before, here, lanes), _shifted_down(here, after, lanes)
+                    )
+                    best = ti.min(ti.min(here, near + step), leap)
+                    value = cost[y, x, m] + best - lowest
+                    path[line, m] = value
+                    if adds:
+                        out[y, x, m] = out[y, x, m] + value  # no atomic sum
+                    else:
+                        out[y, x, m] = value
+                    smallest = ti.min(smallest, value)
+                    before, here = here, after
+                least[line] = _least(smallest, lanes)
 
 
 @ti.func

@@ -73,7 +73,8 @@ def test_cheapest(size, count):
 
 
 @each_size
-def test_matching_cost(size):
+@pytest.mark.parametrize("lanes", [16, 8, 1])
+def test_matching_cost(size, lanes):
     from tisfm.kernels.layout.lanes import aligned_zeros
     from tisfm.kernels.rigid.plane_sweep import matching_cost
 
@@ -85,30 +86,26 @@ def test_matching_cost(size):
     guess, weight = rng.uniform(0, 9, size), rng.uniform(0, 1, size)
     camera = tisfm.Camera(focal=40.0, center=(0.4 * size[1], 0.6 * size[0]))
     rotation, translation = rigid_motion(TWIST)
-    hypotheses = 0.5 + 1.5 * np.arange(6)
-    out = np.full((*size, 8), -1, np.float32)
-    aligned = aligned_zeros(out.shape)
-    aligned[...] = out
+    hypotheses = 0.5 + 1.5 * np.arange(16)
+    out, plain = in_vectors(np.zeros((*size, 16)), lanes, 0)
     matching_cost(
         *laid,
         guess.astype(np.float32),
         weight.astype(np.float32),
         np.column_stack([rotation, translation]).astype(np.float32),
-        aligned,
+        out,
         center=camera.center,
         focal=camera.focal,
         first=0.5,
         step=1.5,
-        count=6,
         near=2.0,
     )
     expected = reference.matching_cost(*features, hypotheses, camera, rotation, translation)
     away = np.abs(hypotheses - guess[..., None])
     expected += weight[..., None] * np.minimum(1, away / 2)
     # At the very border rounding decides whether a pixel is inside.
-    differs = np.abs(aligned[..., :6] - expected) > 2e-4
+    differs = np.abs(plain - expected) > 2e-4
     assert differs.mean() <= 0.01
-    assert (aligned[..., 6:] == -1).all()
 
 
 def test_kernels_refuse_what_they_would_misread():
@@ -123,11 +120,12 @@ def test_kernels_refuse_what_they_would_misread():
         aggregate(cost, guide, cost.astype(np.float64), step=1, jump=2, edge=1)
     features, motion = aligned_zeros((4, 5, 4)), np.zeros((3, 4), np.float32)
     options = {"center": (2, 2), "focal": 5, "first": 0, "step": 1, "near": 1}
-    out = aligned_zeros((4, 5, 8))
-    with pytest.raises(ValueError, match="count is 9"):
-        matching_cost(features, features, guide, guide, motion, out, count=9, **options)
+    with pytest.raises(ValueError, match=r"out is .*: expected \(4, 5, 1, 8\)"):
+        matching_cost(
+            features, features, guide, guide, motion, aligned_zeros((5, 4, 1, 8)), **options
+        )
     with pytest.raises(ValueError, match="weight"):
-        matching_cost(features, features, guide, guide.T, motion, out, count=8, **options)
+        matching_cost(features, features, guide, guide.T, motion, cost, **options)
 
 
 # --- Triangulation ----------------------------------------------------------------------------

@@ -65,9 +65,16 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     motions = scaled_translations(start.matrix[None], labels, camera)
     sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
 
-    def joint() -> RigidSolution:
+    def joint(last: int, warps: int | None = None) -> RigidSolution:
         return rigid_depth(
-            pyramid, settings, motions, labels, last=level, refine=refine, start=sweep.start()
+            pyramid,
+            settings,
+            motions,
+            labels,
+            last=last,
+            refine=refine,
+            start=sweep.start(),
+            warps=warps,
         )
 
     solution: RigidSolution | None = None
@@ -79,7 +86,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         surer = motions
         if refine != "none" and not start.matched:
             if bare < BARE_FOR_MOTION:
-                refined = joint()
+                refined = joint(level)
                 surer = refined.motions
             else:
                 surer, doubt = _finer(pyramid, settings, start, pose)
@@ -88,7 +95,10 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         solution = carried_depth(pyramid, settings, surer[0])
     misfit = 0.0  # is in the deviation of what is carried
     if solution is None:
-        solution, misfit = refined or joint(), start.residual
+        # What a sweep finds is sharper than the last level; it is near, so that little is to do.
+        finer = sweep.finest if sweep.needed else level
+        solution = joint(finer, settings.warps) if finer < level else refined or joint(level)
+        misfit = start.residual
     estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(
         estimate,

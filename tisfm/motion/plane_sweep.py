@@ -83,7 +83,8 @@ class PlaneSweep:
         """Return a level of the pyramid, and the inverse depth to start from there.
 
         That is the flow field's, triangulated, where little parallax leaves it near the truth, and
-        elsewhere that of a sweep, which the field only supports.
+        elsewhere that of a sweep, which the field only supports. No sweep is finer than the last
+        level of the pyramid.
 
         Returns
         -------
@@ -92,16 +93,32 @@ class PlaneSweep:
         inverse_depth : (H, W) float32
             D, px/frame of that level.
         """
-        low, high = self.range
-        if high - low < RANGE:
+        if not self.needed:
             return self._level, self._guess
-        pyramid = self._pyramid
-        low, high = max((1 - REACH) * low, 0), (1 + REACH) * high
-        for finer in range(self._level + 1):
-            entries = (high - low) * pyramid.scales[finer] * pyramid.frames0[finer].size
-            if entries <= ENTRIES:
-                break
-        return finer, self._run(finer, low, high)
+        level = min(max(self.finest, self._pyramid.last), self._level)
+        return level, self._run(level, *self._sought)
+
+    @property
+    def needed(self) -> bool:
+        """Whether parallax is so large that coarse to fine does not find all of it."""
+        low, high = self.range
+        return high - low >= RANGE
+
+    @property
+    def finest(self) -> int:
+        """The finest level on which a sweep would not be too large: depth may be refined on it."""
+        low, high = self._sought
+        frames, scales = self._pyramid.frames0, self._pyramid.scales
+        levels = range(self._level)
+        return next(
+            (k for k in levels if (high - low) * scales[k] * frames[k].size <= ENTRIES), self._level
+        )
+
+    @property
+    def _sought(self) -> tuple[float, float]:
+        """The least and the largest D that are looked for, px of the finest level."""
+        low, high = self.range
+        return max((1 - REACH) * low, 0), (1 + REACH) * high
 
     def _run(self, level: int, low: float, high: float) -> np.ndarray:
         """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
@@ -201,11 +218,11 @@ def swept(
     doi 10.1109/TPAMI.2007.1166.
     """
     height, width = frame0.shape
-    count, wide = len(hypotheses), lanes()
-    padded = -(-count // wide) * wide
     unit = max(mean_step(frame0, None if counted is None else counted[0]), FAINTEST_STEP)
-    cost = aligned_empty((height, width, padded))
-    cost[..., count:] = FORBIDDEN
+    wide = lanes()
+    vectors = -(-len(hypotheses) // wide)
+    padded = (height, width, vectors * wide)
+    cost = aligned_empty((height, width, vectors, wide) if wide > 1 else padded)
     matching_cost(
         _features(frame0, unit),
         _features(frame1, unit),
@@ -217,27 +234,26 @@ def swept(
         focal=camera.focal,
         first=float(hypotheses[0]),
         step=float(hypotheses[1] - hypotheses[0]),
-        count=count,
         near=NEAR,
     )
+    cost.reshape(padded)[..., len(hypotheses) :] = FORBIDDEN
     if counted is not None:
         cost[~counted[0]] *= HIDDEN
-    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
+    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
     hidden = _hidden(depth, motion, camera, None if counted is None else counted[1])
     if counted is not None:
         hidden &= counted[0]  # others are taken back already
     cost[hidden] *= HIDDEN
-    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses, wide)
+    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
     return cv2.medianBlur(depth, MEDIAN)
 
 
-def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray, wide: int) -> np.ndarray:
-    height, width, padded = cost.shape
-    shape = (height, width, padded // wide, wide) if wide > 1 else cost.shape
+def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np.ndarray:
+    height, width = guide.shape
     total = aligned_empty(cost.shape)
-    aggregate(cost.reshape(shape), guide, total.reshape(shape), step=STEP, jump=JUMP, edge=EDGE)
+    aggregate(cost, guide, total, step=STEP, jump=JUMP, edge=EDGE)
     best = np.empty((height, width), np.float32)
-    cheapest(total, best, count=len(hypotheses))
+    cheapest(total.reshape(height, width, -1), best, count=len(hypotheses))
     spacing = hypotheses[1] - hypotheses[0]
     return np.float32(hypotheses[0]) + np.float32(spacing) * best
 

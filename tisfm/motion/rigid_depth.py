@@ -111,6 +111,7 @@ def rigid_depth(
     refine: Refinement = "motion",
     support: np.ndarray | None = None,
     start: tuple[int, np.ndarray] | None = None,
+    warps: int | None = None,
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
@@ -137,13 +138,15 @@ def rigid_depth(
     start : (int, (h, w) float32), optional
         The level to start on and D there, for motions of the length that `scaled_translations`
         gives them; by default the coarsest level, and zero.
+    warps : int, optional
+        Linearisations on the last level, by default `WARPS` for one of the field's.
     """
     motions = scaled_translations(motions, labels, pyramid.cameras[0])
     history: Records = []
     coarse: Unknowns | None = None
     noise = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
-    warps = [settings.warps * WARPS] + coarsest * [
+    linearisations = [settings.warps * WARPS if warps is None else warps] + coarsest * [
         settings.coarse_warps if start is None else settings.warps
     ]
     last = min(last, coarsest)
@@ -153,7 +156,7 @@ def rigid_depth(
         )
         if level == coarsest and depth is not None:
             state.unknowns.set_images(depth[None])
-        for warp in range(warps[level - last]):
+        for warp in range(linearisations[level - last]):
             state.linearise(motions)
             state.minimiser.set_alpha(settings.depth_smoothness * max(1.0, noise.max() / QUIET))
             state.minimiser.update()  # depth was despeckled

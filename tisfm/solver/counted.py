@@ -4,6 +4,7 @@ Those that are ignored contribute no data. Frames are filled there from around, 
 smoothing nor the stencils of their neighbours meet the edges of what covers the scene.
 """
 
+from copy import copy
 from functools import cached_property
 
 import cv2
@@ -65,6 +66,13 @@ class Counted:
     def reversed(self) -> "Counted":
         """Return the same of the frames the other way round."""
         return Counted(*self.whole[::-1], self._shapes)
+
+    def coarser(self, level: int) -> "Counted":
+        """Return the same of the levels from one on, on which pixels count as they do here."""
+        other = copy(self)
+        other.whole, other._shapes = self.levels[level], self._shapes[level:]
+        other.levels = self.levels[level:]
+        return other
 
 
 def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:

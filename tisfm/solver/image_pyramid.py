@@ -126,6 +126,23 @@ class ImagePyramid:
         other.contrast = mean_step(other.frames0[0], other.counted0(0))
         return other
 
+    def coarser(self, level: int) -> "ImagePyramid":
+        """Return the pyramid of the levels from this one on, whose finest it is.
+
+        Its frames and splines are those of this pyramid.
+        """
+        if level == 0:
+            return self
+        other = copy(self)
+        other.frames0, other.frames1 = self.frames0[level:], self.frames1[level:]
+        other.cameras, other._taps1 = self.cameras[level:], self._taps1[level:]
+        other.scales = [scale / self.scales[level] for scale in self.scales[level:]]
+        other.levels, other.last = self.levels - level, max(0, self.last - level)
+        other.shape = other.frames0[0].shape
+        other.counted = None if self.counted is None else self.counted.coarser(level)
+        other.contrast = mean_step(other.frames0[0], other.counted0(0))
+        return other
+
     def _spline(self, level: int) -> Callable[[], np.ndarray]:
         return cache(partial(spline_taps, self.frames1[level]))
 

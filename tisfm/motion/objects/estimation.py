@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.first_motion import STILL, first_motion
+from tisfm.motion.first_motion import STILL, FirstMotion, first_motion
 from tisfm.motion.objects.background import with_carried_background
 from tisfm.motion.objects.boundaries import sharpened
-from tisfm.motion.objects.candidates import motion_candidates
+from tisfm.motion.objects.candidates import motion_candidates, smallest_object
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.far_apart import far_apart
 from tisfm.motion.objects.layers import Layering, Layers, without_specks
@@ -23,6 +24,7 @@ from tisfm.visibility.occlusion import occlusion_in
 # Things show less parallax than a scene does, so that their depth has more noise: it takes more of
 # its neighbours' to even that out.
 SMOOTHER = 4 / 3
+PIXELS = 2**16  # of the level, at least, on which motions and what has them are found
 
 
 def objects_estimate(
@@ -54,44 +56,27 @@ def objects_estimate(
         sweeps=max(settings.sweeps, 8),
     )
     camera = pyramid.cameras[0]
-    start = first_motion(pyramid, settings)
+    start = first_motion(pyramid, settings, pixels=PIXELS)
     if start.status == "unrelated":
-        start = far_apart(pyramid, settings, start, grey0, grey1)
+        start = first_motion(pyramid, settings) if start.level > 0 else start
+        if start.status == "unrelated":
+            start = far_apart(pyramid, settings, start, grey0, grey1)
     nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
     if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
         return only_turned(pyramid, settings, start, start.status, level=0)
-    flow = np.ascontiguousarray(np.moveaxis(start.flow, -1, 0))
-    hidden = occlusion_in(pyramid, flow, settings)
-    motions, labels = motion_candidates(
-        start.flow,
-        np.where(hidden, 0, start.trust),
-        camera,
-        grey0,
-        start.matrix,
-        start.residual,
-        most=settings.max_objects,
-    )
-    layering = Layering(pyramid, settings, grey0)
-    layers = layering.fitted(motions, labels, hidden)
-    if len(motions) > 1:
-        layers = layering.pruned(layers)
-        motions = layering.refitted(layers, start.flow, start.trust)
-        layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
-    layers = layering.with_floating(layers, most=settings.max_objects)
-    motions, labels = layers.motions, layers.labels
-    if not motions[0][:, 3].any():
-        labels = np.where(_as_background(layers, max(STILL, 3 * start.residual)), 0, labels)
-    labels = without_specks(labels, layering.smallest)
-    labels = sharpened(labels, layers.flows, layers.reach, grey0, grey1)
-    labels = without_specks(labels, layering.smallest)
+    level = start.level
+    layers = _layers(pyramid, settings, grey0, start)
+    motions = layers.motions
+    hidden = _resized(layers.hidden, pyramid.shape)
+    labels, flows = _to_the_pixel(pyramid, level, layers, grey0, grey1, start.residual)
     if not labels.any() and start.status is not None:
         return only_turned(pyramid, settings, start, start.status, level=0)
     areas = np.bincount(labels.ravel(), minlength=len(motions))
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
     rank = np.zeros(len(motions), np.int32)
     rank[order] = np.arange(len(order))
-    expected = np.take_along_axis(layers.flows, labels[None, None], axis=0)[0]
+    expected = np.take_along_axis(flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
     # Beside things that are seen well, rough depth of the background says nothing.
     rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
@@ -119,6 +104,79 @@ def objects_estimate(
     if len(order) == 1 and start.doubt is not None:
         estimate = replace(estimate, status=start.doubt)
     return aligned(estimate, hidden) if settings.align_scales else estimate
+
+
+def _layers(
+    pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, start: FirstMotion
+) -> Layers:
+    """Return the layers of the level of a flow field: what moves, and roughly where."""
+    coarse, scale = pyramid.coarser(start.level), pyramid.scales[start.level]
+    frame = coarse.frames0[0] if start.level else grey0  # which is sharper
+    hidden = occlusion_in(coarse, np.ascontiguousarray(np.moveaxis(start.flow, -1, 0)), settings)
+    motions, labels = motion_candidates(
+        start.flow,
+        np.where(hidden, 0, start.trust),
+        coarse.cameras[0],
+        frame,
+        start.matrix,
+        start.residual * scale,
+        most=settings.max_objects,
+    )
+    layering = Layering(coarse, settings, frame, density=scale)
+    layers = layering.fitted(motions, labels, hidden)
+    if len(motions) > 1:
+        layers = layering.pruned(layers)
+        motions = layering.refitted(layers, start.flow, start.trust)
+        layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
+    return layering.with_floating(layers, most=settings.max_objects)
+
+
+def _to_the_pixel(
+    pyramid: ImagePyramid,
+    level: int,
+    layers: Layers,
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+    residual: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return labels, (H, W) int32, and the flow of every layer, (K, 2, H, W), of the finest level.
+
+    From level to level boundaries are made sharp: each is off by little more than a pixel of the
+    one before.
+    """
+    labels, flows = layers.labels, layers.flows
+    if not layers.motions[0][:, 3].any():
+        least = max(STILL, 3 * residual) * pyramid.scales[level]
+        labels = np.where(_as_background(layers, least), 0, labels)
+    for k in range(level, -1, -1):
+        shape = pyramid.frames0[k].shape
+        if k < level:
+            labels = _resized(labels, shape)
+            flows = _finer(flows, shape, pyramid.scales[k] / pyramid.scales[k + 1])
+        reach = np.stack([_resized(where, shape) for where in layers.reach])
+        smallest = smallest_object(labels.size)
+        frames = (grey0, grey1) if k == 0 else (pyramid.frames0[k], pyramid.frames1[k])
+        labels = without_specks(labels, smallest)
+        labels = without_specks(sharpened(labels, flows, reach, *frames), smallest)
+    return labels, flows
+
+
+def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return labels or a mask of another level, (h, w): each pixel as the nearest."""
+    if image.shape == shape:
+        return image
+    small = image.astype(np.uint8)
+    return cv2.resize(small, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(image.dtype)
+
+
+def _finer(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarray:
+    """Return flows, (K, 2, h, w), of a finer level, `ratio` times as dense."""
+    return np.stack(
+        [
+            np.stack([cv2.resize(part, shape[::-1]) for part in np.nan_to_num(flow)])
+            for flow in flows
+        ]
+    ) * np.float32(ratio)
 
 
 def _as_background(layers: Layers, least: float) -> np.ndarray:

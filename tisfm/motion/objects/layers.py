@@ -31,6 +31,7 @@ TRUNCATED = 16.0  # units: more is no worse
 UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
 MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
 HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
+CHANGED = 0.03  # of a surface's pixels: if fewer are others, it need not be fitted anew
 GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
 PIXEL_GAIN = 0.2  # units, of each of its pixels: what spreads over a background is worth less
 
@@ -69,6 +70,16 @@ class Layers:
     floats: np.ndarray
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Surface:
+    """A surface fitted where it is labelled, its residual averaged over windows, and its flow."""
+
+    support: np.ndarray
+    solution: RigidSolution
+    residual: np.ndarray
+    flow: np.ndarray
+
+
 class Layering:
     """Labels of a pair of frames, and what they are worth.
 
@@ -78,6 +89,8 @@ class Layering:
     settings : Settings
     grey0 : (H, W) float32
         Grey levels of frame 0.
+    density : float
+        Of the finest level, over that of the frames as they came.
     """
 
     def __init__(
@@ -85,11 +98,13 @@ class Layering:
         pyramid: ImagePyramid,
         settings: Settings,
         grey0: np.ndarray,
+        *,
+        density: float = 1.0,
     ) -> None:
         self._pyramid = pyramid
         # Surfaces need not be exact to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
-        self._potts = Potts(grey0)
+        self._potts = Potts(grey0, density=density)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.smallest = smallest_object(grey0.size)
         frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
@@ -98,6 +113,7 @@ class Layering:
         if bare:
             self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
         self._bare = bare
+        self._surfaces: dict[bytes, list[_Surface]] = {}  # of every motion, in turn
 
     def fitted(
         self,
@@ -125,10 +141,9 @@ class Layering:
         for _ in range(rounds if len(motions) > 1 else 1):
             residuals, flows = [], []
             for label, motion in reversed(list(enumerate(motions))):
-                surface = self._continued(motion, _core(labels == label) & ~hidden)
-                residual, flow = self._residual(surface)
-                residuals.append(cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW)))
-                flows.append(flow)
+                surface = self._surface(motion, _core(labels == label) & ~hidden)
+                residuals.append(surface.residual)
+                flows.append(surface.flow)
             background = surface
             flows.reverse()
             stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
@@ -142,11 +157,10 @@ class Layering:
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
             costs = np.where(gone, known, costs).astype(np.float32)
             costs[~reach] = UNREACHED
-            for _ in range(2):
-                composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
-                hidden = occlusion_in(self._pyramid, composed, self._settings)
-                weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
-                labels = self._potts.assign(costs, weight)
+            composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
+            hidden = occlusion_in(self._pyramid, composed, self._settings)
+            weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
+            labels = self._potts.assign(costs, weight)
         return Layers(
             motions=motions,
             labels=labels,
@@ -155,7 +169,7 @@ class Layering:
             unit=unit,
             flows=moved,
             reach=reach,
-            floats=self._floating(background) * (labels == 0),
+            floats=self._floating(background.solution) * (labels == 0),
         )
 
     def with_floating(self, layers: Layers, *, most: int) -> Layers:
@@ -266,6 +280,9 @@ class Layering:
         """
         motions = []
         for label, motion in enumerate(layers.motions):
+            if not motion[:, 3].any():
+                motions.append(motion)
+                continue
             mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
             try:
                 near = layers.motions[0][:, :3] if label else None
@@ -274,11 +291,24 @@ class Layering:
             except TooFewPixelsError:
                 motions.append(motion)
                 continue
-            still = not motion[:, 3].any()
-            motions.append(
-                motion if still else np.column_stack([found.rotation, found.translation])
-            )
+            motions.append(np.column_stack([found.rotation, found.translation]))
         return motions
+
+    def _surface(self, motion: np.ndarray, support: np.ndarray) -> "_Surface":
+        """Return the surface of a motion that is seen on its support.
+
+        One that was fitted on nearly the same pixels serves again.
+        """
+        known = self._surfaces.setdefault(motion.tobytes(), [])
+        most = CHANGED * np.count_nonzero(support)
+        for surface in reversed(known):
+            if np.count_nonzero(surface.support ^ support) <= most:
+                return surface
+        solution = self._continued(motion, support)
+        residual, flow = self._residual(solution)
+        smooth = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW))
+        known.append(_Surface(support=support, solution=solution, residual=smooth, flow=flow))
+        return known[-1]
 
     def _continued(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
         """Return a surface fitted on its support, and continued everywhere."""

@@ -1,6 +1,7 @@
 """Labels that cost little and whose boundaries are short and lie on edges of the image."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,6 +33,10 @@ class Potts:
     ----------
     frame : (H, W) float32
         Grey levels.
+    density : float
+        How densely it is sampled, of the frames whose boundaries weigh what `SMOOTHNESS` says.
+        With fewer pixels on either side, boundaries count for less: costs fall with the area,
+        boundaries with the length.
 
     References
     ----------
@@ -40,7 +45,8 @@ class Potts:
     10.1007/s11263-013-0619-y.
     """
 
-    def __init__(self, frame: np.ndarray) -> None:
+    def __init__(self, frame: np.ndarray, *, density: float = 1.0) -> None:
+        self._smoothness = replace(SMOOTHNESS, alpha=SMOOTHNESS.alpha * density)
         self._grid = lane_grid(*frame.shape)
         self._edges = image_edges_in_lanes(self._grid, frame, SMOOTHNESS.image_edges)
 
@@ -58,6 +64,8 @@ class Potts:
             return np.zeros(costs.shape[1:], np.int32)
         shares = np.exp(-0.5 * (costs - costs.min(axis=0)))
         shares /= shares.sum(axis=0)
+        if len(costs) == 2:  # the second share is what the first leaves of 1
+            return (self._smoothed(shares[0], weight) < 0.5).astype(np.int32)
         smoothed = np.stack([self._smoothed(share, weight) for share in shares])
         return smoothed.argmax(axis=0).astype(np.int32)
 
@@ -74,7 +82,7 @@ class Potts:
                 grid, np.ascontiguousarray(values, np.float32), constraints, component=component
             )
         minimiser = HalfQuadratic(
-            unknowns, constraints, scales=(math.inf,), smoothness=SMOOTHNESS, effort=EFFORT
+            unknowns, constraints, scales=(math.inf,), smoothness=self._smoothness, effort=EFFORT
         )
         minimiser.update()
         minimiser.minimise()
