@@ -107,7 +107,7 @@ class Settings:
         deviation of depth with it, and the residuals by which hidden surfaces are told from others
         are those of its frames. 1, with a `pyramid_factor` of ½, leaves a quarter of the pixels to
         compute, and blurs motion over two pixels. Beyond the coarsest level it is that;
-        ``motion="camera"`` ends on the level that depth starts from, where that is finer.
+        where parallax is large, ``motion="camera"`` goes on to a finer level.
         ``motion="objects"`` takes 0.
     warps : int
         Linearisations on the last level.

@@ -116,7 +116,6 @@ WITHOUT_LANES = (
     "defeated",
     "share_of_data",
     "motion_fields",
-    "matching_cost",
     "cheapest",
     "rigid_fields",
     "score",

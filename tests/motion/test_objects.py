@@ -279,6 +279,50 @@ def test_potts_labels_are_smooth_and_cut_at_edges():
     assert not one.any()
 
 
+def test_two_labels_are_those_of_three_of_which_one_costs_too_much():
+    from tisfm.motion.objects.potts import Potts
+
+    rng = np.random.default_rng(1)
+    costs = rng.uniform(0, 4, (3, 40, 50)).astype(np.float32)
+    costs[2] = 60
+    weight = np.full((40, 50), 0.5, np.float32)
+    potts = Potts(rng.uniform(0, 255, (40, 50)).astype(np.float32))
+    two, three = (potts.assign(costs[:count], weight) for count in (2, 3))
+    assert (two == three).mean() > 0.995 and 0.2 < two.mean() < 0.8
+
+
+def test_boundaries_weigh_less_where_a_frame_is_sampled_less_densely():
+    from tisfm.motion.objects.potts import Potts
+
+    rng = np.random.default_rng(2)
+    costs = rng.uniform(0, 4, (2, 40, 50)).astype(np.float32)
+    frame, weight = np.zeros((40, 50), np.float32), np.full((40, 50), 0.5, np.float32)
+    length = [
+        np.count_nonzero(np.diff(Potts(frame, density=density).assign(costs, weight)))
+        for density in (1.0, 0.25)
+    ]
+    assert length[1] > 1.2 * length[0]
+
+
+def test_a_surface_of_nearly_the_same_pixels_is_fitted_once():
+    from tisfm.motion.objects.layers import Layering
+    from tisfm.motion.problems import pyramid_of
+
+    pair = two_blocks(60, 80, seed=0)
+    frames = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]
+    settings = tisfm.Settings.preset("fast", motion="objects")
+    pyramid = pyramid_of(*frames, pair.camera, settings)
+    layering = Layering(pyramid, settings, frames[0])
+    motion = np.column_stack([np.eye(3), [1.0, 0, 0]])
+    support = np.ones((60, 80), bool)
+    first = layering._surface(motion, support)
+    nearly, other = support.copy(), support.copy()
+    nearly[:1], other[:30] = False, False
+    assert layering._surface(motion, nearly) is first
+    assert layering._surface(motion, other) is not first
+    assert layering._surface(np.column_stack([np.eye(3), [0, 1.0, 0]]), support) is not first
+
+
 def test_specks_are_given_to_their_surroundings():
     from tisfm.motion.objects.layers import without_specks
 

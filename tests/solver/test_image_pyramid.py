@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+import tisfm
 from tisfm.solver.image_pyramid import (
     COARSEST_FRAME_SIDE,
+    ImagePyramid,
     gaussian_pyramid,
     level_count,
     smooth,
@@ -40,3 +42,31 @@ def test_smoothing_keeps_constants_and_reduces_noise():
     assert smooth(noise, 0.0) is noise
     assert smooth(noise, 1.5).std() < 0.3 * noise.std()
     np.testing.assert_allclose(smooth(np.full((20, 20), 7.0, np.float32), 2.0), 7.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_coarser_levels_are_a_pyramid_of_their_own(masked):
+    rng = np.random.default_rng(3)
+    frames = rng.uniform(0, 255, (2, 61, 83)).astype(np.float32)
+    counted = rng.random((2, 61, 83)) > 0.1
+    camera = tisfm.Camera(focal=50.0)
+    pyramid = ImagePyramid(
+        *frames, camera, factor=0.5, last=1, counted=tuple(counted) if masked else None
+    )
+    assert pyramid.coarser(0) is pyramid
+    coarse = pyramid.coarser(2)
+    assert coarse.levels == pyramid.levels - 2 and coarse.last == 0
+    assert coarse.shape == pyramid.frames0[2].shape and coarse.scales == [1.0]
+    assert coarse.cameras[0] == pyramid.cameras[2]
+    assert coarse.contrast != pyramid.contrast
+    assert coarse.frames1[0] is pyramid.frames1[2]
+    np.testing.assert_array_equal(coarse.taps1(0), pyramid.taps1(2))
+    if masked:
+        for own, of_all in zip(coarse.counted_on(0), pyramid.counted_on(2), strict=True):
+            np.testing.assert_array_equal(own, of_all)
+        flow = np.zeros((2, *coarse.shape), np.float32)
+        missing = pyramid.counted.missing(flow, 2)
+        np.testing.assert_array_equal(coarse.counted.missing(flow), missing)
+    else:
+        assert coarse.counted is None
+    assert pyramid.levels == len(pyramid.frames0)  # as it was
