@@ -63,7 +63,9 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
         refine = "translation" if pose.translation is None else "none"
         unit = None if pose.translation is None else float(np.linalg.norm(pose.translation))
     motions = scaled_translations(start.matrix[None], labels, camera)
-    sweep = PlaneSweep(pyramid, motions[0], start.level, start.flow, start.trust)
+    sweep = PlaneSweep(
+        pyramid, motions[0], start.level, start.flow, start.trust, is_known=unit is not None
+    )
 
     def joint(last: int, warps: int | None = None) -> RigidSolution:
         return rigid_depth(
@@ -97,7 +99,8 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     if solution is None:
         # What a sweep finds is sharper than the last level; it is near, so that little is to do.
         finer = sweep.finest if sweep.needed else level
-        solution = joint(finer, settings.warps) if finer < level else refined or joint(level)
+        warps = settings.warps if unit is None else None
+        solution = joint(finer, warps) if finer < level else refined or joint(level)
         misfit = start.residual
     estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(

@@ -52,6 +52,8 @@ class PlaneSweep:
         A flow field of this level, px/frame of it.
     trust : (h, w) float32
         Its confidence.
+    is_known : bool
+        Whether the motion was given: all that there is to find is then found as finely as it can.
     """
 
     def __init__(
@@ -61,8 +63,11 @@ class PlaneSweep:
         level: int,
         flow: np.ndarray,
         trust: np.ndarray,
+        *,
+        is_known: bool = False,
     ) -> None:
         self._pyramid, self._motion = pyramid, motion
+        self._limit = 0 if is_known else pyramid.last
         self._level, self._trust = level, trust
         self._guess = triangulated(flow, motion, pyramid.cameras[level])
 
@@ -83,8 +88,8 @@ class PlaneSweep:
         """Return a level of the pyramid, and the inverse depth to start from there.
 
         That is the flow field's, triangulated, where little parallax leaves it near the truth, and
-        elsewhere that of a sweep, which the field only supports. No sweep is finer than the last
-        level of the pyramid.
+        elsewhere that of a sweep, which the field only supports. Unless the motion is known, no
+        sweep is finer than the last level of the pyramid.
 
         Returns
         -------
@@ -95,7 +100,7 @@ class PlaneSweep:
         """
         if not self.needed:
             return self._level, self._guess
-        level = min(max(self.finest, self._pyramid.last), self._level)
+        level = min(max(self.finest, self._limit), self._level)
         return level, self._run(level, *self._sought)
 
     @property
