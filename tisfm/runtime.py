@@ -96,6 +96,14 @@ def start(
                 _process = None
 
 
+def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> None:
+    """Start the runtime, as `start` does, in a process that outlives what it is asked for.
+
+    Where it already runs it keeps its threads, on which no result depends.
+    """
+    start(arch, threads=None if _is_running() else threads)
+
+
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if _is_running():
         _check_running(arch, threads)

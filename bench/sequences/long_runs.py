@@ -1,7 +1,8 @@
 """``python -m bench.sequences.long_runs``: long runs, shared runs, and runs that are killed.
 
-Workers: a video with one worker of one thread and with two, in turns; the speed is that between the
-pair after which each worker has begun and the last one, so that start-up does not count. Frames: a
+Workers: a video on a Dask cluster here of one worker of one thread, and of two, in turns; the speed
+is that between the pair after which each worker has begun and the last one, so that start-up does
+not count. Frames: a
 run over many small frames, whose resident memory and speed after a hundred pairs and at the end are
 compared. Kills: a run, a run of two workers, and a run on a Dask cluster of two workers here, each
 killed by SIGKILL at random moments and gone on with; what is left is compared with that of a run
@@ -78,8 +79,8 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
     for _ in range(rounds):
         both = []
         for workers in (1, 2):
-            with tempfile.TemporaryDirectory() as folder:
-                end(start(str(source), "-o", folder, "--workers", str(workers), "--threads", "1"))
+            with tempfile.TemporaryDirectory() as folder, cluster(workers) as address:
+                end(start(str(source), "-o", folder, "--cluster", address, "--threads", "1"))
                 times = written(Path(folder))
                 both.append(speed(times, begun, len(times)))
         found.append((both[0], both[1]))
@@ -133,12 +134,12 @@ def measure_frames(count: int) -> dict[str, float]:
 
 
 @contextlib.contextmanager
-def cluster() -> Iterator[str]:
-    """Yield the address of a cluster of two workers here, of one thread each."""
+def cluster(workers: int = 2) -> Iterator[str]:
+    """Yield the address of a cluster of so many workers here, of one thread each."""
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=50
     ) as made:
         yield made.scheduler_address
 

@@ -280,3 +280,14 @@ def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
     assert kills > 0
     assert tisfm_run(*options, "-o", "out", "--resume")[0] == 0
     assert files("out") == files("whole")
+
+
+@pytest.mark.parametrize("outputs", ["figure", "pose"])
+def test_pairs_without_a_file_of_their_own_are_complete(tisfm_run, frames, outputs):
+    run = ("run", "frames", "-o", "out", "--outputs", outputs, "--figures", "2")
+    assert tisfm_run(*run)[0] == 0
+    before = files("out")
+    Path("out/f1.ply").write_text("mine")
+    assert tisfm_run(*run, "--resume")[0] == 0
+    assert tisfm_run(*run)[0] == 0
+    assert files("out") == before | {"f1.ply": b"mine"}

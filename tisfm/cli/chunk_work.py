@@ -14,10 +14,13 @@ from tisfm.cli.pair_files import Ranges, Sums
 from tisfm.cli.pair_work import PairSource, PairWork
 from tisfm.cli.run_record import is_unchanged
 from tisfm.formats.outputs import InputFiles
+from tisfm.machine.workers import check_worker, stated
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, Source
+from tisfm.stated import is_stated
 from tisfm.version import __version__
 
+_NO_END = 2**62
 _LONGEST = 32  # pairs: what is lost when a process is killed
 _EACH = 4  # parts for each process at least, so that none waits long for the last one
 
@@ -31,9 +34,8 @@ class Chunk:
     source : PairSource
     work : PairWork
     first, end : int
-        Numbers of the first pair, and of the first that is not of this part any more.
-    stretch : bool
-        Whether float frames may be in [0, 1].
+        Numbers of the first pair, and of the first that is not of this part any more. The last part
+        has no end: a video may have more frames than it says.
     arch, threads
         As for `tisfm.runtime.start`.
     ranges : Ranges or None
@@ -50,7 +52,6 @@ class Chunk:
     work: PairWork
     first: int
     end: int
-    stretch: bool
     arch: Arch | None
     threads: int | None
     ranges: Ranges | None = None
@@ -115,36 +116,30 @@ def chunks_of(whole: Chunk, workers: int) -> list[Chunk]:
     whole = replace(whole, work=replace(whole.work, files=bare))
     count = whole.end - whole.first
     length = max(1, min(_LONGEST, -(-count // (_EACH * workers))))
-    return [
-        replace(whole, first=first, end=min(first + length, whole.end))
-        for first in range(whole.first, whole.end, length)
-    ]
+    ends = [*range(whole.first + length, whole.end, length), _NO_END]
+    begins = [whole.first, *ends[:-1]]
+    return [replace(whole, first=first, end=end) for first, end in zip(begins, ends, strict=True)]
 
 
 def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     """Interpret and write the pairs of a chunk."""
-    if chunk.version != __version__:
-        raise RuntimeError(
-            f"a worker has tisfm {__version__}, but the run was started by {chunk.version}: "
-            "install the same everywhere"
-        )
-    if not chunk.alive.exists():
-        raise RuntimeError(
-            f"a worker does not see the folder {chunk.work.files.folder} of the run: give a "
-            "folder that all machines share, by the same path"
-        )
-    runtime.start(chunk.arch, threads=chunk.threads)
-    reading = _reading(chunk)
     done: list[FinishedPair] = []
+    skipped: list[tuple[int, str]] = []
     error: Exception | None = None
     try:
+        check_worker(chunk.version, chunk.alive)
+        runtime.start_worker(chunk.arch, threads=chunk.threads)
+        reading = _reading(chunk)
+        skipped = reading.skipped
         while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
             done.append(_finished(chunk, pair, reading.inputs))
             del pair
-    except Exception as raised:  # what is done is not lost
-        error = raised
+    except Exception as raised:
         _forget_reading()
-    return FinishedChunk(pairs=done, skipped=list(reading.skipped), error=error)
+        if not is_stated(raised):
+            raise
+        error = stated(raised)  # what is done is not lost
+    return FinishedChunk(pairs=done, skipped=list(skipped), error=error)
 
 
 def _finished(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
@@ -172,7 +167,7 @@ class _Reading:
         begin = frames.start + chunk.first * frames.step
         self._whole = chunk.source
         opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
-        opened.continue_another(stretch=chunk.stretch)
+        opened.continue_another()
         self._opened = opened
         self._waiting: FramePair | None = None
         self.alive = chunk.alive

@@ -37,6 +37,7 @@ class Crew:
 
     def __init__(self, workers: int, opened: Callable[[], Executor]) -> None:
         self.workers = workers
+        self._running: dict[Future[Any], int] = {}
         self._open, self._executor = opened, opened()
 
     def finished(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
@@ -64,44 +65,56 @@ class Crew:
             What the function raised.
         """
         waiting, killed = list(reversed(range(len(items)))), 0
-        running: dict[Future[R], int] = {}
-        try:
-            while waiting or running:
-                try:
-                    while waiting and len(running) < _AHEAD * self.workers:
-                        future = self._executor.submit(function, items[waiting[-1]])
-                        running[future] = waiting.pop()
-                    done, _ = wait(running, return_when=FIRST_COMPLETED)
-                    for future in sorted(done, key=running.__getitem__):
-                        result = future.result()
-                        killed = 0
-                        yield running.pop(future), result
-                except BrokenProcessPool:
-                    killed += 1
-                    if killed >= TRIES:
-                        raise RuntimeError(
-                            f"a worker was killed, and {TRIES} times nothing was finished in "
-                            "between: it may lack memory; give fewer workers"
-                        ) from None
-                    lost = sorted({*running.values()}, reverse=True)
-                    yield from self._finished_before(running)
-                    waiting += [number for number in lost if number in {*running.values()}]
-                    running.clear()
-                    self._executor.shutdown(wait=False)
-                    self._executor = self._open()
-        finally:
-            for future in running:
-                future.cancel()
+        running = self._running = {}
+        while waiting or running:
+            try:
+                while waiting and len(running) < _AHEAD * self.workers:
+                    future = self._executor.submit(function, items[waiting[-1]])
+                    running[future] = waiting.pop()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in sorted(done, key=running.__getitem__):
+                    result = future.result()
+                    killed = 0
+                    yield running.pop(future), result
+            except BrokenProcessPool:
+                killed += 1
+                if killed >= TRIES:
+                    raise RuntimeError(
+                        f"a worker was killed, and {TRIES} times nothing was finished in "
+                        "between: it may lack memory; give fewer workers"
+                    ) from None
+                for future in list(running):
+                    if future.done() and future.exception() is None:
+                        yield running.pop(future), future.result()
+                waiting += sorted(running.values(), reverse=True)
+                running.clear()
+                self._executor.shutdown(wait=False)
+                self._executor = self._open()
 
-    def _finished_before(self, running: dict[Future[R], int]) -> Iterator[tuple[int, R]]:
-        """Yield what was finished before a process was killed, and drop it from what runs."""
-        for future in list(running):
-            if future.done() and not future.cancelled() and future.exception() is None:
-                yield running.pop(future), future.result()
+    def under_way(self) -> Iterator[Any]:
+        """Wait for what is under way, and yield its results; what fails now is left out.
+
+        What `finished` is used for has ended early then, and pieces are such that they notice.
+        """
+        running, self._running = self._running, {}
+        for future in sorted(running, key=running.__getitem__):
+            with suppress(Exception, CancelledError):
+                yield future.result()
 
     def close(self) -> None:
         """End the processes, once what they are doing is done."""
         self._executor.shutdown()
+
+
+def check_workers(workers: int, cluster: str | None) -> None:
+    """Refuse numbers of workers that there cannot be, with ValueError."""
+    if workers < 1:
+        raise ValueError(f"workers is {workers}: expected a positive number of processes")
+    if workers > 1 and cluster is not None:
+        raise ValueError(
+            f"workers is {workers}, and cluster is {cluster}, which has workers of its own: give "
+            "one of them"
+        )
 
 
 def crew(workers: int, cluster: str | None = None) -> AbstractContextManager[Crew]:

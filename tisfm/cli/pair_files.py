@@ -208,6 +208,9 @@ class PairFiles:
         files = {
             ending: check_sum(self.folder / f"{name}{ending}") for ending in self.endings(number)
         }
+        gone = [ending for ending, known in files.items() if known is None]
+        if gone:
+            raise OSError(f"{path}{gone[0]} was removed while the run went on: run again")
         return about, {ending: known for ending, known in files.items() if known is not None}
 
     def _wanted(self, number: int) -> list[str]:

@@ -14,6 +14,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.crew import check_workers
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.focal_guess import GuessedFocalWarning
@@ -62,7 +63,7 @@ def reconstruct(
     `cluster` or a `chunk`, it is made in chunks of frames.
     """
     in_chunks = workers != 1 or cluster is not None or chunk is not None
-    _check_workers(workers, cluster)
+    check_workers(workers, cluster)
     if in_chunks and (labels is not None or object_sizes):
         raise ValueError(
             "--labels and --object-sizes are of things that move on their own, which are not found "
@@ -159,16 +160,6 @@ def _run_of(
     if in_chunks is None:
         return WholeRun(source, output, options, **others)
     return ChunksRun(source, output, options, **others, **in_chunks)
-
-
-def _check_workers(workers: int, cluster: str | None) -> None:
-    if workers < 1:
-        raise ValueError(f"workers is {workers}: expected a positive number")
-    if workers > 1 and cluster is not None:
-        raise ValueError(
-            f"workers is {workers}, and cluster is {cluster}, which has workers of its own: give "
-            "one of them"
-        )
 
 
 def _check_fits(file: Path, source: Source, frames: FrameOptions) -> None:

@@ -4,10 +4,9 @@ import fnmatch
 import glob
 import os
 import re
-import secrets
 import shutil
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -18,7 +17,7 @@ from tisfm.camera_file import read_camera
 from tisfm.cli.background import Background
 from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
 from tisfm.cli.console import tell
-from tisfm.cli.crew import Crew, crew
+from tisfm.cli.crew import Crew, check_workers, crew
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
@@ -27,6 +26,7 @@ from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.formats.flo import require_writable_flow
+from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.runtime import Arch
@@ -73,8 +73,7 @@ def run(
             "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
             "the outputs"
         )
-    if workers < 1:
-        raise ValueError(f"workers is {workers}: expected a positive number of processes")
+    check_workers(workers, cluster)
     is_shared = workers > 1 or cluster is not None
     if is_shared:
         _refuse_sharing(source, kept)
@@ -89,7 +88,12 @@ def run(
     first = next(posed)  # before anything is written; the others have its size
     if "flow" in outputs:
         require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
-    full, shape, stretch = first.full, first.frame0.shape, first.stretch
+    if is_shared and first.frame0.dtype.kind == "f":
+        raise ValueError(
+            f"frame {first.name0} has decimals: which scale such frames are on is told by all that "
+            "came before, which several workers do not see; leave them out"
+        )
+    full, shape = first.full, first.frame0.shape
     following = chain([first], posed)
     del first  # or it would be held to the end
     runtime.start(arch, threads=threads)
@@ -114,7 +118,7 @@ def run(
     work = PairWork(camera=camera, settings=settings, files=writer.files)
     skipped: dict[int, str] = {}
     others = crew(workers, cluster) if is_shared else nullcontext()
-    with closing(posed), others as many, writer, RunProgress(total) as progress:
+    with closing(posed), writer, others as many, RunProgress(total) as progress:
         here = _Here(writer, work, opened, progress, kept, total)
         done = here.interpret(following, until_ranges=is_shared)
         skipped.update(pairs.skipped)
@@ -125,8 +129,7 @@ def run(
                 work=work,
                 first=done,
                 end=total,
-                stretch=stretch,
-                arch=arch,
+                arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
                 threads=threads,
             )
             if cluster is not None:
@@ -136,8 +139,6 @@ def run(
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
                 skipped.update(chunk.skipped)
-                if chunk.error is not None:
-                    raise chunk.error
     _tell(writer, here.seconds)
     for _, reason in sorted(skipped.items()):
         tell(f"skipped: {reason}")
@@ -197,17 +198,30 @@ class _Here:
 
 
 def _shared(whole: Chunk, writer: PairWriter, many: Crew) -> Iterator[FinishedChunk]:
-    """Let other processes do what is left, and yield what they have done, in any order."""
+    """Let other processes do what is left, and yield what they have done, in any order.
+
+    An error of one of them is raised when what is under way is done and yielded.
+    """
     writer.begin()
-    with _alive(whole.work.files.folder) as alive:
+    error: BaseException | None = None
+    with alive_in(whole.work.files.folder) as alive:
         parts = [
             replace(
                 part, known=writer.known(part.first, part.end), alive=alive, ranges=writer.ranges
             )
             for part in chunks_of(whole, many.workers)
         ]
-        for _, done in many.finished(interpret_chunk, parts):
-            yield done
+        try:
+            for _, done in many.finished(interpret_chunk, parts):
+                yield done
+                if done.error is not None:
+                    error = done.error
+                    break
+        except KeyboardInterrupt as interrupt:
+            error = interrupt
+    if error is not None:
+        yield from many.under_way()
+        raise error
 
 
 def _take(chunk: FinishedChunk, writer: PairWriter, progress: RunProgress) -> list[float]:
@@ -220,17 +234,6 @@ def _take(chunk: FinishedChunk, writer: PairWriter, progress: RunProgress) -> li
             seconds.append(pair.seconds)
         progress.finish(pair.name, writer.statuses)
     return seconds
-
-
-@contextmanager
-def _alive(folder: Path) -> Iterator[Path]:
-    """Make a file that is there within the block; of a killed run, the next one removes it."""
-    path = folder / f".tisfm-{secrets.token_hex(8)}.tmp"
-    path.touch()
-    try:
-        yield path
-    finally:
-        path.unlink(missing_ok=True)
 
 
 def _refuse_sharing(source: Source, kept: Window | None) -> None:

@@ -75,7 +75,7 @@ class RunRecord:
         return [
             self._folder / f"{name}{ending}"
             for name, pair in self._before["pairs"].items()
-            for ending in (pair["files"] or ENDINGS.values())
+            for ending in (ENDINGS.values() if pair["files"] is None else pair["files"])
         ]
 
     def __getitem__(self, key: str) -> Any:
@@ -207,8 +207,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
         for name, pair in about["pairs"].items():
             if os.path.basename(name) != name:
                 raise ValueError(f"{name} is no name of a pair")
-            pair.setdefault("files", {})  # of versions that did not say so much
-            if not set(pair["files"]) <= set(ENDINGS.values()):
+            pair.setdefault("files", None)  # of versions that did not say so much
+            if not set(pair["files"] or ()) <= set(ENDINGS.values()):
                 raise ValueError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise _damaged(path, error) from error
@@ -227,7 +227,7 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
             for length, total in pair["files"].values():
                 numbers += [length, total]
             numbers.append(pair["number"])
-            if not pair["files"] or not all(isinstance(text, str) for text in texts):
+            if not all(isinstance(text, str) for text in texts):
                 raise ValueError(f"it does not say enough of {name}")
             if not all(map(_is_number, numbers)):
                 raise ValueError(f"numbers of {name} are none")

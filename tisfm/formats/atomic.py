@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Iterator
 from typing import BinaryIO
 
-_BEGINNING, _ENDING = ".tisfm-", ".tmp"
+BEGINNING, ENDING = ".tisfm-", ".tmp"
 # What a disk says that is full, or fails, while a file is written.
 _OF_THE_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
 _BUFFER = 2**20  # bytes: every write to the disk takes turns with other threads
@@ -56,7 +56,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
         raise OSError(f"cannot write {name}: it is a device or a pipe, not a file; give a file")
     folder = os.path.dirname(target)
     # The name does not contain the target's, which may already be as long as the system allows.
-    temporary = os.path.join(folder, f"{_BEGINNING}{secrets.token_hex(8)}{_ENDING}")
+    temporary = os.path.join(folder, f"{BEGINNING}{secrets.token_hex(8)}{ENDING}")
     try:
         # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
         file = open(temporary, "xb", _BUFFER)  # noqa: SIM115 (closed below, before the rename)
@@ -82,7 +82,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 
 def is_temporary(name: str) -> bool:
     """Return whether a file is called as those are that `atomic_write` did not finish."""
-    return name.startswith(_BEGINNING) and name.endswith(_ENDING)
+    return name.startswith(BEGINNING) and name.endswith(ENDING)
 
 
 def _explained(error: OSError, name: str, folder: str) -> OSError:

@@ -2,12 +2,13 @@
 
 import contextlib
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from tisfm.formats.atomic import is_temporary
+from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
 
 LOCK = ".tisfm.lock"
 
@@ -44,16 +45,31 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         yield
         return
     try:
-        _remove_temporaries(path)
+        remove_temporaries(path)
         yield
-        _remove_temporaries(path)  # of processes of this run that were killed
+        remove_temporaries(path)  # of processes of this run that were killed
     finally:
         with contextlib.suppress(OSError):  # Windows removes no open file
             os.unlink(path / LOCK)
         lock.release()
 
 
-def _remove_temporaries(folder: Path) -> None:
+@contextlib.contextmanager
+def alive_in(folder: Path) -> Iterator[Path]:
+    """Make a file that is there within the block, by which other processes know that it goes on.
+
+    That of a process that was killed counts as temporary, and goes with the next one.
+    """
+    path = folder / f"{BEGINNING}{secrets.token_hex(8)}{ENDING}"
+    path.touch()
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove what killed processes left half in a folder."""
     for item in folder.iterdir():
         if is_temporary(item.name):
             item.unlink(missing_ok=True)

@@ -135,7 +135,7 @@ class FrameSource:
             )
             self.files += self._labels.files
         self.skipped: list[tuple[int, str]] = []
-        self._stretch, self._is_rest = True, False
+        self._is_rest = False
 
     @property
     def has_labels(self) -> bool:
@@ -161,15 +161,9 @@ class FrameSource:
         taken = range(len(self._reader.files))[self.chosen]
         return next((self._reader.files[index] for index in taken if index not in skipped), None)
 
-    def continue_another(self, *, stretch: bool) -> None:
-        """Take it for the rest of a source that has pairs: of its own it may have none.
-
-        Parameters
-        ----------
-        stretch : bool
-            Whether float frames before may be in [0, 1].
-        """
-        self._stretch, self._is_rest = stretch, True
+    def continue_another(self) -> None:
+        """Take it for the rest of a source that has pairs: of its own it may have none."""
+        self._is_rest = True
 
     def __len__(self) -> int:
         """Return the number of pairs, where it is known beforehand; TypeError where not.
@@ -236,7 +230,7 @@ class FrameSource:
         self.skipped = []
         found = self._found()
         ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
-        stretch = self._stretch
+        stretch = True
         with closing(read_ahead(found) if ahead else found) as frames:
             for frame in frames:
                 if isinstance(frame, BadFrame):

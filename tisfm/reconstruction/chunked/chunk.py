@@ -18,6 +18,7 @@ from tisfm.camera import Camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.text import read_json
+from tisfm.machine.workers import check_worker, stated
 from tisfm.reconstruction.asked import files_below
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import Span
@@ -27,6 +28,7 @@ from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import Source
 from tisfm.stated import is_stated
+from tisfm.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +55,10 @@ class Chunk:
         Digest of what the whole was asked for.
     arch, threads
         As for `tisfm.runtime.start`.
+    alive : Path
+        A file that is there as long as the process that gives the work waits for it.
+    version : str
+        Of tisfm.
     """
 
     folder: Path
@@ -67,6 +73,8 @@ class Chunk:
     asked: str
     arch: Arch | None = None
     threads: int | None = None
+    alive: Path = Path()
+    version: str = __version__
 
     @property
     def account(self) -> Path:
@@ -104,12 +112,13 @@ class Chunk:
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Make a chunk, unless it is complete; return an error that its user is to be told."""
     try:
+        check_worker(chunk.version, chunk.alive)
         with _alone(chunk):
             _make(chunk)
     except Exception as error:
         if not is_stated(error):
             raise
-        return error.with_traceback(None)
+        return stated(error)
     return None
 
 
@@ -133,7 +142,7 @@ def _make(chunk: Chunk) -> None:
         return
     chunk.account.unlink(missing_ok=True)
     shutil.rmtree(chunk.folder, ignore_errors=True)
-    runtime.start(chunk.arch, threads=chunk.threads)
+    runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)  # told once, of the whole
         reconstruct(
@@ -146,8 +155,15 @@ def _make(chunk: Chunk) -> None:
             start=chunk.span.start,
             stop=chunk.span.stop,
             folder=chunk.folder,
+            progress=lambda stage, done, total: _go_on(chunk),
             **chunk.frames,
         )
     about = {"digest": chunk.digest, "files": files_below(chunk.folder)}
     with atomic_write(chunk.account, durable=True) as file:
         file.write(json.dumps(about, indent=1).encode())
+
+
+def _go_on(chunk: Chunk) -> None:
+    """End a chunk that nobody waits for any more."""
+    if not chunk.alive.exists():
+        raise RuntimeError(f"what {chunk.folder} was made for has ended")

@@ -4,7 +4,8 @@ import os
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from tisfm.camera import Camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.formats.folder_lock import locked_folder
+from tisfm.formats.folder_lock import alive_in, locked_folder, remove_temporaries
 from tisfm.formats.outputs import make_folder
 from tisfm.outcome import Status
 from tisfm.reconstruction.asked import (
@@ -117,6 +118,7 @@ class ChunkedRun:
             source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
             bad_frames=bad_frames,
         )  # fmt: skip
+        _refuse_decimals(sources)
         given = None if poses is None else checked_poses(poses)
         if given is not None and bad_frames == "skip":
             raise ValueError(
@@ -206,10 +208,11 @@ class ChunkedRun:
 
         tell: Progress = progress or (lambda stage, done, total: None)
         path = make_folder(self.folder)
-        with locked_folder(path):
+        with locked_folder(path), ExitStack() as living:
             refuse_others(path)
             self._begin(path / CHUNKS, resume)
-            chunks, count = self._chunks, len(self._taken)
+            alive = living.enter_context(alive_in(path / CHUNKS))
+            chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._taken)
             tell("path", 0, count)
             found = None  # what the camera is found with
             if len(chunks) > 1 and is_sought(chunks[0], self._stated):
@@ -247,6 +250,7 @@ class ChunkedRun:
         before = read_asked(chunks) if resume else None
         if before is not None:
             refuse_differing(self.folder, before["asked"], self.asked)
+            remove_temporaries(chunks)
             return
         shutil.rmtree(chunks, ignore_errors=True)
         chunks.mkdir()
@@ -317,3 +321,13 @@ def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
     if not found:
         raise ValueError(f"{source.title} has no frame that can be read: expected at least 2")
     return range(last + 1)[source.chosen], [time for _, time in found]
+
+
+def _refuse_decimals(source: FrameSource) -> None:
+    with closing(source.frames()) as frames:
+        first = next(frames, None)
+    if first is not None and first.image.dtype.kind == "f":
+        raise ValueError(
+            f"frame {first.name} has decimals: which scale such frames are on is told by all that "
+            "came before, which chunks do not see; reconstruct it in one process"
+        )

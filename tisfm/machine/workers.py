@@ -1,0 +1,40 @@
+"""What every piece of work checks in the process that it has come to, and how it tells errors."""
+
+from pathlib import Path
+
+from tisfm.machine.address_space import advice
+from tisfm.stated import is_raised_here
+from tisfm.version import __version__
+
+
+def check_worker(version: str, alive: Path) -> None:
+    """Refuse work of another version, or in a folder that is not seen here.
+
+    Parameters
+    ----------
+    version : str
+        Of tisfm, in the process that gives the work.
+    alive : Path
+        A file that is there as long as that process waits for the work.
+
+    Raises
+    ------
+    RuntimeError
+    """
+    if version != __version__:
+        raise RuntimeError(
+            f"a worker has tisfm {__version__}, but the command was started by {version}: install "
+            "the same everywhere"
+        )
+    if not alive.exists():
+        raise RuntimeError(
+            f"a worker does not see the folder {alive.parent} of the command: give a folder that "
+            "all machines share, by the same path"
+        )
+
+
+def stated(error: Exception) -> Exception:
+    """Return an error that is to be told, as it goes to the process that gave the work."""
+    if isinstance(error, MemoryError) and not is_raised_here(error):
+        return MemoryError(advice())
+    return error.with_traceback(None)
