@@ -153,7 +153,7 @@ def test_a_pipe_in_place_of_a_file_is_replaced(tisfm_run, frames):
 @pytest.mark.parametrize(
     "change",
     [{"status": []}, {"status": None}, {"times": 3}, {"twists": 3}, {"times": ["a", 1]},
-     {"files": {}}, {"files": {"/../../x": [1, 2]}}, {"files": {"_flow.flo\0": [1, 2]}}],
+     {"files": {"/../../x": [1, 2]}}, {"files": {"_flow.flo\0": [1, 2]}}],
     ids=str,
 )  # fmt: skip
 def test_a_record_with_other_values_is_damaged(tisfm_run, frames, change):

@@ -1,5 +1,6 @@
 """What a process finds on its machine, and does not always suit the libraries that we use.
 
-Here: limits of the address space, and the cache of kernels that others may have left half-written.
-May import: nothing of `tisfm`.
+Here: limits of the address space, the cache of kernels that others may have left half-written, and
+what a process that works for another checks first.
+May import: `stated`, `version`.
 """
