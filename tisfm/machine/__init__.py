@@ -2,5 +2,5 @@
 
 Here: limits of the address space, the cache of kernels that others may have left half-written, and
 what a process that works for another checks first.
-May import: `stated`, `version`.
+May import: of the top level `stated` and `version`.
 """
