@@ -4,9 +4,10 @@ Workers: a video on a Dask cluster here of one worker of one thread, and of two,
 is that between the pair after which each worker has begun and the last one, so that start-up does
 not count. Frames: a
 run over many small frames, whose resident memory and speed after a hundred pairs and at the end are
-compared. Kills: a run, a run of two workers, and a run on a Dask cluster of two workers here, each
-killed by SIGKILL at random moments and gone on with; what is left is compared with that of a run
-without interruption. The tables are left in bench/results/long_runs.md.
+compared. Kills: a run, a run of two workers, a run on a Dask cluster of two workers here, and a
+reconstruction in chunks by two workers, each killed by SIGKILL at random moments and gone on with;
+what is left is compared with that of a command without interruption. The tables are left in
+bench/results/long_runs.md.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,11 +28,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.sequences.rendered_films import rounds as rounds_of
 from bench.sequences.writing import rendered
 from bench.shared.bar import Bar
 from bench.shared.machine import RESULTS, machine
 from tisfm.formats import write_png
-from tisfm.scenes import static_scene
+from tisfm.scenes import room_film, static_scene
 
 FASTER, APART = 1.7, 0.05  # bars: of two workers; share by which memory and speed may differ
 ROUNDS, PAIRS, FRAMES, KILLS = 3, 120, 10_000, 20
@@ -39,6 +42,8 @@ EARLY, STRETCH = 100, 1000  # pairs
 SMALL = (48, 64)
 COMMAND = [sys.executable, "-c", "import sys; from tisfm.cli.command_line import main; "
            "sys.exit(main())"]  # fmt: skip
+RUN = ("run", "--preset", "fast", "--no-figures")
+RECONSTRUCT = ("reconstruct", "--preset", "fast", "--workers", "2", "--chunk", "16")
 
 
 @dataclass
@@ -50,9 +55,9 @@ class Found:
     kills: dict[str, dict[str, int]] = field(default_factory=dict)
 
 
-def start(*options: str) -> subprocess.Popen[bytes]:
-    """Begin a run in a process of its own."""
-    call = [*COMMAND, "run", "--preset", "fast", "--no-figures", *options]
+def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes]:
+    """Begin a run, or another command, in a process of its own."""
+    call = [*COMMAND, *command, *options]
     return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
@@ -146,21 +151,27 @@ def cluster(workers: int = 2) -> Iterator[str]:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Return all that a run left, but for how long it took."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timings.csv"}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "timings.csv"
+    }
 
 
-def measure_kills(source: Path, kills: int, *options: str) -> dict[str, int]:
-    """Kill a run so many times at random moments, and go on; count what is not as it should be."""
+def measure_kills(
+    source: Path, kills: int, *options: str, command: Sequence[str] = RUN
+) -> dict[str, int]:
+    """Kill a command so many times at random moments, and go on; count what is wrong then."""
     with tempfile.TemporaryDirectory() as folder:
         whole, output = Path(folder, "whole"), Path(folder, "out")
         begin = time.monotonic()
-        end(start(str(source), "-o", str(whole), *options))
+        end(start(str(source), "-o", str(whole), *options, command=command))
         seconds = time.monotonic() - begin
         expected, choice = contents(whole), random.Random(1)
         counts = {"killed": 0, "ended before": 0, "other bytes": 0}
         while counts["killed"] < kills:
             again = ["--resume"] if output.exists() else []
-            process = start(str(source), "-o", str(output), *options, *again)
+            process = start(str(source), "-o", str(output), *options, *again, command=command)
             try:
                 process.communicate(timeout=choice.uniform(0.3, 0.9) * seconds)
             except subprocess.TimeoutExpired:
@@ -170,10 +181,8 @@ def measure_kills(source: Path, kills: int, *options: str) -> dict[str, int]:
                 continue
             counts["ended before"] += 1
             counts["other bytes"] += contents(output) != expected
-            for path in output.iterdir():
-                path.unlink()
-            output.rmdir()
-        end(start(str(source), "-o", str(output), *options, "--resume"))
+            shutil.rmtree(output)
+        end(start(str(source), "-o", str(output), *options, "--resume", command=command))
         counts["other bytes"] += contents(output) != expected
         return counts
 
@@ -257,6 +266,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with cluster() as address:
                 name = "a run on a cluster of two workers"
                 found.kills[name] = measure_kills(few, kills, "--cluster", address)
+            Path(folder, "film").mkdir()
+            room = room_film(rounds_of(48), 96, 128, textured=True, samples=1)
+            for number, frame in enumerate(room.frames):
+                write_png(Path(folder, "film", f"{number:03d}.png"), frame)
+            focal = ("--focal", str(room.camera.focal))
+            found.kills["a reconstruction in chunks of two workers"] = measure_kills(
+                Path(folder, "film"), kills, *focal, command=RECONSTRUCT
+            )
     name = "rendered, 540 × 960 px" if options.source is None else options.source.name
     text = report(found, {"workers on": name, "preset": "fast", **machine()})
     print(text)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid, promised, record
 from tisfm import interpretation_file, pair
-from tisfm.cli import demo, outputs
+from tisfm.cli import demo, pair_files
 from tisfm.evaluation import pairs
 from tisfm.formats import flo, write_png
 
@@ -318,7 +318,7 @@ KINDS = {
 @pytest.mark.parametrize("where", ["interpret", "write"])
 def test_a_bug_leaves_its_traceback(tisfm_run, frames, monkeypatch, kind, where):
     """Whether it comes up in interpreting or, in its own thread, in writing."""
-    module, name = (pair, "interpret") if where == "interpret" else (outputs, "depth_grey")
+    module, name = (pair, "interpret") if where == "interpret" else (pair_files, "depth_grey")
     monkeypatch.setattr(module, name, getattr(Broken, kind))
     with pytest.raises(KINDS[kind]) as caught:
         tisfm_run("run", "frames", "-o", "out", "--no-figures")
@@ -345,7 +345,7 @@ def test_no_memory_is_one_line(tisfm_run, frames, monkeypatch, where):
     if where == "interpret":
         monkeypatch.setattr(pair, "interpret", no_memory)
     elif where == "write":
-        monkeypatch.setattr(outputs, "anaglyph", no_memory)
+        monkeypatch.setattr(pair_files, "anaglyph", no_memory)
     elif where == "read":
         monkeypatch.setattr(cv2, "imdecode", no_memory)
     else:

@@ -42,6 +42,7 @@ def test_a_textured_patch_is_interpreted_or_said_to_be_too_little(seed, motion):
         "pure_rotation",
         "no_motion",
         "no_texture",  # too few pixels are trusted, on some processors
+        "two_motions",  # what rolls in at the edges fits the patch no worse, on others
     )
     for array in (result.flow, result.inverse_depth, result.confidence):
         assert np.isfinite(array).all()

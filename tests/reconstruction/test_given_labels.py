@@ -263,7 +263,8 @@ def test_paths_against_true_ones(given, tmp_path):
     np.savetxt(tmp_path / "poses.txt", film().poses[:, :3].reshape(-1, 12))
     assert has_true_paths(tmp_path)
     errors = compare_object_paths(given.folder, tmp_path, {1: 5, 2: 99, 3: 254})
-    assert set(errors) == {1}  # the third hardly turns in so few frames
+    # The third hardly turns in so few frames: whether it has a path hangs on how a CPU rounds.
+    assert {1} <= set(errors) <= {1, 3}
     assert errors[1].frames == COUNT and errors[1].share < 0.1
     with pytest.raises(ValueError, match="has 8 frames at a step of 2"):
         compare_object_paths(given.folder, tmp_path, {1: 5}, step=2)

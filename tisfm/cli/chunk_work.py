@@ -124,13 +124,12 @@ def chunks_of(whole: Chunk, workers: int) -> list[Chunk]:
 def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     """Interpret and write the pairs of a chunk."""
     done: list[FinishedPair] = []
-    skipped: list[tuple[int, str]] = []
+    reading: _Reading | None = None
     error: Exception | None = None
     try:
         check_worker(chunk.version, chunk.alive)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
         reading = _reading(chunk)
-        skipped = reading.skipped
         while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
             done.append(_finished(chunk, pair, reading.inputs))
             del pair
@@ -139,7 +138,8 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
         if not is_stated(raised):
             raise
         error = stated(raised)  # what is done is not lost
-    return FinishedChunk(pairs=done, skipped=list(skipped), error=error)
+    skipped = [] if reading is None else list(reading.skipped)
+    return FinishedChunk(pairs=done, skipped=skipped, error=error)
 
 
 def _finished(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
