@@ -1,4 +1,4 @@
-"""What the commands do."""
+"""What `tisfm eval` does with pairs, and `tisfm figures`."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The files that `tisfm run` and `tisfm demo` write for every pair."""
+"""The folder that `tisfm run` and `tisfm demo` write to: its record, and ranges of all pairs."""
 
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import ExitStack

@@ -139,6 +139,9 @@ def run(
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
                 skipped.update(chunk.skipped)
+        else:  # nothing is left to share, unless a video has more frames than it says
+            here.interpret(posed, until_ranges=False)
+            skipped.update(pairs.skipped)
     _tell(writer, here.seconds)
     for _, reason in sorted(skipped.items()):
         tell(f"skipped: {reason}")
