@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -213,6 +214,7 @@ def test_a_worker_stops_when_its_run_has_ended(film, place, monkeypatch):
     monkeypatch.setattr(PairWork, "interpret", last)
     done = interpret_chunk(chunk(place))
     assert [pair.name for pair in done.pairs] == ["f01"]
+    assert not [t for t in threading.enumerate() if t.name.startswith("tisfm-frames")]
 
 
 @pytest.mark.parametrize(("count", "workers"), [(1, 4), (7, 2), (1000, 3)])

@@ -133,6 +133,8 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
         while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
             done.append(_finished(chunk, pair, reading.inputs))
             del pair
+        if not chunk.alive.exists():
+            _forget_reading()  # no other chunk of this run will come
     except Exception as raised:
         _forget_reading()
         if not is_stated(raised):
