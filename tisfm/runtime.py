@@ -12,6 +12,7 @@ import numpy as np
 
 from tisfm.cores import bind_newest, thread_ids
 from tisfm.machine.address_space import require_for_taichi
+from tisfm.machine.heap import keep_freed_memory
 from tisfm.machine.kernel_cache import cache_options
 
 if TYPE_CHECKING:
@@ -101,6 +102,7 @@ def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> Non
 
     Where it already runs it keeps its threads, on which no result depends.
     """
+    keep_freed_memory()
     start(arch, threads=None if _is_running() else threads)
 
 
