@@ -1,5 +1,6 @@
 """`tisfm reconstruct` in chunks, by several processes, and after a kill."""
 
+import os
 import signal
 import subprocess
 import time
@@ -175,3 +176,24 @@ def test_killed_and_given_again(tisfm_run, frames, place, workers, seen):
     assert done.returncode == 0, done.stderr
     assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
     assert contents(place / "out") == contents(place / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
+def test_a_cluster_whose_workers_are_killed(tisfm_run, frames, place, cluster):
+    """Chunks of a worker that dies are made by others; a resumed one finds them."""
+    shared = ("--cluster", cluster.scheduler_address)
+    arguments = command(*CHUNKS, *shared)
+    with Path("said.txt").open("w") as said:
+        process = subprocess.Popen([*TISFM, *arguments], stdout=said, stderr=said)
+    deadline = time.monotonic() + 240
+    while not Path("out/.tisfm-chunks/000").exists() and time.monotonic() < deadline:
+        assert process.poll() is None, Path("said.txt").read_text()
+        time.sleep(0.02)
+    killed = next(iter(cluster.workers.values())).pid
+    os.kill(killed, signal.SIGKILL)
+    assert process.wait(timeout=480) == 0, Path("said.txt").read_text()
+    assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
+    assert contents(place / "out") == contents(place / "whole")
+    code, _, err = tisfm_run(*arguments, "--resume")
+    assert code == 0 and "out is complete" in err

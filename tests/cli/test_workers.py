@@ -312,21 +312,6 @@ def test_ctrl_c_ends_all(tisfm_run, film):
 # A cluster
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    """Two processes, of one thread each, under a scheduler."""
-    distributed = pytest.importorskip("distributed")
-    folder = tmp_path_factory.mktemp("cluster")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        dashboard_address=":0",
-        local_directory=str(folder),
-        silence_logs=50,
-    ) as made:
-        yield made
-
-
 def test_a_cluster_leaves_what_one_process_leaves(tisfm_run, film, cluster):
     shared = ("--cluster", cluster.scheduler_address)
     assert_as_one(tisfm_run, "--figures", "4", shared=shared)

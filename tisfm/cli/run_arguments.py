@@ -1,0 +1,107 @@
+"""``tisfm run``: its arguments."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
+
+from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.shared_options import CameraOptions, SettingsOptions
+from tisfm.runtime import Arch
+from tisfm.settings import Preset
+from tisfm.window import WindowSize
+
+
+@dataclass(kw_only=True)
+class Run:
+    """Interpret every pair of consecutive frames of a sequence.
+
+    SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
+    or webcam:0 for a camera, with --stop. For a pair named NAME after its first frame, DIR receives
+    NAME_depth.png (grey levels, near is bright), NAME_depth16.png (16-bit depth, its scale in the
+    file and in run.json), NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera' or
+    'objects' NAME_pose.txt, with --flo NAME_flow.flo, with --ply NAME.ply and, when all is written,
+    NAME.npz for tisfm.Interpretation.load: everything, rounded a little.
+    """
+
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
+    """Two or more images, a folder, a quoted glob, a video, or a webcam such as webcam:0."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the results; made if need be."""
+    preset: Preset = "balanced"
+    """Settings to start from; the settings below show its values, and change them."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
+    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
+    mask: Annotated[str | None, arg(metavar="MASK")] = None
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    window: WindowSize = 2
+    """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
+    resume: bool = False
+    """Continue a run that was interrupted: skip the pairs it finished."""
+    outputs: str | None = None
+    """What is written of each pair, with commas: some of depth, depth16, flow, anaglyph, figure,
+    ply, pose, npz. By default all but flow and ply, which are large."""
+    figures: int = 1
+    """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
+    no_figures: Annotated[bool, FlagCreatePairsOff] = False
+    """Draw none: the same as --figures 0."""
+    flo: bool = False
+    """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
+    ply: bool = False
+    """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    workers: int = 1
+    """Processes that share the pairs. Results do not depend on it."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """The scheduler of a Dask cluster whose workers share the pairs, such as tcp://10.0.0.1:8786.
+    They see the frames and DIR by the same paths."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads, of each worker if there are several; by default all cores, or its share of
+    them. Results do not depend on it."""
+    frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.cli.run_command import run
+
+        if not self.source:
+            raise ValueError(
+                "SOURCE is missing: give two or more images, a folder, a quoted glob or a video, "
+                "as in: tisfm run FOLDER -o DIR"
+            )
+        return run(
+            self.source[0] if len(self.source) == 1 else self.source,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess(self.settings.motion),
+            settings=self.settings.settings(),
+            frames=self.frames,
+            poses=self.poses,
+            mask=self.mask,
+            window=self.window,
+            resume=self.resume,
+            outputs=self._outputs(),
+            figures=0 if self.no_figures else self.figures,
+            workers=self.workers,
+            cluster=self.cluster,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+    def _outputs(self) -> tuple[str, ...]:
+        """Return what is written, or raise ValueError."""
+        from tisfm.cli.outputs import USUAL, checked_outputs
+
+        if self.figures < 0:
+            raise ValueError(f"figures is {self.figures}: expected a number of pairs, or 0")
+        chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
+        more = ["flow"] * self.flo + ["ply"] * self.ply
+        return checked_outputs([*filter(None, chosen), *more])
