@@ -21,7 +21,7 @@ from tests.cli.command_line import (
     load,
     record,
 )
-from tisfm import interpretation_file, pair
+from tisfm import interpretation_file, pair, runtime
 from tisfm.cli import pair_work
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
@@ -75,6 +75,15 @@ def test_resume_refuses_other_options(tisfm_run, frames, options):
     assert len(before_it) == ("guess" in options)
     assert_one_line(code, last, "out holds a run with another camera, other settings", "--resume")
     assert files("out") == before
+
+
+def test_resume_refuses_another_kind_of_processor(tisfm_run, frames, monkeypatch):
+    arguments = ("run", "frames", "-o", "out", "--no-figures")
+    assert tisfm_run(*arguments)[0] == 0
+    lanes = runtime.lanes()
+    monkeypatch.setattr(runtime, "lanes", lambda: 24 - lanes)
+    code, _, err = tisfm_run(*arguments, "--resume")
+    assert_one_line(code, err, f"lanes was {lanes}, now {24 - lanes}")
 
 
 def test_resume_refuses_other_frames(tisfm_run, frames):

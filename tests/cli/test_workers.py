@@ -29,6 +29,7 @@ from tisfm.cli.pair_files import USUAL, PairFiles
 from tisfm.cli.pair_work import PairSource, PairWork
 from tisfm.formats import write_png
 from tisfm.settings import Settings
+from tisfm.sources import Listing
 
 RUN = ("run", "film", "--preset", "fast")
 QUIET = ("--no-figures",)
@@ -180,6 +181,7 @@ def chunk(folder, **changes):
         end=COUNT - 1,
         arch=None,
         threads=None,
+        listing=Listing.of([Path(f"f{k:02d}.png") for k in range(COUNT)]),
         alive=folder / "alive",
     )
     return Chunk(**{**about, **changes})
@@ -194,6 +196,22 @@ def test_a_worker_of_another_version(film, place):
 def test_a_worker_that_does_not_see_the_folder(film, place):
     error = interpret_chunk(chunk(place)).error
     assert isinstance(error, RuntimeError) and "does not see the folder" in str(error)
+
+
+def test_a_worker_with_other_vectors(film, place):
+    (place / "alive").touch()
+    error = interpret_chunk(chunk(place, lanes=4)).error
+    assert isinstance(error, RuntimeError) and "and that of the command 4" in str(error)
+
+
+def test_a_worker_that_sees_other_frames(film, place):
+    (place / "alive").touch()
+    (film / "f00.png").rename(film / "f0.png")
+    error = interpret_chunk(chunk(place)).error
+    assert isinstance(error, RuntimeError) and "sees other files in film (12)" in str(error)
+    (film / "f0.png").unlink()
+    error = interpret_chunk(chunk(place)).error
+    assert isinstance(error, RuntimeError) and "(11) than the process that began (12)" in str(error)
 
 
 def test_a_bug_in_a_worker_is_no_stated_error(film, place, monkeypatch):

@@ -16,7 +16,7 @@ from tisfm.cli.run_record import is_unchanged
 from tisfm.formats.outputs import InputFiles
 from tisfm.machine.workers import check_worker, stated
 from tisfm.runtime import Arch
-from tisfm.sources import FramePair, Source
+from tisfm.sources import FramePair, Listing, Source
 from tisfm.stated import is_stated
 from tisfm.version import __version__
 
@@ -42,8 +42,12 @@ class Chunk:
         What pictures are drawn in.
     known : mapping
         What an earlier run says of pairs that it finished, by their names.
+    listing : Listing
+        Of the files of the source, as the run sees it.
     alive : Path
         A file that is there as long as the run.
+    lanes : int
+        Of the vectors of the run's CPU.
     version : str
         Of tisfm.
     """
@@ -54,9 +58,11 @@ class Chunk:
     end: int
     arch: Arch | None
     threads: int | None
+    listing: Listing
     ranges: Ranges | None = None
     known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     alive: Path = Path()
+    lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__
 
     def anywhere(self) -> "Chunk":
@@ -127,7 +133,8 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     reading: _Reading | None = None
     error: Exception | None = None
     try:
-        check_worker(chunk.version, chunk.alive)
+        here = runtime.cpu_lanes()
+        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
         reading = _reading(chunk)
         while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
@@ -169,6 +176,7 @@ class _Reading:
         begin = frames.start + chunk.first * frames.step
         self._whole = chunk.source
         opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
+        chunk.listing.check(opened.listing, opened.title)
         opened.continue_another()
         self._opened = opened
         self._waiting: FramePair | None = None

@@ -105,6 +105,7 @@ class PairWriter:
         asked = {
             "version": __version__,
             "arch": None,
+            "lanes": None,
             "camera": asdict(camera),
             "settings": asdict(settings),
             "window": window,
@@ -206,6 +207,7 @@ class PairWriter:
             opened.enter_context(locked_folder(self.folder))
             runtime.start()
             self._record["arch"] = runtime.running_arch()
+            self._record["lanes"] = runtime.lanes()
             self._earlier = self._record.look()
             if self._resume:
                 self._record.resume()

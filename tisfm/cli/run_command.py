@@ -131,6 +131,7 @@ def run(
                 end=total,
                 arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
                 threads=threads,
+                listing=pairs.listing,
             )
             if cluster is not None:
                 whole = whole.anywhere()

@@ -17,7 +17,8 @@ from tisfm.formats.accounts import check_sum, differing, said
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
-    "version", "arch", "camera", "settings", "window", "outputs", "figures", "start", "step"
+    "version", "arch", "lanes", "camera", "settings", "window", "outputs", "figures", "start",
+    "step",
 )  # fmt: skip
 ENDINGS = {
     "depth": "_depth.png",
@@ -107,9 +108,9 @@ class RunRecord:
         differences = said(differing({key: before.get(key) for key in ASKED}, asked))
         if differences:
             raise ValueError(
-                f"{self._folder} holds a run with another camera, other settings or outputs, or "
-                f"of another version ({differences}): repeat its options, or run without "
-                "--resume to start again"
+                f"{self._folder} holds a run with another camera, other settings or outputs, of "
+                f"another version, or of another kind of processor ({differences}): repeat its "
+                "options, or run without --resume to start again"
             )
         self._about = _checked(before, self._folder / RECORD)
         self.statuses.update(pair["status"] for pair in self.pairs.values())

@@ -7,8 +7,8 @@ from tisfm.stated import is_raised_here
 from tisfm.version import __version__
 
 
-def check_worker(version: str, alive: Path) -> None:
-    """Refuse work of another version, or in a folder that is not seen here.
+def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
+    """Refuse work of another version, in a folder that is not seen here, or of other vectors.
 
     Parameters
     ----------
@@ -16,6 +16,8 @@ def check_worker(version: str, alive: Path) -> None:
         Of tisfm, in the process that gives the work.
     alive : Path
         A file that is there as long as that process waits for the work.
+    lanes, here : int
+        Of the vectors of that process' CPU, and of this one's.
 
     Raises
     ------
@@ -30,6 +32,11 @@ def check_worker(version: str, alive: Path) -> None:
         raise RuntimeError(
             f"a worker does not see the folder {alive.parent} of the command: give a folder that "
             "all machines share, by the same path"
+        )
+    if lanes != here:
+        raise RuntimeError(
+            f"a worker's processor has vectors of {here} lanes, and that of the command {lanes}: "
+            "their results differ in the last digits; leave such machines out"
         )
 
 

@@ -19,6 +19,7 @@ from tisfm.sources.arrays import Arrays
 from tisfm.sources.files import ImageFiles
 from tisfm.sources.folders import matching_files, pictures_of
 from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
+from tisfm.sources.listing import Listing
 from tisfm.sources.masks import Ignored, Mask, Masks
 from tisfm.sources.pairs import Digest, FramePair
 from tisfm.sources.reading import BadFrame, RawFrame, Reader, SourceFrame, is_path, is_whole
@@ -160,6 +161,11 @@ class FrameSource:
         skipped = {index for index, _ in self.skipped}
         taken = range(len(self._reader.files))[self.chosen]
         return next((self._reader.files[index] for index in taken if index not in skipped), None)
+
+    @property
+    def listing(self) -> Listing:
+        """What the source is made of, masks included, as it is seen here."""
+        return Listing.of(self.files)
 
     def continue_another(self) -> None:
         """Take it for the rest of a source that has pairs: of its own it may have none."""

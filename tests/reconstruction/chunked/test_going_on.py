@@ -4,6 +4,7 @@ import json
 import shutil
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from tisfm.reconstruction.chunked import chunk as chunk_module
 from tisfm.reconstruction.chunked import entry, joining
 from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.renewal import CHUNKS
+from tisfm.sources import Listing
 
 
 class Killed(BaseException):
@@ -250,3 +252,21 @@ def test_a_chunk_that_is_being_made_is_waited_for(frames, whole, begun, tmp_path
     again(frames, tmp_path / "out", finished=in_other_process)
     thread.join()
     assert contents(tmp_path / "out") == whole
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": "0.0.7"}, "was started by 0.0.7"),
+        ({"lanes": 4}, "and that of the command 4"),
+        ({"listing": Listing(3, "")}, "sees other files in"),
+    ],
+    ids=["version", "processor", "files"],
+)
+def test_a_worker_that_would_leave_something_else(frames, tmp_path, change, words):
+    def there(function, items):
+        return in_turn(function, [replace(item, **change) for item in items])
+
+    with pytest.raises(RuntimeError, match=words):
+        again(frames, tmp_path / "out", finished=there, resume=False)
+    assert not (tmp_path / "out" / CHUNKS / "000").exists()

@@ -26,7 +26,7 @@ from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
-from tisfm.sources import Source
+from tisfm.sources import FrameSource, Listing, Source
 from tisfm.stated import is_stated
 from tisfm.version import __version__
 
@@ -55,8 +55,12 @@ class Chunk:
         Digest of what the whole was asked for.
     arch, threads
         As for `tisfm.runtime.start`.
+    listing : Listing
+        Of the files of the source and its masks, as that process sees them.
     alive : Path
         A file that is there as long as the process that gives the work waits for it.
+    lanes : int
+        Of the vectors of its CPU.
     version : str
         Of tisfm.
     """
@@ -71,9 +75,11 @@ class Chunk:
     poses: np.ndarray | None = field(repr=False, default=None)
     depth_of: DepthOf = "all"
     asked: str
+    listing: Listing
     arch: Arch | None = None
     threads: int | None = None
     alive: Path = Path()
+    lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__
 
     @property
@@ -112,7 +118,10 @@ class Chunk:
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Make a chunk, unless it is complete; return an error that its user is to be told."""
     try:
-        check_worker(chunk.version, chunk.alive)
+        here = runtime.cpu_lanes()
+        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
+        seen = FrameSource(chunk.source, mask=chunk.frames.get("mask"))
+        chunk.listing.check(seen.listing, seen.title)
         with _alone(chunk):
             _make(chunk)
     except Exception as error:

@@ -161,6 +161,7 @@ class ChunkedRun:
                 poses=None if known is None else known[span.of(self._taken)],
                 depth_of=depth_of,
                 asked=digest_of(self.asked),
+                listing=sources.listing,
                 arch=arch,
                 threads=threads,
             )
