@@ -137,6 +137,8 @@ def test_shell_commands_exist(path):
             assert used <= options_of(words[1]), words
         elif re.fullmatch(r"-m (bench|tests)(\.\w+)*", " ".join(words[1:3])):
             assert find_spec(words[2]) is not None, words
+        elif words[1:3] == ["-m", "sphinx"]:
+            assert all((ROOT / place).exists() for place in words[4:5]), words
         elif program in ("run", "lock", "audit"):
             assert (ROOT / words[0]).is_file(), words
         else:
