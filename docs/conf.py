@@ -22,12 +22,15 @@ ELSEWHERE = re.compile(r"\[([^\]\n]*)\]\((?:\.\./)*(?:\.ci|bench|tests|tisfm)/[^
 project = "tisfm"
 release = version = tisfm.__version__
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx_copybutton",
 ]
+nb_execution_mode = "auto"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
 html_theme = "furo"
 html_title = f"tisfm {release}"
 html_show_copyright = html_show_sphinx = False
@@ -72,6 +75,13 @@ def make_pages(app: Sphinx) -> None:
     for picture in RESULTS.glob("*.png"):
         shutil.copy(picture, MADE / "results")
     shutil.copy(HERE.parent / "CHANGELOG.md", MADE / "changelog.md")
+    pages = sorted(
+        page.stem for page in RESULTS.glob("*.md") if page.stem not in ("README", "tried")
+    )
+    listed = "\n".join(f"results/{name}" for name in pages)
+    (MADE / "every_measurement.md").write_text(
+        f"# Every measurement\n\n```{{toctree}}\n{listed}\n```\n", encoding="utf-8"
+    )
     names = public_names()
     for module, members in names.items():
         lines = [f"{module}\n{'=' * len(module)}\n", f".. py:module:: {module}\n   :no-index:\n"]

@@ -513,3 +513,14 @@ def test_integers_of_64_bits_are_refused_with_advice():
     done = run(before + INTERPRET)
     assert done.returncode == 1
     assert "start it with ti.i32" in done.stderr.splitlines()[-1]
+
+
+def test_nothing_is_printed_where_output_goes_elsewhere():
+    """As in a notebook, whose output Taichi would look for after every kernel."""
+    text = run(
+        "import io, sys\nsys.stdout = io.StringIO()\nimport numpy as np, tisfm\n"
+        "frame = np.random.default_rng(0).uniform(0, 255, (32, 40))\n"
+        "tisfm.interpret(frame, np.roll(frame, 1, 1), camera=tisfm.Camera(40.0))\n"
+        "said, sys.stdout = sys.stdout.getvalue(), sys.__stdout__\nprint(repr(said))"
+    ).stdout
+    assert text == "''\n"

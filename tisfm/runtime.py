@@ -116,6 +116,10 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
 
     import tisfm.kernels  # noqa: F401  (quiets Taichi's import)
 
+    # Where output goes to a notebook, it would say so there, and look for what kernels print.
+    with contextlib.redirect_stdout(sys.__stdout__):
+        import taichi  # noqa: F401
+
     if threads is not None:
         options["cpu_max_num_threads"] = threads
         cv2.setNumThreads(threads)
