@@ -200,7 +200,7 @@ def test_long_work_is_announced(tisfm_run, place, monkeypatch):
     assert code == 0
     told = err.splitlines()
     assert told[0] == "up to 0 MB for 6 frames of 45×31 px in out"
-    assert re.fullmatch(r"depth-tiff: about \d+ s for 6 frames", told[1])
+    assert re.fullmatch(r"depth-tiff: about \d+ s for 4 more frames", told[1])
     assert len(told) == 3
     usage = shutil.disk_usage(place)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))

@@ -248,7 +248,12 @@ def test_runs_of_earlier_versions_and_damaged_ones(tmp_path):
     (folder / "run.json").write_text(json.dumps(record))
     with pytest.raises(FileNotFoundError, match=r"no p1\.npz, which was left out by --outputs"):
         PairFrames(folder)
-    for pairs, message in (({}, "no pair that is complete"), ([], "damaged or of another kind")):
+    out = {f"../{name}": pair for name, pair in record["pairs"].items()}
+    for pairs, message in (
+        ({}, "no pair that is complete"),
+        ([], "damaged or of another kind"),
+        (out, "is no name of a pair"),
+    ):
         (folder / "run.json").write_text(json.dumps({**record, "pairs": pairs}))
         with pytest.raises(ValueError, match=message):
             PairFrames(folder)

@@ -135,17 +135,20 @@ def _announce(wanted: dict[str, Format], asked: Export) -> None:
 
 def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
     """Return what shows how far a format is, and says once how long it takes if that is long."""
-    task, begin, is_said = bar.add_task(name, total=None), time.monotonic(), False
+    task, is_said = bar.add_task(name, total=None), False
+    begin, before = 0.0, 0
 
     def tell_progress(done: int, total: int) -> None:
-        nonlocal is_said
+        nonlocal begin, before, is_said
         bar.update(task, completed=done, total=total)
-        taken = time.monotonic() - begin
-        if not is_said and taken > _SOON:
+        now = time.monotonic()
+        if not before:  # what came until then, such as a first pass, tells nothing of the rest
+            begin, before = now, done
+        elif not is_said and now - begin > _SOON:
             is_said = True
-            left = taken / done * (total - done)
+            left = (now - begin) / (done - before) * (total - done)
             if left > _LONG:
-                tell(f"{name}: about {_duration(taken + left)} for {total} frames")
+                tell(f"{name}: about {_duration(left)} for {total - done} more frames")
 
     return tell_progress
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tisfm.exports.float_pictures import check_exr, write_exr, write_pfm, write_tiff
 from tisfm.exports.pieces import chosen_frames
-from tisfm.exports.ranges import some_of
+from tisfm.exports.ranges import some_of, thinned
 from tisfm.exports.result_frames import ResultFrames
 from tisfm.formats import write_depth_png, write_dpt
 
@@ -95,7 +95,7 @@ def check_fits(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> floa
         If it is more than half, or if half of the depth is below 10 values, and steps of it.
     """
     scale = VALUES_PER_UNIT[kind]
-    depth = [depth_of(frames.inverse_depth(frame)) for frame in some_of(chosen)]
+    depth = [depth_of(thinned(frames.inverse_depth(frame))) for frame in some_of(chosen)]
     values = np.concatenate([one[np.isfinite(one)] for one in depth])
     if not len(values):
         return 0.0

@@ -165,6 +165,22 @@ def _undistortion(suffix: Literal["exr", "tiff"], about: str) -> Format:
     return Format(about=about, write=write, check=check)
 
 
+def _model(name: str, about: str, write: Callable[..., object]) -> Format:
+    """Return a format that is a folder of its own, made by a function of the reconstruction."""
+
+    def written(export: Export, progress: Progress) -> Files:
+        place = export.folder / name
+        write(export.sequence, place, progress=progress)
+        return [place]
+
+    def check(export: Export) -> None:
+        _has_poses(export)
+        if len(export.chosen) < len(export.frames):
+            raise ValueError(f"{name} takes all frames: leave out --start, --stop and --step")
+
+    return Format(about=about, write=written, check=check, notes=notes.of_poses)
+
+
 def _path(
     about: str,
     write: Callable[..., Files],

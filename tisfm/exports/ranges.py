@@ -39,17 +39,18 @@ def speed_range(frames: ResultFrames, chosen: Sequence[int]) -> float:
     """Return the length of image motion, px, that 99 % of what is looked at stays below."""
     found = []
     for frame in some_of(chosen):
-        radius = flow_radius(_thinned(frames.flow(frame))).ravel()
+        radius = flow_radius(thinned(frames.flow(frame))).ravel()
         found.append(radius[np.isfinite(radius)])
     values = np.concatenate(found)
     return float(np.percentile(values, FASTEST)) if len(values) else 0.0
 
 
-def _positive(frames: ResultFrames, frame: int) -> np.ndarray:
-    values = _thinned(frames.inverse_depth(frame)).ravel() / frames.scale(frame)[1]
-    return np.asarray(values[np.isfinite(values) & (values > 0)])
-
-
-def _thinned(values: np.ndarray) -> np.ndarray:
+def thinned(values: np.ndarray) -> np.ndarray:
+    """Return about `VALUES` of the pixels of a map, (h, w) or (h, w, 2), evenly."""
     step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / VALUES)))
     return values[step // 2 :: step, step // 2 :: step]
+
+
+def _positive(frames: ResultFrames, frame: int) -> np.ndarray:
+    values = thinned(frames.inverse_depth(frame)).ravel() / frames.scale(frame)[1]
+    return np.asarray(values[np.isfinite(values) & (values > 0)])

@@ -1,5 +1,6 @@
 """The frames of a result, of `tisfm run` or of `tisfm reconstruct`, one as the other."""
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -121,7 +122,7 @@ class PairFrames:
 
     Parameters
     ----------
-    folder : Path
+    folder : path
 
     Attributes
     ----------
@@ -141,18 +142,18 @@ class PairFrames:
     advice = "run with --motion camera, or look at the statuses in run.json"
     unit_advice = "take the _depth16.png files of the run, which state a scale of their own"
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = folder = Path(folder)
         record = read_json(folder / RUN)
         try:
             pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
-            self.names = tuple(str(name) for name, _ in pairs)
+            self.names = tuple(_checked(name) for name, _ in pairs)
             self.times = tuple((pair.get("times") or (None,))[0] for _, pair in pairs)
             self._statuses = [pair["status"] for _, pair in pairs]
             self._is_posed = any(_is_posed(pair) for _, pair in pairs)
             self.camera = _camera_of(record["camera"])
             is_kept = "npz" in record.get("outputs", ("npz",))
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())
             raise FormatError(f"{folder / RUN} is damaged or of another kind: {reason}") from error
         if not self.names:
@@ -165,6 +166,7 @@ class PairFrames:
                 "exported: run again with npz among --outputs"
             )
         self._read: tuple[int, Interpretation] | None = None
+        self._shows_depth: dict[int, bool] = {}
         self.shape = self.result(0).flow.shape[:2]
 
     def __len__(self) -> int:
@@ -181,7 +183,9 @@ class PairFrames:
         """Return whether a pair shows depth that may be believed."""
         if self._statuses[frame] in ("diverged", "pose_mismatch"):
             return False
-        return bool((self.result(frame).inverse_depth > 0).any())
+        if frame not in self._shows_depth:
+            self._shows_depth[frame] = bool((self.result(frame).inverse_depth > 0).any())
+        return self._shows_depth[frame]
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the first frame of a pair, (H, W) or (H, W, 3) RGB uint8."""
@@ -222,6 +226,13 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
     if all(plain) and max(count.values(), default=1) == 1:
         return tuple(plain)
     return tuple(f"{number:06d}" for number in range(len(names)))
+
+
+def _checked(name: str) -> str:
+    """Return the name of a pair, or raise ValueError if it leads out of its folder."""
+    if os.path.basename(name) != name or not name:
+        raise ValueError(f"{name!r} is no name of a pair")
+    return name
 
 
 def _camera_of(record: dict[str, Any]) -> Camera:
