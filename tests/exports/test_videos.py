@@ -13,7 +13,7 @@ from tisfm.exports import PairFrames, SequenceFrames, write_video
 from tisfm.exports.ranges import inverse_depth_ranges
 from tisfm.exports.stereo import nearness, view_beside, without_holes
 from tisfm.exports.video_file import video_file
-from tisfm.exports.videos import depth_colors
+from tisfm.exports.videos import depth_colors, flow_colors
 
 pytest.importorskip("av")
 H, W = SHAPE
@@ -147,6 +147,17 @@ def test_flow_is_of_pairs(tmp_path):
     assert (np.diff([colour[1] for colour in shown]) < 0).all()
 
 
+def test_what_is_faster_is_not_darker():
+    flow = np.zeros((2, 3, 2), np.float32)
+    flow[0, :, 0] = (4, 8, 2)
+    flow[1] = ((1e10, 0), (np.nan, 0), (0, 0))
+    colors = flow_colors(flow, 4.0)
+    np.testing.assert_array_equal(colors[0, 0], colors[0, 1])
+    assert colors[0, 2, 1] > colors[0, 0, 1]
+    np.testing.assert_array_equal(colors[1], [[0] * 3, [0] * 3, [255] * 3])  # unknown is black
+    assert (flow_colors(0 * flow[:1], 0.0) == 255).all()
+
+
 def test_depth_of_pairs_is_in_multiples_of_their_mean(tmp_path):
     """Scales of pairs are of no meaning: one that is twice another looks the same."""
     frames = PairFrames(run_of(tmp_path / "run", scales=(1.0, 7.0, 0.2)))
@@ -211,6 +222,13 @@ def test_the_camera_swings_there_and_back(tmp_path, monkeypatch):
     assert np.abs(found[0] - found[12]).mean() < 0.2 * apart
     assert np.abs(found[5] - found[7]).mean() < 0.2 * apart
     assert 0.3 * apart < np.abs(found[0] - found[6]).mean() < 0.7 * apart
+
+
+def test_a_still_swings_once(tmp_path):
+    frames = SequenceFrames(made(tmp_path / "walk"))
+    write_video(frames, tmp_path / "a.mp4", "wiggle", chosen=[3], frames_per_second=10)
+    found = read(tmp_path / "a.mp4")[0]
+    assert len(found) == 12 and np.abs(found[3] - found[9]).mean() > 2
 
 
 def test_holes_take_the_farther_side():

@@ -17,7 +17,7 @@ from tisfm.exports.ranges import inverse_depth_ranges, speed_range
 from tisfm.exports.result_frames import ResultFrames
 from tisfm.exports.stereo import anaglyph_of, inner_part, nearness, view_beside, without_holes
 from tisfm.exports.video_file import check_video, video_file
-from tisfm.show import flow_to_color
+from tisfm.show import flow_radius, flow_to_color
 
 VideoKind = Literal["depth", "flow", "side-by-side", "anaglyph", "wiggle"]
 Picture = NDArray[np.uint8]
@@ -47,7 +47,8 @@ def write_video(
         The file; ``.mp4`` is the customary suffix, and none is added.
     kind : {"depth", "flow", "side-by-side", "anaglyph", "wiggle"}
         Inverse depth in colours, near is bright; image motion, its direction as hue; the frame, and
-        depth beside it; for red-cyan glasses; or a camera that swings from side to side.
+        depth beside it; for red-cyan glasses; or a camera that swings from side to side, about a
+        single frame too.
     chosen : iterable of int, optional
         Numbers of frames; by default all.
     frames_per_second : float, optional
@@ -80,6 +81,8 @@ def write_video(
     if kind != "flow":
         taken = frames_with_depth(frames, taken)
     rate = frame_rate(frames.times, taken, frames_per_second)
+    if kind == "wiggle" and len(taken) == 1:  # a still swings once there and back
+        taken = taken * max(2, round(_SWING * rate))
     draw = _drawing(frames, taken, kind, rate=rate, disparity=disparity)
     with video_file(path, rate) as video:
         for done, frame in enumerate(taken):
@@ -108,7 +111,7 @@ def _drawing(
     """Return what draws a frame, by how many came before and by its number."""
     if kind == "flow":
         fastest = speed_range(frames, taken)
-        return lambda done, frame: flow_to_color(frames.flow(frame), limit=fastest)
+        return lambda done, frame: flow_colors(frames.flow(frame), fastest)
     ranges = inverse_depth_ranges(frames, taken)
 
     def near(frame: int, *, filled: bool = False) -> NDArray[np.float32]:
@@ -135,6 +138,14 @@ def _drawing(
         shift=shift,
         phase=2 * math.pi * done / (_SWING * rate),
     )
+
+
+def flow_colors(flow: NDArray[np.float32], fastest: float) -> Picture:
+    """Return image motion as colours, (H, W, 3): what is faster looks as if it were as fast."""
+    radius = flow_radius(flow)
+    share = np.ones_like(radius)
+    np.divide(fastest, radius, out=share, where=radius > fastest)
+    return flow_to_color(flow * share[..., None], limit=fastest)
 
 
 def depth_colors(near: NDArray[np.float32]) -> Picture:
