@@ -120,6 +120,15 @@ def test_what_a_run_wrote(tisfm_run, frames, place):
     assert names(place / "out" / "depth-tiff")
 
 
+def test_a_shutter_is_not_in_the_maps(tisfm_run, place):
+    for readout in (0.0, 0.3):
+        lens = tisfm.Camera(40.0, distortion=LENS.distortion, readout=readout)
+        run_of(place / f"pairs{readout}", camera=lens)
+        arguments = ("--to", "undistortion-tiff", "-o", "out")
+        code, _, err = tisfm_run("export", f"pairs{readout}", *arguments)
+        assert code == 0 and ("rolling shutter" in err) == bool(readout)
+
+
 @pytest.mark.parametrize("name", sorted(OF_SEQUENCES))
 def test_pairs_have_no_path(tisfm_run, place, name):
     run_of(place / "pairs")

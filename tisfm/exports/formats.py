@@ -162,7 +162,7 @@ def _undistortion(suffix: Literal["exr", "tiff"], about: str) -> Format:
             check_exr()
         check_distorts(source_camera(export)[0])
 
-    return Format(about=about, write=write, check=check)
+    return Format(about=about, write=write, check=check, notes=notes.of_shutter)
 
 
 def _model(name: str, about: str, write: Callable[..., object]) -> Format:

@@ -5,7 +5,7 @@ import numpy as np
 from tisfm.exports.camera_axes import is_centered
 from tisfm.exports.clock import FRAME_RATE
 from tisfm.exports.depths import LARGEST, VALUES_PER_UNIT, DepthKind, check_fits, frames_with_depth
-from tisfm.exports.export import Export
+from tisfm.exports.export import Export, source_camera
 from tisfm.exports.pieces import pieces_of
 
 
@@ -48,6 +48,13 @@ def of_lens(export: Export) -> list[str]:
         f"the principal point is at ({cx:.1f}, {cy:.1f}) px, not in the middle, for which the file "
         "has no place: set the shift of the lens by lens.json"
     ]
+
+
+def of_shutter(export: Export) -> list[str]:
+    """Tell where frames differ from the source by more than the lens."""
+    if not source_camera(export)[0].readout:
+        return []
+    return ["what a rolling shutter moved is not in the maps: frames of the result have it undone"]
 
 
 def of_depth(export: Export) -> list[str]:
