@@ -16,6 +16,7 @@ from tyro.conf import Positional, arg, subcommand
 
 from tisfm.cli.demo_arguments import Demo
 from tisfm.cli.evaluate_arguments import Eval
+from tisfm.cli.export_arguments import Export
 from tisfm.cli.figures_arguments import Figures
 from tisfm.cli.reconstruct_arguments import Reconstruct
 from tisfm.cli.run_arguments import Run
@@ -110,7 +111,7 @@ def _fail(text: str) -> int:
     return 1
 
 
-def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Export | Demo | Figures:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -123,6 +124,7 @@ def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Fi
         | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Batch, subcommand("batch", prefix_name=False)]
+        | Annotated[Export, subcommand("export", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
     )

@@ -1,0 +1,217 @@
+"""`tisfm export`: what it writes, tells and refuses."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.cli.command_line import assert_one_line
+from tests.exports.made import made
+from tests.exports.runs import run_of
+from tisfm.cli import export_command
+from tisfm.exports.formats import FORMATS
+from tisfm.trajectory import read_tum
+
+LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))
+OF_SEQUENCES = {"tum", "kitti", "mesh-ply", "mesh-glb", "gltf-camera", "chan"}
+
+
+def names(folder):
+    """Return the files in a folder and below."""
+    return sorted(
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
+    )
+
+
+def test_help_names_every_format(tisfm_run):
+    code, out, _ = tisfm_run("export", "--help")
+    text = " ".join(out.split())
+    assert code == 0 and "[EXPORT OPTIONS] DIR" in text
+    words = set(re.findall(r"[a-z-]+", text))
+    assert set(FORMATS) <= words
+
+
+def test_the_page_names_every_format(request):
+    page = (request.config.rootpath / "docs" / "exports.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    named = {name for row in rows for name in re.findall(r"`([a-z-]+)`", row.split("|")[1])}
+    assert set(FORMATS) <= named
+
+
+def test_a_path_and_its_camera(tisfm_run, place):
+    result = made(place / "walk", piece=[0, 0, 0, -1, 1, 1])
+    code, out, err = tisfm_run(
+        "export", "walk", "--to", "tum", "--to", "kitti,chan", "--to=gltf-camera", "-o", "out"
+    )
+    assert code == 0 and out == ""
+    told = err.splitlines()
+    assert told[0] == "tum: out/trajectory.tum, out/trajectory-piece2.tum".replace("/", _slash())
+    assert "tum: 1 frame without a pose left out" in told
+    assert "tum: 2 pieces (3, 2 frames), each in a scale of its own, a file for each" in told
+    assert len([line for line in told if "without a pose" in line]) == 1  # it is said once
+    assert names(place / "out") == [
+        "camera-piece2.chan", "camera-piece2.gltf", "camera.chan", "camera.gltf", "lens.json",
+        "poses-piece2.kitti", "poses-piece2.times", "poses.kitti", "poses.times",
+        "trajectory-piece2.tum", "trajectory.tum",
+    ]  # fmt: skip
+    found = read_tum(place / "out" / "trajectory.tum")
+    np.testing.assert_allclose(found.poses, result.poses[:3], atol=1e-12)
+
+
+def _slash():
+    return str(export_command.Path("a/b"))[1]
+
+
+def test_frames_and_unit_are_chosen(tisfm_run, place):
+    result = made(place / "walk")
+    options = ("--start", "1", "--stop", "6", "--step", "2", "--scale", "0", "1", "7")
+    code, _, _ = tisfm_run(
+        "export", "walk", "--to", "tum,depth-pfm", "-o", "out", "--fps", "5", *options
+    )
+    assert code == 0
+    found = read_tum(place / "out" / "trajectory.tum")
+    np.testing.assert_allclose(found.times, [0.2, 0.6, 1.0])
+    length = np.linalg.norm(result.poses[1, :3, 3] - result.poses[0, :3, 3])
+    expected = result.poses[1::2, :3, 3] * 7 / length
+    np.testing.assert_allclose(found.poses[:, :3, 3], expected, rtol=1e-9)
+    assert names(place / "out" / "depth-pfm") == ["f1.pfm", "f3.pfm", "f5.pfm"]
+    assert len(names(place / "walk")) == 6 + 6 + 2  # depth, frames; nothing is written there
+
+
+def test_all_that_a_sequence_has(tisfm_run, place):
+    for package in ("av", "OpenEXR"):
+        pytest.importorskip(package)
+    made(place / "walk", labelled=True, with_depth=(0, 1, 2, 4))
+    tisfm.camera_file.write_camera(place / "walk" / "camera.json", LENS, (62, 90))
+    wanted = set(FORMATS) - {"ply", "glb", "mesh-ply", "mesh-glb", "video-flow"}
+    code, _, err = tisfm_run("export", "walk", "--to", ",".join(wanted), "-o", "out")
+    assert code == 0, err
+    found = names(place / "out")
+    videos = ["anaglyph.mp4", "depth.mp4", "side-by-side.mp4", "wiggle.mp4"]
+    assert set(videos) | {"undistort.exr", "redistort.tiff", "masks/object-2/f1.png"} <= set(found)
+    for kind in ("tum", "kitti", "exr", "tiff", "pfm", "dpt"):
+        assert len([name for name in found if name.startswith(f"depth-{kind}/")]) == 4
+    assert "2 frames without depth left out" in err
+    assert "25 a second are assumed" in err
+    assert "depth is value / 256, in the unit of the path" in err
+    assert not [name for name in found if name.endswith(".tmp")]
+
+
+def test_all_that_pairs_have(tisfm_run, place):
+    for package in ("av", "OpenEXR"):
+        pytest.importorskip(package)
+    run_of(place / "pairs", camera=LENS)
+    wanted = set(FORMATS) - OF_SEQUENCES
+    code, _, err = tisfm_run("export", "pairs", "--to", ",".join(wanted), "-o", "out")
+    assert code == 0, err
+    found = set(names(place / "out"))
+    assert {"flow.mp4", "undistort.exr", "masks/visible/p2.png", "points-glb/p0.glb"} <= found
+    for kind in ("depth-kitti/{}.png", "points-ply/{}.ply"):
+        assert {kind.format(f"p{k}") for k in range(3)} <= found
+
+
+def test_what_a_run_wrote(tisfm_run, frames, place):
+    assert tisfm_run("run", "frames", "-o", "pairs", "--no-figures", "--preset", "fast")[0] == 0
+    code, _, err = tisfm_run("export", "pairs", "--to", "depth-tiff,masks", "-o", "out")
+    assert code == 0, err
+    assert len(names(place / "out" / "masks" / "visible")) == 3
+    assert names(place / "out" / "depth-tiff")
+
+
+def test_a_shutter_is_not_in_the_maps(tisfm_run, place):
+    for readout in (0.0, 0.3):
+        lens = tisfm.Camera(40.0, distortion=LENS.distortion, readout=readout)
+        run_of(place / f"pairs{readout}", camera=lens)
+        arguments = ("--to", "undistortion-tiff", "-o", "out")
+        code, _, err = tisfm_run("export", f"pairs{readout}", *arguments)
+        assert code == 0 and ("rolling shutter" in err) == bool(readout)
+
+
+@pytest.mark.parametrize("name", sorted(OF_SEQUENCES))
+def test_pairs_have_no_path(tisfm_run, place, name):
+    run_of(place / "pairs")
+    code, _, err = tisfm_run("export", "pairs", "--to", name, "-o", "out")
+    assert_one_line(code, err, "pairs have no common scale and no path", "tisfm reconstruct")
+    assert not (place / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "obj"], ["--to: 'obj' is no format", "video-wiggle"]),
+        ([], ["--to: no format is given"]),
+        (["--to", "tum", "--start", "6"], ["leave no frame of 6"]),
+        (["--to", "tum", "--step", "0"], ["--step 0"]),
+        (["--to", "tum", "--fps", "0"], ["frames_per_second is 0"]),
+        (["--to", "video-wiggle", "--disparity", "3"], ["disparity is 3"]),
+        (["--to", "tum", "--scale", "0", "0", "1"], ["of one place"]),
+        # What comes last is refused before anything is written.
+        (["--to", "tum,masks"], ["--motion objects"]),
+        (["--to", "tum", "--to", "video-flow"], ["keeps no image motion", "tisfm run"]),
+        (["--to", "tum,undistortion-tiff"], ["no distortion"]),
+        (["--to", "tum,depth-tum", "--scale", "0", "1", "9999"], ["beyond 13.11", "--scale"]),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_first(tisfm_run, place, arguments, words):
+    made(place / "walk")
+    tisfm.camera_file.write_camera(place / "walk" / "camera.json", tisfm.Camera(40.0), (31, 45))
+    code, _, err = tisfm_run("export", "walk", "-o", "out", *arguments)
+    assert_one_line(code, err, *words)
+    assert not (place / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["ply", "mesh-glb", "depth-dpt", "video-depth"])
+def test_a_path_alone_has_no_depth(tisfm_run, place, name):
+    made(place / "walk", with_depth=())
+    code, _, err = tisfm_run("export", "walk", "--to", name, "-o", "out")
+    assert_one_line(code, err, "has depth: reconstruct with --depth-of all")
+
+
+def test_folders_that_are_none(tisfm_run, place):
+    (place / "empty").mkdir()
+    for folder, words in (("nowhere", "there is no folder"), ("empty", "has neither")):
+        code, _, err = tisfm_run("export", folder, "--to", "tum", "-o", "out")
+        assert_one_line(code, err, words, "tisfm reconstruct")
+    made(place / "walk")
+    (place / "walk" / "reconstruction.json").unlink()
+    code, _, err = tisfm_run("export", "walk", "--to", "tum", "-o", "out")
+    assert_one_line(code, err, "is not complete")
+
+
+@pytest.mark.parametrize("output", ["walk", "walk/out", "link/out"])
+def test_nothing_is_written_into_the_result(tisfm_run, place, output):
+    made(place / "walk", labelled=True)
+    (place / "link").symlink_to(place / "walk")
+    before = names(place / "walk")
+    code, _, err = tisfm_run("export", "walk", "--to", "masks", "-o", output)
+    assert_one_line(code, err, "give another folder with -o")
+    assert names(place / "walk") == before
+
+
+def test_an_earlier_export_is_replaced(tisfm_run, place):
+    made(place / "walk")
+    arguments = ("export", "walk", "--to", "tum,depth-tiff", "-o", "out")
+    assert tisfm_run(*arguments)[0] == 0
+    before = {name: (place / "out" / name).read_bytes() for name in names(place / "out")}
+    (place / "out" / "trajectory.tum").write_text("old")
+    assert tisfm_run(*arguments)[0] == 0
+    assert before == {name: (place / "out" / name).read_bytes() for name in names(place / "out")}
+
+
+def test_long_work_is_announced(tisfm_run, place, monkeypatch):
+    made(place / "walk")
+    monkeypatch.setattr(export_command, "_MUCH", 1000)
+    monkeypatch.setattr(export_command, "_LONG", 0)
+    monkeypatch.setattr(export_command, "_SOON", 0)
+    code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
+    assert code == 0
+    told = err.splitlines()
+    assert told[0] == "up to 0 MB for 6 frames of 45×31 px in out"
+    assert re.fullmatch(r"depth-tiff: about \d+ s for 4 more frames", told[1])
+    assert len(told) == 3
+    usage = shutil.disk_usage(place)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))
+    code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
+    assert code == 0 and "but 0 MB are free: --start, --stop and --step choose" in err

@@ -1,0 +1,65 @@
+"""Points as others read them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import tisfm
+from tests.exports.made import made
+from tests.reconstruction.films import walk
+from tisfm.exports import write_meshes, write_points
+from tisfm.exports.surfaces import save_points
+from tisfm.point_cloud import PointCloud
+
+
+def cloud(count=7):
+    rng = np.random.default_rng(0)
+    return PointCloud(
+        positions=rng.normal(size=(count, 3)).astype(np.float32),
+        colors=rng.integers(0, 256, (count, 3)).astype(np.uint8),
+        confidence=np.ones(count, np.float32),
+    )
+
+
+def test_a_glb_of_points_has_y_up(tmp_path):
+    points = cloud()
+    save_points(points, tmp_path / "a.glb")
+    (found,) = trimesh.load(tmp_path / "a.glb").geometry.values()
+    np.testing.assert_array_equal(found.vertices, points.positions * np.float32([1, -1, -1]))
+    np.testing.assert_array_equal(found.colors[:, :3], points.colors)
+    save_points(points, tmp_path / "a.ply")
+    found = trimesh.load(tmp_path / "a.ply")
+    np.testing.assert_array_equal(found.vertices, points.positions)
+
+
+@pytest.mark.parametrize(("name", "count"), [("a.glb", 0), ("a.obj", 3)])
+def test_what_a_file_cannot_hold_is_refused(tmp_path, name, count):
+    with pytest.raises(ValueError, match=name):
+        save_points(cloud(count), tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_points_and_surface_of_a_film(tmp_path):
+    film = walk()
+    result = tisfm.reconstruct(
+        list(film.frames), camera=film.camera,
+        settings=tisfm.Settings.preset("fast", motion="camera"),
+    )  # fmt: skip
+    ply, glb = (write_points(result, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
+    one, other = trimesh.load(ply).vertices, trimesh.load(glb).geometry.popitem()[1].vertices
+    assert len(one) > 5000
+    np.testing.assert_array_equal(one * np.float32([1, -1, -1]), other)
+    pytest.importorskip("skimage")
+    ply, glb = (write_meshes(result, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
+    one, other = trimesh.load(ply), trimesh.load(glb, force="mesh")
+    assert len(one.faces) > 1000
+    np.testing.assert_allclose(one.bounds[:, 0], other.bounds[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(one.bounds[::-1, 1], -other.bounds[:, 1], rtol=1e-6)
+
+
+def test_nothing_to_see_is_an_error(tmp_path):
+    result = made(tmp_path / "walk", with_depth=())
+    with pytest.raises(ValueError, match="shows no point"):
+        write_points(result, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["walk"]

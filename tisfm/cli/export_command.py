@@ -1,0 +1,171 @@
+"""What `tisfm export` does."""
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rich.progress import Progress
+
+from tisfm.cli.console import progress_bar, tell
+from tisfm.exports.clock import check_rate
+from tisfm.exports.export import Export
+from tisfm.exports.formats import FORMATS, Format
+from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
+from tisfm.exports.videos import check_disparity
+from tisfm.formats.outputs import make_folder
+from tisfm.reconstruction.folder import DEPTH, RECORD
+from tisfm.reconstruction.result import Reconstruction
+
+_MUCH = 2e8  # bytes: what writes more says so beforehand
+_LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
+
+
+def export(
+    folder: Path,
+    output: Path,
+    *,
+    formats: Sequence[str],
+    frames: tuple[int, int | None, int] = (0, None, 1),
+    frames_per_second: float | None = None,
+    scale: tuple[int, int, float] | None = None,
+    disparity: float | None = None,
+) -> int:
+    """Write a result in other formats, and return the exit code.
+
+    `frames` are start, stop and step; `scale` are two frames and the distance of the camera's
+    places. All is checked, as far as it can be, before anything is written.
+    """
+    wanted = _formats(formats)
+    if frames_per_second is not None:
+        check_rate(frames_per_second)
+    if disparity is not None:
+        check_disparity(disparity)
+    _refuse_inside(output, folder)
+    result, found = _opened(folder, scale)
+    asked = Export(
+        result=result,
+        frames=found,
+        chosen=_chosen(len(found), *frames),
+        folder=output,
+        frames_per_second=frames_per_second,
+        disparity=disparity,
+    )
+    for form in wanted.values():
+        form.check(asked)
+    make_folder(output)
+    _announce(wanted, asked)
+    said: set[str] = set()
+    for name, form in wanted.items():
+        with progress_bar() as bar:
+            files = form.write(asked, _told(name, bar))
+        tell(f"{name}: {_named(files)}")
+        notes = [note for note in form.notes(asked) if note not in said]
+        said.update(notes)
+        for note in notes:
+            tell(f"{name}: {note}")
+    return 0
+
+
+def _formats(names: Sequence[str]) -> dict[str, Format]:
+    """Return formats by their names, each once, or raise ValueError."""
+    unknown = [name for name in names if name not in FORMATS]
+    if unknown or not names:
+        what = f"{unknown[0]!r} is no format" if unknown else "no format is given"
+        raise ValueError(f"--to: {what}: expected some of {', '.join(FORMATS)}")
+    return {name: FORMATS[name] for name in names}
+
+
+def _opened(
+    folder: Path, scale: tuple[int, int, float] | None
+) -> tuple[Reconstruction | None, SequenceFrames | PairFrames]:
+    """Return the reconstruction in a folder, if it is one, and the frames in it."""
+    if not folder.is_dir():
+        raise FileNotFoundError(
+            f"there is no folder {folder}: give one that tisfm reconstruct or tisfm run wrote"
+        )
+    if (folder / RECORD).is_file() or (folder / DEPTH).is_dir():
+        result = Reconstruction.load(folder)
+        if scale is not None:
+            result = result.rescaled(*scale)
+        return result, SequenceFrames(result)
+    if not (folder / RUN).is_file():
+        raise FileNotFoundError(
+            f"{folder} has neither {RECORD} nor {RUN}: give a folder that tisfm reconstruct or "
+            "tisfm run wrote"
+        )
+    if scale is not None:
+        raise ValueError(f"--scale is of a path, and {folder} is of tisfm run: leave it out")
+    return None, PairFrames(folder)
+
+
+def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
+    """Return the numbers of the frames that are taken, or raise ValueError if they are none."""
+    if start < 0 or step < 1 or (stop is not None and stop < 0):
+        raise ValueError(
+            f"--start {start}, --stop {stop}, --step {step}: expected 0 or more, and a step of 1 "
+            "or more"
+        )
+    chosen = range(start, count if stop is None else min(stop, count), step)
+    if not chosen:
+        raise ValueError(f"--start and --stop leave no frame of {count}")
+    return chosen
+
+
+def _refuse_inside(output: Path, folder: Path) -> None:
+    """Refuse to write into the folder of the result, whose files are its own."""
+    place, result = output.resolve(), folder.resolve()
+    if result in (place, *place.parents):
+        raise ValueError(f"{output} lies in {folder}, which is read: give another folder with -o")
+
+
+def _announce(wanted: dict[str, Format], asked: Export) -> None:
+    """Say how much will be written, where it is much, and whether the disk has room for it."""
+    height, width = asked.frames.shape
+    pixels = len(asked.chosen) * height * width
+    expected = sum(form.bytes_per_pixel for form in wanted.values()) * pixels
+    free = shutil.disk_usage(asked.folder).free
+    about = f"up to {_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
+    if expected > free:
+        tell(f"{about}, but {_size(free)} are free: --start, --stop and --step choose")
+    elif expected > _MUCH:
+        tell(f"{about} in {asked.folder}")
+
+
+def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
+    """Return what shows how far a format is, and says once how long it takes if that is long."""
+    task, is_said = bar.add_task(name, total=None), False
+    begin, before = 0.0, 0
+
+    def tell_progress(done: int, total: int) -> None:
+        nonlocal begin, before, is_said
+        bar.update(task, completed=done, total=total)
+        now = time.monotonic()
+        if not before:  # what came until then, such as a first pass, tells nothing of the rest
+            begin, before = now, done
+        elif not is_said and now - begin > _SOON:
+            is_said = True
+            left = (now - begin) / (done - before) * (total - done)
+            if left > _LONG:
+                tell(f"{name}: about {_duration(left)} for {total - done} more frames")
+
+    return tell_progress
+
+
+def _named(files: Sequence[Path]) -> str:
+    """Return where files are: each, or how many of a folder."""
+    folders = Counter(file.parent for file in files)
+    if len(files) <= 4:
+        return ", ".join(map(str, files))
+    return ", ".join(f"{count} files in {folder}" for folder, count in folders.items())
+
+
+def _size(count: float) -> str:
+    """Return a number of bytes as it is read."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _duration(seconds: float) -> str:
+    """Return a time as it is read."""
+    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

@@ -1,0 +1,90 @@
+"""Pictures of float32: EXR, TIFF and PFM."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.formats import atomic_write
+
+_DEFLATE = 8  # of the ways that TIFF compresses in
+
+
+def check_exr() -> None:
+    """Raise ImportError unless EXR files can be written."""
+    try:
+        import OpenEXR  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "EXR files need the package OpenEXR: pip install 'tisfm[export]'; or take TIFF"
+        ) from error
+
+
+def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.float32]]) -> None:
+    """Write channels of float32 as a scan-line EXR file, without loss, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    channels : mapping of str to (H, W) float32
+        By their names, such as Z, or R, G and B.
+
+    Raises
+    ------
+    ImportError
+        If OpenEXR is not there.
+    OSError
+        If the file cannot be written.
+    """
+    check_exr()
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    arrays = {name: np.ascontiguousarray(values, "<f4") for name, values in channels.items()}
+    with tempfile.TemporaryDirectory() as folder:  # the library takes names of files alone
+        file = Path(folder, "picture.exr")
+        OpenEXR.File(header, arrays).write(str(file))
+        content = file.read_bytes()
+    with atomic_write(path) as stream:
+        stream.write(content)
+
+
+def write_tiff(path: str | os.PathLike[str], values: NDArray[np.float32]) -> None:
+    """Write float32 as TIFF, deflated, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    values : (H, W) or (H, W, 3) float32
+        Three channels are red, green, blue.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    _write(path, ".tiff", values, [cv2.IMWRITE_TIFF_COMPRESSION, _DEFLATE])
+
+
+def write_pfm(path: str | os.PathLike[str], values: NDArray[np.float32]) -> None:
+    """Write (H, W) float32 as PFM, rows from the bottom, little-endian, whole or not at all.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    _write(path, ".pfm", values, [])
+
+
+def _write(
+    path: str | os.PathLike[str], suffix: str, values: NDArray[np.float32], options: list[int]
+) -> None:
+    picture = np.ascontiguousarray(values[..., ::-1] if values.ndim == 3 else values)
+    _, content = cv2.imencode(suffix, picture, options)
+    with atomic_write(path) as stream:
+        stream.write(content.data)

@@ -1,0 +1,98 @@
+"""A document of glTF 2.0 with one camera that moves."""
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tisfm.version import __version__
+
+_FLOAT, _KINDS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_NEAREST = 0.01  # what is drawn, in the unit of the poses
+
+
+def camera_document(
+    poses: NDArray[np.float64],
+    times: NDArray[np.float64],
+    *,
+    vertical_angle: float,
+    aspect: float,
+    about: dict[str, Any],
+) -> bytes:
+    """Return a glTF document, its numbers within.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world, Y up, the camera looks along −Z.
+    times : (N,) float64
+        s, each above the one before.
+    vertical_angle : float
+        From the upper edge of the frames to the lower one, rad.
+    aspect : float
+        Width of the frames over height.
+    about : dict
+        What else is to be said of the camera; it goes into its ``extras``.
+
+    References
+    ----------
+    The Khronos Group, glTF 2.0 Specification, 2021 (ISO/IEC 12113).
+    """
+    turns = _continuous(Rotation.from_matrix(poses[:, :3, :3]).as_quat())
+    arrays = [values.astype("<f4") for values in (times[:, None], poses[:, :3, 3], turns)]
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    start = 0
+    for values in arrays:
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": values.nbytes})
+        accessors.append(
+            {
+                "bufferView": len(accessors),
+                "componentType": _FLOAT,
+                "count": len(values),
+                "type": _KINDS[values.shape[1]],
+                "min": values.min(axis=0).tolist(),
+                "max": values.max(axis=0).tolist(),
+            }
+        )
+        start += values.nbytes
+    content = base64.b64encode(b"".join(values.tobytes() for values in arrays)).decode()
+    lens = {"yfov": vertical_angle, "aspectRatio": aspect, "znear": _NEAREST}
+    samplers = [{"input": 0, "output": k, "interpolation": "LINEAR"} for k in (1, 2)]
+    channels = [
+        {"sampler": k, "target": {"node": 0, "path": path}}
+        for k, path in enumerate(("translation", "rotation"))
+    ]
+    node = {
+        "name": "camera",
+        "camera": 0,
+        "translation": arrays[1][0].tolist(),
+        "rotation": arrays[2][0].tolist(),
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": f"tisfm {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "cameras": [{"type": "perspective", "perspective": lens, "extras": about}],
+        "animations": [{"name": "path", "samplers": samplers, "channels": channels}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [
+            {"byteLength": start, "uri": f"data:application/octet-stream;base64,{content}"}
+        ],
+    }
+    return json.dumps(document, allow_nan=False).encode()
+
+
+def _continuous(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return quaternions of the same rotations, each near the one before.
+
+    Both signs mean one rotation, but programs interpolate the numbers.
+    """
+    products = (quaternions[1:] * quaternions[:-1]).sum(axis=1)
+    signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))
+    return np.asarray(quaternions * signs[:, None])

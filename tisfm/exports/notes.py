@@ -1,0 +1,81 @@
+"""What is to be said of an export: what it left out, and what it had to assume."""
+
+import numpy as np
+
+from tisfm.exports.camera_axes import is_centered
+from tisfm.exports.clock import FRAME_RATE
+from tisfm.exports.depths import LARGEST, VALUES_PER_UNIT, DepthKind, check_fits, frames_with_depth
+from tisfm.exports.export import Export, source_camera
+from tisfm.exports.pieces import pieces_of
+
+
+def of_poses(export: Export) -> list[str]:
+    """Tell of frames without a pose, and of several pieces."""
+    pieces = pieces_of(export.sequence, export.chosen)
+    without = len(export.chosen) - sum(map(len, pieces))
+    notes = [f"{_frames(without)} without a pose left out"] if without else []
+    if len(pieces) > 1:
+        sizes = ", ".join(str(len(piece)) for piece in pieces)
+        notes.append(
+            f"{len(pieces)} pieces ({sizes} frames), each in a scale of its own, a file for each"
+        )
+    return notes
+
+
+def of_times(export: Export) -> list[str]:
+    """Tell where times are numbers of frames."""
+    known = all(time is not None for time in export.frames.times)
+    if known or export.frames_per_second is not None:
+        return []
+    return ["frames have no times: their numbers stand for seconds; --fps says how many a second"]
+
+
+def of_rate(export: Export) -> list[str]:
+    """Tell where the frame rate is a guess."""
+    known = all(export.frames.times[frame] is not None for frame in export.chosen)
+    if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
+        return []
+    return [f"frames have no times: {FRAME_RATE:g} a second are assumed; --fps says how many"]
+
+
+def of_lens(export: Export) -> list[str]:
+    """Tell where the principal point is not in the middle, for which a format has no place."""
+    result = export.sequence
+    if is_centered(result.camera, result.shape):
+        return []
+    cx, cy = result.camera.center_for(*result.shape)
+    return [
+        f"the principal point is at ({cx:.1f}, {cy:.1f}) px, not in the middle, for which the file "
+        "has no place: set the shift of the lens by lens.json"
+    ]
+
+
+def of_shutter(export: Export) -> list[str]:
+    """Tell where frames differ from the source by more than the lens."""
+    if not source_camera(export)[0].readout:
+        return []
+    return ["what a rolling shutter moved is not in the maps: frames of the result have it undone"]
+
+
+def of_depth(export: Export) -> list[str]:
+    """Tell of frames without depth."""
+    without = len(export.chosen) - len(frames_with_depth(export.frames, export.chosen))
+    return [f"{_frames(without)} without depth left out"] if without else []
+
+
+def of_scale(export: Export, kind: DepthKind) -> list[str]:
+    """Tell the scale of 16-bit depth, and what is beyond it."""
+    scale = VALUES_PER_UNIT[kind]
+    beyond = check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
+    unit = "the unit of the path" if export.result is not None else "each pair's own unit"
+    notes = [f"depth is value / {scale:g}, in {unit}"]
+    if beyond:
+        notes.append(
+            f"about {np.ceil(1000 * beyond) / 10:g} % of it is beyond {LARGEST / scale:.4g}, and 0 "
+            "in the files"
+        )
+    return notes
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"

@@ -1,0 +1,133 @@
+"""Points and surfaces of a reconstruction, for viewers and modellers."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tisfm.exports.pieces import piece_files, pieces_of
+from tisfm.formats import atomic_write
+from tisfm.point_cloud import PointCloud
+from tisfm.reconstruction.result import Reconstruction
+
+Suffix = Literal["ply", "glb"]
+
+
+def write_points(
+    result: Reconstruction,
+    folder: str | os.PathLike[str],
+    *,
+    suffix: Suffix = "ply",
+    frames: Iterable[int] | None = None,
+) -> list[Path]:
+    """Write the coloured points that keyframes agree on: ``points.ply`` or ``points.glb``.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    folder : path
+        It has to exist. Each piece of a sequence has a file of its own, as in `write_tum_paths`.
+    suffix : {"ply", "glb"}
+        PLY has x, y, z, red, green, blue and confidence, in the axes of the world: Y points down.
+        GLB has positions and colours, and wants Y up: Y and Z change sign.
+    frames : iterable of int, optional
+        The keyframes among these; by default all. Where there are none among them, all of these.
+
+    Returns
+    -------
+    list of Path
+        What was written: nothing of a piece that has no point.
+
+    Raises
+    ------
+    ValueError
+        If no piece has a point.
+    OSError
+        If a file cannot be written.
+    """
+    pieces = pieces_of(result, frames)
+    written = []
+    for file, piece in zip(piece_files(Path(folder), f"points.{suffix}", pieces), pieces,
+                           strict=True):  # fmt: skip
+        points = result.points(_fused(result, piece))
+        if len(points):
+            save_points(points, file)
+            written.append(file)
+    if not written:
+        raise ValueError(f"{result.folder} shows no point: it has too little depth, or none")
+    return written
+
+
+def write_meshes(
+    result: Reconstruction,
+    folder: str | os.PathLike[str],
+    *,
+    suffix: Suffix = "ply",
+    frames: Iterable[int] | None = None,
+) -> list[Path]:
+    """Write the coloured surface that keyframes agree on: ``mesh.ply`` or ``mesh.glb``.
+
+    Parameters
+    ----------
+    result, folder, suffix, frames
+        As for `write_points`.
+
+    Returns
+    -------
+    list of Path
+        What was written: nothing of a piece without a surface.
+
+    Raises
+    ------
+    ImportError
+        If scikit-image is not there: ``pip install 'tisfm[mesh]'``.
+    ValueError
+        If no piece has a surface.
+    OSError
+        If a file cannot be written.
+    """
+    pieces = pieces_of(result, frames)
+    written = []
+    for file, piece in zip(piece_files(Path(folder), f"mesh.{suffix}", pieces), pieces,
+                           strict=True):  # fmt: skip
+        mesh = result.mesh(_fused(result, piece))
+        if len(mesh.faces):
+            mesh.save(file)
+            written.append(file)
+    if not written:
+        raise ValueError(f"{result.folder} shows no surface: it has too little depth, or none")
+    return written
+
+
+def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
+    """Write a cloud of points as PLY or GLB, by the suffix, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another, or a GLB file were to hold nothing.
+    OSError
+        If the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".ply":
+        points.save(path)
+        return
+    if suffix != ".glb" or not len(points):
+        what = "a GLB file cannot hold no points" if suffix == ".glb" else "expected .ply or .glb"
+        raise ValueError(f"path is {os.fspath(path)}: {what}")
+    from trimesh import PointCloud as Cloud  # takes a while to load
+    from trimesh import Scene
+    from trimesh.exchange.gltf import export_glb
+
+    colors = np.column_stack([points.colors, np.full(len(points), 255, np.uint8)])
+    cloud = Cloud(points.positions * np.array([1, -1, -1], np.float32), colors=colors)
+    with atomic_write(path) as file:
+        file.write(export_glb(Scene(cloud)))
+
+
+def _fused(result: Reconstruction, piece: list[int]) -> list[int]:
+    """Return the keyframes of a piece, or all its frames where there is none among them."""
+    return [frame for frame in piece if frame in set(result.keyframes)] or piece

@@ -1,0 +1,133 @@
+"""Videos that browsers and players show: H.264 in MP4."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.formats import atomic_write
+
+if TYPE_CHECKING:
+    from av.container import OutputContainer
+    from av.video.stream import VideoStream
+
+_CODEC = "libx264"
+_QUALITY = {"crf": "18", "preset": "medium"}
+_LARGEST_SIDE = 16384  # px, of H.264
+_BT709, _LIMITED = 1, 1  # of FFmpeg's lists of colour spaces and ranges
+_TICKS = 1001  # of the frame rate's denominator at most, as 30000/1001
+
+
+def check_video() -> None:
+    """Raise ImportError unless videos can be written."""
+    try:
+        import av
+    except ImportError as error:
+        raise ImportError("videos need the package av: pip install 'tisfm[video]'") from error
+    if _CODEC not in av.codecs_available:
+        raise ImportError(
+            f"the package av has no {_CODEC}, with which videos are written: pip install "
+            "--force-reinstall --only-binary av av"
+        )
+
+
+class VideoWriter:
+    """Takes the frames of a video, one after the other.
+
+    Attributes
+    ----------
+    frames : int
+        How many it has taken.
+    """
+
+    def __init__(self, container: "OutputContainer", frames_per_second: float) -> None:
+        self._container, self.frames = container, 0
+        self._rate = Fraction(frames_per_second).limit_denominator(_TICKS)
+        self._stream: VideoStream | None = None
+        self._shape: tuple[int, int] = (0, 0)
+
+    def add(self, picture: NDArray[np.uint8]) -> None:
+        """Add a frame, (H, W, 3) RGB; a last column or row is repeated where a side is odd.
+
+        Raises
+        ------
+        ValueError
+            If its size is not that of the first, or larger than such videos may be.
+        """
+        from av import VideoFrame
+
+        if self._stream is None:
+            self._stream = self._begun(*picture.shape[:2])
+        elif picture.shape[:2] != self._shape:
+            raise ValueError(
+                f"a frame is {picture.shape[:2]} but the first was {self._shape}: frames of a "
+                "video must have the same size"
+            )
+        height, width = picture.shape[:2]
+        even = cv2.copyMakeBorder(picture, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        pixels = np.ascontiguousarray(even, np.uint8)
+        frame = VideoFrame.from_ndarray(pixels, format="rgb24")
+        frame = frame.reformat(
+            format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG",
+            interpolation="BICUBIC",
+        )  # fmt: skip
+        frame.pts, frame.time_base = self.frames, 1 / self._rate
+        self._container.mux(self._stream.encode(frame))
+        self.frames += 1
+
+    def finish(self) -> None:
+        """Write what is still held back."""
+        if self._stream is not None:
+            self._container.mux(self._stream.encode(None))
+
+    def _begun(self, height: int, width: int) -> "VideoStream":
+        if max(height, width) > _LARGEST_SIDE:
+            raise ValueError(
+                f"frames of the video are {height} × {width} px: expected at most {_LARGEST_SIDE}"
+            )
+        stream: Any = self._container.add_stream(_CODEC, rate=self._rate, options=dict(_QUALITY))
+        stream.width, stream.height = width + width % 2, height + height % 2
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = 1 / self._rate
+        context = stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = _BT709
+        context.color_range = _LIMITED
+        self._shape = (height, width)
+        return stream
+
+
+@contextmanager
+def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterator[VideoWriter]:
+    """Write a video that is there, complete, when the block ends without an exception; else not.
+
+    Parameters
+    ----------
+    path : path
+    frames_per_second : float
+
+    Raises
+    ------
+    ImportError
+        If PyAV is not there.
+    ValueError
+        At the end, if there was no frame.
+    OSError
+        If the file cannot be written.
+    """
+    check_video()
+    import av
+
+    with atomic_write(path) as file:
+        # By its name, since the index is moved to the front in the end, so that browsers can begin.
+        options = {"movflags": "+faststart"}
+        with av.open(file.name, "w", format="mp4", options=options) as container:
+            writer = VideoWriter(container, frames_per_second)
+            yield writer
+            if not writer.frames:
+                raise ValueError(f"{os.fspath(path)} would have no frame")
+            writer.finish()
