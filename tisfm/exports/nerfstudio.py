@@ -56,7 +56,7 @@ def write_nerfstudio(
     images : {"copy", "link", "none"}
         Whether ``images/`` has copies of the frames or hard links to them, or is left out.
     spacing : float, optional
-        Between points that are begun in a frame, px; by default 1/64 of the longer side.
+        Between points that are begun in a frame, px; by default 1/80 of the longer side.
     progress : callable, optional
         Called with the number of frames that are done, and of those there are.
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from tisfm.checks import Floats
 from tisfm.exports.frame_files import picture_of
-from tisfm.exports.tracks_measuring import Pose, measured, positions_of, predicted
+from tisfm.exports.tracks_measuring import Pose, is_smooth, measured, positions_of, predicted
 from tisfm.exports.tracks_triangulation import consistent
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.reconstruction.tracks import seeds
 
-CELLS = 64  # along the longer side: a point is begun in every cell that has none
+CELLS = 80  # along the longer side: a point is begun in every cell that has none
 FEWEST = 3  # frames that see a point; 2 where a piece has no more
 AROUND = 4  # keyframes to either side that a keyframe is compared with, and all frames to the next
 MOST = 120  # frames to either side
@@ -23,7 +23,6 @@ LARGEST_RATIO = 1.6  # of distances: beyond, a point does not look the same
 SAMPLE = 64  # points that tell which keyframes see the same
 FEW = 150  # points of a frame: with fewer, it begins some itself
 NEAR = (1, 2, 3, 4, 6, 8, 12)  # frames to either side that such a frame is compared with
-SMOOTH, LARGEST_STEP = 9, 0.15  # px across, and the share by which depth there differs at most
 LARGEST_STD = 0.3  # of the inverse depth that leads to other frames, as a share of it
 HELD = 24  # frames in memory
 
@@ -78,7 +77,7 @@ def measured_tracks(
     result : Reconstruction
     piece : int
     spacing : float, optional
-        Between points that are begun in a frame, px; by default 1/64 of the longer side.
+        Between points that are begun in a frame, px; by default 1/80 of the longer side.
     progress : callable, optional
         Called with the number of frames that are done, and of those there are.
 
@@ -147,7 +146,7 @@ class _Tracking:
         with np.errstate(invalid="ignore", divide="ignore"):
             relative = std / inverse_depth
             trusted = (inverse_depth > 0) & (relative < LARGEST_STD)
-        trusted &= self._usable(frame) & _is_smooth(inverse_depth)
+        trusted &= self._usable(frame) & is_smooth(inverse_depth)
         taken = np.vstack([np.empty((0, 2)), *self._taken[frame]])
         points = seeds(self._grey(frame), taken, ~trusted, self._cells)
         if not len(points):
@@ -252,14 +251,6 @@ class _Tracking:
         if known.any():
             usable &= known
         return np.asarray(usable)
-
-
-def _is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
-    """Return where depth around a pixel is that of one surface, (H, W) bool."""
-    known = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
-    box = np.ones((SMOOTH, SMOOTH), np.uint8)
-    most, least = cv2.dilate(known, box), cv2.erode(known, box)
-    return np.asarray(most - least <= LARGEST_STEP * known)
 
 
 def _colors(picture: np.ndarray, points: np.ndarray) -> np.ndarray:

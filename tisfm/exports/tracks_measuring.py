@@ -16,7 +16,10 @@ RETURN = 0.3  # px: sought from there, a point comes back as near as this
 FURTHEST = 10.0  # px, of 640 across, from where depth and pose lead: beyond is something else
 ALIKE = 0.85  # correlation of what is around a point in both frames
 PATCH = 11  # px across, of what is correlated
+SMALL = 1e-6  # squared grey levels: there is nothing to correlate
+LARGEST_STD = 0.15  # px: of a place, by what differs between the patches
 BRIGHTNESS = 31  # px across, over which the mean brightness of both frames is made the same
+SMOOTH, LARGEST_STEP = 9, 0.15  # px across, and the share by which depth there differs at most
 NEAREST = 1e-6  # least Z, in depths of the point in the first frame, of what another frame sees
 
 
@@ -72,9 +75,9 @@ def measured(
     seen = _inside(led, grey1.shape)
     if not seen.any():
         return nowhere
-    moved = _as_bright(
-        cv2.remap(grey1, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), grey0
-    )
+    x, y = cv2.split(places)
+    moved = cv2.remap(grey1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved = _as_bright(moved, grey0)
     begun = points[seen]
     near, found = _sought(grey0, moved, begun)
     back, returned = _sought(moved, grey0, near)
@@ -85,10 +88,18 @@ def measured(
     there = np.full_like(near, np.nan)
     there[found] = _sampled(places, near[found])
     found &= _inside(there, grey1.shape)
-    found[found] = _correlation(grey0, moved, begun[found], near[found]) > ALIKE
+    found[found] = _is_sure(_patches(grey0, begun[found]), _patches(moved, near[found]))
     there[~found] = np.nan
     nowhere[seen] = there
     return nowhere
+
+
+def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
+    """Return where depth around a pixel is that of one surface, (H, W) bool."""
+    known = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
+    box = np.ones((SMOOTH, SMOOTH), np.uint8)
+    most, least = cv2.dilate(known, box), cv2.erode(known, box)
+    return np.asarray(most - least <= LARGEST_STEP * known)
 
 
 def predicted(positions: np.ndarray, pose: Pose, shape: tuple[int, int]) -> tuple[Floats, Floats]:
@@ -175,24 +186,37 @@ def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return np.asarray(((points >= BORDER) & (points <= last)).all(axis=1))
 
 
-def _correlation(
-    grey0: np.ndarray, grey1: np.ndarray, points0: np.ndarray, points1: np.ndarray
-) -> np.ndarray:
-    """Return how alike two frames are around points, (N,): 1 but for brightness and contrast."""
-    if not len(points0):
-        return np.zeros(0)
-    first, second = _patches(grey0, points0), _patches(grey1, points1)
-    size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
-    return np.asarray((first * second).sum(axis=1) / np.maximum(size, 1e-6))
+def _is_sure(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return of which points two frames show the same, and hold it in both directions, (N,) bool.
+
+    What differs between the patches is taken for noise. Along the direction in which the frame
+    changes least, it moves a point by its deviation over the length of the gradient there: beside
+    an edge that is far, however alike the patches are.
+
+    Parameters
+    ----------
+    first, second : (N, PATCH, PATCH) float32
+        What is around points, less its mean.
+    """
+    power = (first**2).sum(axis=(1, 2))
+    size = np.sqrt(power * (second**2).sum(axis=(1, 2)))
+    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(size, SMALL)
+    noise = 2 * (1 - correlation) * power / PATCH**2  # of both together, contrast made the same
+    down, across = np.gradient(first, axis=(1, 2))
+    xx, xy, yy = ((a * b).sum(axis=(1, 2)) for a, b in ((across,) * 2, (across, down), (down,) * 2))
+    least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    least -= PATCH**2 * noise / 4  # what noise adds to the squares of central differences
+    return np.asarray((correlation > ALIKE) & (noise < LARGEST_STD**2 * least))
 
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return what is around points, less its mean, (N, PATCH²) float32."""
+    """Return what is around points, less its mean, (N, PATCH, PATCH) float32."""
     offsets = np.arange(PATCH, dtype=np.float32) - PATCH // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
     patches = _remapped(grey, x, y).astype(np.float32)
-    return patches - patches.mean(axis=1, keepdims=True)
+    patches -= patches.mean(axis=1, keepdims=True)
+    return np.asarray(patches.reshape(-1, PATCH, PATCH))
 
 
 def _sampled(places: np.ndarray, points: np.ndarray) -> np.ndarray:
