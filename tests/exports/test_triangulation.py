@@ -14,9 +14,7 @@ SHAPE, CAMERA = (120, 160), Camera(focal=150.0)
 def setting(count=5, step=(0.1, 0, 0.02, 0, 0.01, 0), seed=0, points=40):
     """Return poses, points, and where the poses see them."""
     random = np.random.default_rng(seed)
-    poses = [
-        Pose(camera=CAMERA, matrix=pose_matrix(k * np.array(step))) for k in range(count)
-    ]
+    poses = [Pose(camera=CAMERA, matrix=pose_matrix(k * np.array(step))) for k in range(count)]
     world = random.uniform((-1, -0.7, 3), (1, 0.7, 6), (points, 3))
     places = np.stack([predicted(world, pose, SHAPE)[0] for pose in poses], axis=1)
     return poses, world, places
