@@ -43,6 +43,7 @@ _SUBMODULES = (
     "datasets",
     "egomotion",
     "evaluation",
+    "exports",
     "focal_guess",
     "formats",
     "horn_schunck",

@@ -4,7 +4,7 @@ Here: tracks of points, measured in the frames, and models of COLMAP and nerfstu
 May import: all of `tisfm` but `tisfm.cli` and `tisfm.evaluation`.
 """
 
-from tisfm.exports.colmap import write_colmap
+from tisfm.exports.colmap import ExportedModel, write_colmap
 from tisfm.exports.nerfstudio import write_nerfstudio
 
-__all__ = ["write_colmap", "write_nerfstudio"]
+__all__ = ["ExportedModel", "write_colmap", "write_nerfstudio"]
