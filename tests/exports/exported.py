@@ -4,6 +4,12 @@ import numpy as np
 import pycolmap
 
 
+def predicted(positions, pose, shape):
+    """Return where a camera sees points of the world, (N, 2), px."""
+    local = (positions - pose.matrix[:3, 3]) @ pose.matrix[:3, :3]
+    return local[:, :2] / local[:, 2:] * pose.camera.focal + pose.camera.center_for(*shape)
+
+
 def true_places(film, points, frame, others):
     """Return where other frames see what is at pixels of a frame, (N, len(others), 2).
 

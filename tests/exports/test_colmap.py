@@ -220,6 +220,30 @@ def test_depth_of_keyframes_is_enough(found, copied):
     assert np.bincount(tracks.frames, minlength=len(copied)).min() > 20
 
 
+def test_without_depth_points_are_carried_along_the_image_motion(film, copied, tmp_path):
+    """As of ``depth_of="none"``."""
+    for frame in range(len(copied)):
+        depth_path(copied.folder, frame).unlink(missing_ok=True)
+    path = replace(copied, keyframes=())
+    (written,) = write_colmap(path, tmp_path / "out")
+    model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
+    assert len(model.images) == len(copied) and written.points > 100
+    assert min(tracks_per_image(model).values()) > 20
+    assert np.median(retriangulated(model)[0]) < 0.4
+    errors = errors_of(measured_tracks(path, 0), film)
+    assert np.median(errors) < 0.5
+
+
+def test_nothing_to_track_is_a_model_of_poses(copied, tmp_path):
+    blank = np.full(copied.shape, 128, np.uint8)
+    for frame in range(len(copied)):
+        cv2.imwrite(str(copied.folder / "frames" / f"{frame:06d}.jpg"), blank)
+    (written,) = write_colmap(copied, tmp_path / "out", form="both")
+    assert (written.images, written.points, written.error) == (len(copied), 0, None)
+    model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
+    assert len(model.images) == len(copied) and model.num_points3D() == 0
+
+
 def test_more_points_where_they_may_be_nearer(found):
     few, many = (measured_tracks(found, 0, spacing=spacing) for spacing in (24, 6))
     assert 100 < len(few) < 0.6 * len(many)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.exports.exported import true_places
-from tisfm.exports.tracks_measuring import Pose, is_smooth, measured, positions_of, predicted
+from tests.exports.exported import predicted, true_places
+from tisfm.exports.tracks_measuring import Pose, is_smooth, measured, positions_of
 from tisfm.reconstruction.tracks import seeds
 
 
@@ -54,7 +54,7 @@ def test_a_wrong_depth_leads_elsewhere_but_the_place_is_as_measured(film, begun,
             positions_of(begun, depth[row, column].astype(float), pose, shape),
             Pose(camera=film.camera, matrix=film.poses[other]),
             shape,
-        )[0]
+        )
         for depth in (right, right * factor)
     ]
     moved = np.linalg.norm(led[1] - led[0], axis=1)[both]

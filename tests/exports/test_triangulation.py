@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.exports.exported import predicted
 from tisfm.camera import Camera
-from tisfm.exports.tracks_measuring import Pose, predicted
+from tisfm.exports.tracks_measuring import Pose
 from tisfm.exports.tracks_triangulation import consistent, triangulated
 from tisfm.rigid import pose_matrix
 
@@ -16,7 +17,7 @@ def setting(count=5, step=(0.1, 0, 0.02, 0, 0.01, 0), seed=0, points=40):
     random = np.random.default_rng(seed)
     poses = [Pose(camera=CAMERA, matrix=pose_matrix(k * np.array(step))) for k in range(count)]
     world = random.uniform((-1, -0.7, 3), (1, 0.7, 6), (points, 3))
-    places = np.stack([predicted(world, pose, SHAPE)[0] for pose in poses], axis=1)
+    places = np.stack([predicted(world, pose, SHAPE) for pose in poses], axis=1)
     return poses, world, places
 
 

@@ -88,10 +88,39 @@ def measured(
     there = np.full_like(near, np.nan)
     there[found] = _sampled(places, near[found])
     found &= _inside(there, grey1.shape)
-    found[found] = _is_sure(_patches(grey0, begun[found]), _patches(moved, near[found]))
+    found[found] = are_held(grey0, moved, begun[found], near[found])
     there[~found] = np.nan
     nowhere[seen] = there
     return nowhere
+
+
+def are_held(
+    grey0: np.ndarray, grey1: np.ndarray, points0: np.ndarray, points1: np.ndarray
+) -> np.ndarray:
+    """Return of which points two frames show the same, and hold it in both directions, (N,) bool.
+
+    What differs between the patches is taken for noise. Along the direction in which the frame
+    changes least, it moves a point by its deviation over the length of the gradient there: beside
+    an edge that is far, however alike the patches are.
+
+    Parameters
+    ----------
+    grey0, grey1 : (H, W) uint8
+    points0, points1 : (N, 2) float64
+        The same points in both, px.
+    """
+    if not len(points0):
+        return np.zeros(0, bool)
+    first, second = _patches(grey0, points0), _patches(grey1, points1)
+    power = (first**2).sum(axis=(1, 2))
+    size = np.sqrt(power * (second**2).sum(axis=(1, 2)))
+    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(size, SMALL)
+    noise = 2 * (1 - correlation) * power / PATCH**2  # of both together, contrast made the same
+    down, across = np.gradient(first, axis=(1, 2))
+    xx, xy, yy = ((a * b).sum(axis=(1, 2)) for a, b in ((across,) * 2, (across, down), (down,) * 2))
+    least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    least -= PATCH**2 * noise / 4  # what noise adds to the squares of central differences
+    return np.asarray((correlation > ALIKE) & (noise < LARGEST_STD**2 * least))
 
 
 def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
@@ -100,22 +129,6 @@ def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
     box = np.ones((SMOOTH, SMOOTH), np.uint8)
     most, least = cv2.dilate(known, box), cv2.erode(known, box)
     return np.asarray(most - least <= LARGEST_STEP * known)
-
-
-def predicted(positions: np.ndarray, pose: Pose, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return where a camera sees points of the world, (N, 2), and their Z, (N,).
-
-    Parameters
-    ----------
-    positions : (N, 3) float64
-    pose : Pose
-    shape : (int, int)
-        Height and width of the frame, px.
-    """
-    local = (positions - pose.matrix[:3, 3]) @ pose.matrix[:3, :3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        places = local[:, :2] / local[:, 2:] * pose.camera.focal + pose.camera.center_for(*shape)
-    return places, local[:, 2]
 
 
 def positions_of(
@@ -184,29 +197,6 @@ def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return which points lie in a frame, away from its border."""
     last = np.array([shape[1], shape[0]]) - 1 - BORDER
     return np.asarray(((points >= BORDER) & (points <= last)).all(axis=1))
-
-
-def _is_sure(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return of which points two frames show the same, and hold it in both directions, (N,) bool.
-
-    What differs between the patches is taken for noise. Along the direction in which the frame
-    changes least, it moves a point by its deviation over the length of the gradient there: beside
-    an edge that is far, however alike the patches are.
-
-    Parameters
-    ----------
-    first, second : (N, PATCH, PATCH) float32
-        What is around points, less its mean.
-    """
-    power = (first**2).sum(axis=(1, 2))
-    size = np.sqrt(power * (second**2).sum(axis=(1, 2)))
-    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(size, SMALL)
-    noise = 2 * (1 - correlation) * power / PATCH**2  # of both together, contrast made the same
-    down, across = np.gradient(first, axis=(1, 2))
-    xx, xy, yy = ((a * b).sum(axis=(1, 2)) for a, b in ((across,) * 2, (across, down), (down,) * 2))
-    least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
-    least -= PATCH**2 * noise / 4  # what noise adds to the squares of central differences
-    return np.asarray((correlation > ALIKE) & (noise < LARGEST_STD**2 * least))
 
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
