@@ -4,11 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from os import PathLike
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from tisfm.exports.colmap_files import Form, write_model
 from tisfm.exports.folders import IMAGES, MASKS, MODELS, renewed_export
 from tisfm.exports.frame_files import (
     Images,
@@ -23,7 +23,6 @@ from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.database import CENTRE, colmap_camera
 from tisfm.reconstruction.result import Reconstruction
 
-Form = Literal["binary", "text", "both"]
 CAMERA = 1  # the number of the one camera
 FEWEST_FRAMES = 2  # of a piece that is a model
 
@@ -125,7 +124,7 @@ def write_colmap(
                 progress=_shifted(progress, before, total),
             )
             name = f"{MODELS}/{number}"
-            _write_model(_model(reconstruction, frames, tracks), new / name, form)
+            write_model(_model(reconstruction, frames, tracks), new / name, form)
             written.append(account(name, piece, frames, tracks))
         posed = sorted(frame for frames in pieces.values() for frame in frames)
         if images != "none":
@@ -193,14 +192,6 @@ def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any
         model.add_point3D(tracks.positions[point], track, tracks.colors[point])
     model.update_point_3d_errors()
     return model
-
-
-def _write_model(model: Any, folder: Path, form: Form) -> None:
-    folder.mkdir(parents=True)
-    if form != "text":
-        model.write_binary(folder)
-    if form != "binary":
-        model.write_text(folder)
 
 
 def _shifted(

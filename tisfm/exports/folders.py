@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -65,14 +65,35 @@ def _exchange(path: Path) -> None:
     """Put what is new in the place of what was there; ``export.json`` goes first and comes last."""
     shutil.rmtree(path / EARLIER, ignore_errors=True)
     (path / EARLIER).mkdir()
-    for name in PARTS:
-        if (path / name).exists():
-            (path / name).replace(path / EARLIER / name)
-    for name in reversed(PARTS):
-        if (path / NEW / name).exists():
-            (path / NEW / name).replace(path / name)
+    placed: list[str] = []
+    try:
+        _move(path, path / EARLIER, PARTS)
+        for name in reversed(PARTS):
+            if (path / NEW / name).exists():
+                placed.append(name)
+                (path / NEW / name).replace(path / name)
+    except BaseException:
+        for name in placed:
+            _remove(path / name)
+        _move(path / EARLIER, path, PARTS[::-1])
+        shutil.rmtree(path / NEW, ignore_errors=True)
+        raise
+    finally:
+        shutil.rmtree(path / EARLIER, ignore_errors=True)
     (path / NEW).rmdir()
-    shutil.rmtree(path / EARLIER, ignore_errors=True)
+
+
+def _move(source: Path, target: Path, names: Iterable[str]) -> None:
+    for name in names:
+        if (source / name).exists():
+            (source / name).replace(target / name)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _refuse_others(path: Path) -> None:
