@@ -5,6 +5,7 @@ import pytest
 
 from tests.exports.exported import predicted
 from tisfm.camera import Camera
+from tisfm.exports import tracks_triangulation
 from tisfm.exports.tracks_measuring import Pose
 from tisfm.exports.tracks_triangulation import consistent, triangulated
 from tisfm.rigid import pose_matrix
@@ -75,3 +76,16 @@ def test_few_points(points):
     poses, world, places = setting(points=points)
     kept, left, found = consistent(places, poses, SHAPE, world, np.full(points, 0.1), 3)
     assert len(kept) == len(left) == len(found.positions) == points
+
+
+def test_points_are_the_same_in_lots(monkeypatch):
+    poses, world, places = setting(points=23)
+    places[5, 2] += 7
+    places[11, 1:] = np.nan
+    whole = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
+    monkeypatch.setattr(tracks_triangulation, "LOT", 21)  # four points
+    lots = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
+    np.testing.assert_array_equal(lots[0], whole[0])
+    np.testing.assert_array_equal(lots[1], whole[1])
+    np.testing.assert_allclose(lots[2].positions, whole[2].positions, atol=1e-9)
+    np.testing.assert_allclose(lots[2].residual, whole[2].residual, atol=1e-6)

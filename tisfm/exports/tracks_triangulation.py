@@ -12,6 +12,7 @@ NOISE = 0.5  # px: of a measured position, and where a residual begins to count 
 LARGEST = 1.5  # px, of frames up to 640 across: a position further from its point is dropped
 # The deviation of the depth that a point is begun at, that it is held to where rays are parallel.
 LEAST_STD, STD_FACTOR = 0.05, 2.0  # share of the depth; of what the depth map says
+LOT = 2**17  # places that are worked on at a time
 SMALLEST = 1e-3  # of the depth: no point comes nearer to a camera
 
 
@@ -104,6 +105,27 @@ def consistent(
     found : Triangulated
         The same K points.
     """
+    few = max(1, LOT // len(poses))
+    parts = [
+        _consistent(places[k : k + few], poses, shape, begun[k : k + few], std, fewest)
+        for k in range(0, max(1, len(places)), few)
+        for std in [relative_std[k : k + few]]
+    ]
+    kept, left, positions, residual = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    return kept, left, Triangulated(positions=positions, residual=residual)
+
+
+def _consistent(
+    places: np.ndarray,
+    poses: list[Pose],
+    shape: tuple[int, int],
+    begun: np.ndarray,
+    relative_std: np.ndarray,
+    fewest: int,
+) -> tuple[np.ndarray, ...]:
+    """Do what `consistent` does with points that fit into memory together."""
     limit = LARGEST * max(1.0, max(shape) / 640)
     places, index = places.copy(), np.arange(len(places))
     worst = 4 * limit
@@ -120,7 +142,7 @@ def consistent(
         worst = max(worst / 2, limit)
     kept = np.zeros(len(begun), bool)
     kept[index] = True
-    return kept, places, found
+    return kept, places, found.positions, found.residual
 
 
 def _linearised(
