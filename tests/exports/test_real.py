@@ -11,7 +11,7 @@ from tisfm.exports import write_colmap
 
 @pytest.mark.slow
 def test_a_walk_indoors(shared_data, tmp_path):
-    settings = tisfm.Settings.preset("balanced", motion="camera")
+    settings = tisfm.Settings.preset("fast", motion="camera")
     walk = tisfm.reconstruct(
         shared_data / "tartanair" / "images", camera=tisfm.Camera(320.0), settings=settings
     )

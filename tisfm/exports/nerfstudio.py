@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from os import PathLike
 from typing import Any
 
@@ -105,7 +106,7 @@ def write_nerfstudio(
         if has_masks(reconstruction):
             write_masks(reconstruction, frames, new / MASKS, ".png")
         written = account(TRANSFORMS, chosen, frames, tracks)
-        about["models"] = [vars(written)]
+        about["models"] = [asdict(written)]
     return written
 
 
