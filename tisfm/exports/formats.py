@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from tisfm.exports import notes
 from tisfm.exports.camera_path import write_chan, write_gltf_cameras
+from tisfm.exports.colmap import write_colmap
 from tisfm.exports.depths import (
     VALUES_PER_UNIT,
     DepthKind,
@@ -17,6 +19,7 @@ from tisfm.exports.depths import (
 from tisfm.exports.export import Export, source_camera
 from tisfm.exports.float_pictures import check_exr
 from tisfm.exports.masks import write_masks
+from tisfm.exports.nerfstudio import write_nerfstudio
 from tisfm.exports.pieces import pieces_of
 from tisfm.exports.result_frames import SequenceFrames
 from tisfm.exports.surfaces import Suffix, save_points, write_meshes, write_points
@@ -226,6 +229,9 @@ FORMATS = {
         check=_has_poses,
         notes=lambda export: [*notes.of_poses(export), *notes.of_lens(export)],
     ),
+    "colmap": _model("colmap", "a model of COLMAP, with images", write_colmap),
+    "colmap-text": _model("colmap-text", "the same, as text", partial(write_colmap, form="text")),
+    "nerfstudio": _model("nerfstudio", "transforms.json, with images", write_nerfstudio),
     "undistortion": _undistortion("exr", "ST maps that undo distortion, and redo it: EXR"),
     "undistortion-tiff": _undistortion("tiff", "the same as TIFF"),
     "depth-tum": _depth("tum", "depth as 16-bit PNG, 5000 per unit", 2.0),

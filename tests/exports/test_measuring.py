@@ -1,0 +1,98 @@
+"""Where points of a frame are in another: by what the images show, wherever depth leads."""
+
+import numpy as np
+import pytest
+
+from tests.exports.exported import predicted, true_places
+from tisfm.exports.tracks_measuring import Pose, is_smooth, measured, positions_of
+from tisfm.reconstruction.tracks import seeds
+
+
+@pytest.fixture(scope="module")
+def begun(film):
+    points = seeds(film.frames[3], np.empty((0, 2)), ~is_smooth(inverse(film)), 24)
+    assert len(points) > 150
+    return points
+
+
+def sought(film, points, inverse_depth, other, frame=3):
+    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (frame, other)]
+    return measured(film.frames[frame], film.frames[other], points, inverse_depth, *poses)
+
+
+def inverse(film, frame=3):
+    return (1 / film.depth[frame]).astype(np.float32)
+
+
+@pytest.mark.parametrize("other", [2, 4, 6])
+def test_places_are_true_to_a_fraction_of_a_pixel(film, begun, other):
+    found = sought(film, begun, inverse(film), other)
+    true = true_places(film, begun, 3, [other])[:, 0]
+    error = np.linalg.norm(found - true, axis=1)
+    assert np.isfinite(error).mean() > 0.2
+    assert np.nanmedian(error) < 0.15 and np.nanpercentile(error, 90) < 0.8
+
+
+def test_no_motion_is_found_to_be_none(film, begun):
+    found = sought(film, begun, inverse(film), 3)
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found, begun, atol=1e-4)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_wrong_depth_leads_elsewhere_but_the_place_is_as_measured(film, begun, factor):
+    """It would fail if positions were projected from the depth."""
+    other, right = 5, inverse(film)
+    found = sought(film, begun, right, other)
+    again = sought(film, begun, right * np.float32(factor), other)
+    both = np.isfinite(found[:, 0]) & np.isfinite(again[:, 0])
+    assert both.mean() > 0.2
+    pose, shape = Pose(camera=film.camera, matrix=film.poses[3]), film.frames[0].shape
+    column, row = begun.astype(int).T
+    led = [
+        predicted(
+            positions_of(begun, depth[row, column].astype(float), pose, shape),
+            Pose(camera=film.camera, matrix=film.poses[other]),
+            shape,
+        )
+        for depth in (right, right * factor)
+    ]
+    moved = np.linalg.norm(led[1] - led[0], axis=1)[both]
+    assert np.median(moved) > 0.6
+    assert np.median(np.linalg.norm(again - found, axis=1)[both]) < 0.15
+    true = true_places(film, begun, 3, [other])[:, 0]
+    assert np.nanmedian(np.linalg.norm(again - true, axis=1)) < 0.2
+
+
+def test_another_exposure_changes_little(film, begun):
+    frame = film.frames[5].astype(float)
+    brighter = np.clip(0.8 * frame + 30, 0, 255).astype(np.uint8)
+    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 5)]
+    found, again = (
+        measured(film.frames[3], other, begun, inverse(film), *poses)
+        for other in (film.frames[5], brighter)
+    )
+    apart = np.linalg.norm(found - again, axis=1)
+    assert np.isfinite(apart).sum() > 0.6 * np.isfinite(found[:, 0]).sum()
+    assert np.nanmedian(apart) < 0.25
+
+
+def test_unrelated_frames_share_nothing(film, begun):
+    noise = np.random.default_rng(0).integers(0, 256, film.frames[0].shape).astype(np.uint8)
+    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 4)]
+    found = measured(film.frames[3], noise, begun, inverse(film), *poses)
+    assert np.isfinite(found[:, 0]).sum() <= 1
+
+
+def test_what_is_behind_the_camera_is_nowhere(film, begun):
+    turned = film.poses[3] @ np.diag([-1.0, 1, -1, 1])
+    poses = [Pose(camera=film.camera, matrix=matrix) for matrix in (film.poses[3], turned)]
+    found = measured(film.frames[3], film.frames[4], begun, inverse(film), *poses)
+    assert np.isnan(found).all()
+    nothing = measured(film.frames[3], film.frames[4], begun[:0], inverse(film), *poses)
+    assert nothing.shape == (0, 2)
+
+
+def test_frames_without_depth_lead_as_if_all_were_far(film, begun):
+    found = sought(film, begun, np.full(film.depth[3].shape, np.nan, np.float32), 3)
+    np.testing.assert_allclose(found, begun, atol=1e-4)

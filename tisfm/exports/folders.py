@@ -1,0 +1,107 @@
+"""The folder of an export: all of it, or what was there before."""
+
+import json
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from tisfm.formats import atomic_write
+from tisfm.formats.atomic import is_temporary
+from tisfm.formats.folder_lock import LOCK, locked_folder
+from tisfm.formats.outputs import make_folder
+
+FORMAT = 1
+RECORD = "export.json"  # written last, removed first
+IMAGES, MASKS, MODELS = "images", "masks", "sparse"
+TRANSFORMS, POINTS = "transforms.json", "sparse_points.ply"
+PARTS = (RECORD, IMAGES, MASKS, MODELS, TRANSFORMS, POINTS)
+NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
+
+
+@contextmanager
+def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterator[Path]:
+    """Give a folder to write an export to, which is moved to its place when the block ends.
+
+    An earlier export stays until then, and is still there if an exception leaves the block. Of a
+    process that was killed, what it left is removed by the next one.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist.
+    about : dict
+        What ``export.json`` says, as JSON has it; it may be added to within the block.
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    FileExistsError
+        If the folder holds anything that is not of an export.
+    OSError
+        If it cannot be made or written to, or another run writes to it.
+    """
+    path = make_folder(folder)
+    with locked_folder(path):
+        _refuse_others(path)
+        shutil.rmtree(path / NEW, ignore_errors=True)
+        (path / NEW).mkdir()
+        try:
+            yield path / NEW
+            with atomic_write(path / NEW / RECORD, durable=True) as file:
+                file.write(json.dumps({"format": FORMAT, **about}, indent=1).encode())
+        except BaseException:
+            shutil.rmtree(path / NEW, ignore_errors=True)
+            raise
+        _exchange(path)
+
+
+def _exchange(path: Path) -> None:
+    """Put what is new in the place of what was there; ``export.json`` goes first and comes last."""
+    shutil.rmtree(path / EARLIER, ignore_errors=True)
+    (path / EARLIER).mkdir()
+    placed: list[str] = []
+    try:
+        _move(path, path / EARLIER, PARTS)
+        for name in reversed(PARTS):
+            if (path / NEW / name).exists():
+                placed.append(name)
+                (path / NEW / name).replace(path / name)
+    except BaseException:
+        for name in placed:
+            _remove(path / name)
+        _move(path / EARLIER, path, PARTS[::-1])
+        shutil.rmtree(path / NEW, ignore_errors=True)
+        raise
+    finally:
+        shutil.rmtree(path / EARLIER, ignore_errors=True)
+    (path / NEW).rmdir()
+
+
+def _move(source: Path, target: Path, names: Iterable[str]) -> None:
+    for name in names:
+        if (source / name).exists():
+            (source / name).replace(target / name)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _refuse_others(path: Path) -> None:
+    """Raise FileExistsError if a folder holds anything that is not of an export."""
+    there = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {LOCK}
+    ours = {RECORD, NEW, EARLIER} & there
+    others = sorted(there - {NEW, EARLIER} - set(PARTS if ours else ()))
+    if others:
+        raise FileExistsError(
+            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+        )

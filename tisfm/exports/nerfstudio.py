@@ -1,0 +1,139 @@
+"""A reconstruction as a ``transforms.json``, as nerfstudio and other NeRF trainers read it."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from tisfm.exports.colmap import ExportedModel, account, pieces_of
+from tisfm.exports.folders import IMAGES, MASKS, POINTS, TRANSFORMS, renewed_export
+from tisfm.exports.frame_files import (
+    Images,
+    check_images,
+    has_masks,
+    name_of,
+    write_masks,
+    write_pictures,
+)
+from tisfm.exports.tracks import cells_of, measured_tracks
+from tisfm.formats import atomic_write
+from tisfm.point_cloud import PointCloud
+from tisfm.reconstruction.database import CENTRE
+from tisfm.reconstruction.result import Reconstruction
+
+# From our axes, Y down, to those of the trainers' worlds, Z up.
+WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+OPENGL = np.diag([1.0, -1, -1, 1])  # axes of a camera: X right, Y up, Z backward
+
+
+def write_nerfstudio(
+    reconstruction: Reconstruction,
+    folder: str | PathLike[str],
+    *,
+    piece: int | None = None,
+    images: Images = "copy",
+    spacing: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ExportedModel:
+    """Write ``transforms.json``, the frames of one piece, and its sparse points.
+
+    Cameras have the axes of OpenGL, X right, Y up, Z backward, in a world whose Z is up in the
+    piece's first frame; ``applied_transform`` is the way there from the axes of the
+    reconstruction. ``sparse_points.ply`` has the points of measured tracks, as for
+    `write_colmap`, in the same world: trainers begin Gaussian splats there. With
+    ``motion="objects"``, ``masks/`` has what is at rest in white.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    folder : path
+        A new or empty folder, or one with an earlier export, which is replaced when all is written.
+    piece : int, optional
+        By default that of most frames.
+    images : {"copy", "link", "none"}
+        Whether ``images/`` has copies of the frames or hard links to them, or is left out.
+    spacing : float, optional
+        Between points that are begun in a frame, px; by default 1/80 of the longer side.
+    progress : callable, optional
+        Called with the number of frames that are done, and of those there are.
+
+    Returns
+    -------
+    ExportedModel
+        What was written.
+
+    Raises
+    ------
+    ValueError
+        If an option is impossible, or no two frames of the piece have poses.
+    FileExistsError
+        If the folder holds other files.
+    FileNotFoundError, tisfm.formats.FormatError
+        If files of the reconstruction are missing or damaged.
+    OSError
+        If the folder cannot be written to, or another run writes to it.
+
+    References
+    ----------
+    https://docs.nerf.studio/quickstart/data_conventions.html.
+    """
+    check_images(images)
+    cells_of(reconstruction.shape, spacing)
+    pieces = pieces_of(reconstruction)
+    chosen = next(iter(pieces)) if piece is None else piece
+    if chosen not in pieces:
+        raise ValueError(
+            f"piece is {chosen}: expected one of several frames, {', '.join(map(str, pieces))}"
+        )
+    frames = pieces[chosen]
+    about: dict[str, Any] = {"kind": "nerfstudio", "version": reconstruction.version}
+    with renewed_export(folder, about) as new:
+        tracks = measured_tracks(reconstruction, chosen, spacing=spacing, progress=progress)
+        cloud = PointCloud(
+            positions=(tracks.positions @ WORLD[:3, :3].T).astype(np.float32),
+            colors=tracks.colors,
+            confidence=np.ones(len(tracks), np.float32),
+        )
+        cloud.save(new / POINTS)
+        with atomic_write(new / TRANSFORMS) as file:
+            file.write(json.dumps(_transforms(reconstruction, frames), indent=1).encode())
+        if images != "none":
+            write_pictures(reconstruction, frames, new / IMAGES, images)
+        if has_masks(reconstruction):
+            write_masks(reconstruction, frames, new / MASKS, ".png")
+        written = account(TRANSFORMS, chosen, frames, tracks)
+        about["models"] = [asdict(written)]
+    return written
+
+
+def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
+    """Return what ``transforms.json`` says of frames."""
+    height, width = result.shape
+    focal = result.camera.focal
+    cx, cy = result.camera.center_for(height, width)
+    shots = []
+    for frame in frames:
+        name = name_of(frame)
+        shot: dict[str, Any] = {"file_path": f"{IMAGES}/{name}"}
+        if has_masks(result):
+            shot["mask_path"] = f"{MASKS}/{name.removesuffix('.jpg')}.png"
+        shot["transform_matrix"] = (WORLD @ result.poses[frame] @ OPENGL).tolist()
+        shots.append(shot)
+    return {
+        "camera_model": "PINHOLE",
+        "fl_x": focal,
+        "fl_y": focal,
+        "cx": cx + CENTRE,
+        "cy": cy + CENTRE,
+        "w": width,
+        "h": height,
+        "camera_angle_x": 2 * math.atan(width / (2 * focal)),
+        "camera_angle_y": 2 * math.atan(height / (2 * focal)),
+        "applied_transform": WORLD[:3].tolist(),
+        "ply_file_path": POINTS,
+        "frames": shots,
+    }
