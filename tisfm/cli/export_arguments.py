@@ -12,8 +12,8 @@ class Export:
     """Write a result in the files that other programs read.
 
     DIR is what `tisfm reconstruct` or `tisfm run` wrote. FORMAT is, of the path: tum, kitti,
-    gltf-camera, chan, and with the frames and points measured in them colmap, colmap-text, nerfstudio;
-    of what was seen: ply, glb, mesh-ply, mesh-glb; of the lens: undistortion,
+    gltf-camera, chan, and with the frames and points measured in them colmap, colmap-text,
+    nerfstudio; of what was seen: ply, glb, mesh-ply, mesh-glb; of the lens: undistortion,
     undistortion-tiff; of every frame: depth-tum, depth-kitti, depth-exr, depth-tiff, depth-pfm,
     depth-dpt, masks; videos: video-depth, video-flow, video-side-by-side, video-anaglyph,
     video-wiggle. A path and a surface are of reconstructions alone, video-flow is of runs. Where a
