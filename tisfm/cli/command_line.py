@@ -15,9 +15,11 @@ import tyro
 from tyro.conf import Positional, arg, subcommand
 
 from tisfm.cli.demo_arguments import Demo
+from tisfm.cli.doctor_arguments import Doctor
 from tisfm.cli.evaluate_arguments import Eval
 from tisfm.cli.figures_arguments import Figures
 from tisfm.cli.reconstruct_arguments import Reconstruct
+from tisfm.cli.report_arguments import Report
 from tisfm.cli.run_arguments import Run
 from tisfm.cli.shared_options import SettingsOptions
 from tisfm.machine.address_space import advice, ran_out
@@ -61,6 +63,9 @@ class Batch:
             threads=self.threads,
             resume=self.resume,
         )
+
+
+Command = Run | Reconstruct | Eval | Batch | Report | Demo | Figures | Doctor
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,7 +115,9 @@ def _fail(text: str) -> int:
     return 1
 
 
-def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Figures:
+def _parse(
+    arguments: list[str],
+) -> Run | Reconstruct | Eval | Batch | Report | Demo | Figures | Doctor:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -123,8 +130,10 @@ def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Fi
         | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Batch, subcommand("batch", prefix_name=False)]
+        | Annotated[Report, subcommand("report", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
+        | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
     )
     return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
 

@@ -17,12 +17,15 @@ from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.crew import check_workers
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
+from tisfm.cli.report_command import report_reconstruction
+from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import Source
@@ -49,6 +52,7 @@ def reconstruct(
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
     mesh: str | None = None,
+    report: bool = False,
     workers: int = 1,
     cluster: str | None = None,
     chunk: int | None = None,
@@ -59,8 +63,9 @@ def reconstruct(
     """Reconstruct a sequence, write its folder, and return the exit code.
 
     `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
-    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `workers`, a
-    `cluster` or a `chunk`, it is made in chunks of frames.
+    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `report`,
+    ``report.html`` is written at the end, or made again. With `workers`, a `cluster` or a `chunk`,
+    it is made in chunks of frames.
     """
     in_chunks = workers != 1 or cluster is not None or chunk is not None
     check_workers(workers, cluster)
@@ -84,6 +89,8 @@ def reconstruct(
         _check_scale(*scale)
     if mesh is not None:
         check_library()
+    if report:
+        refuse_foreign(output)
     if isinstance(camera, Path):
         _check_fits(camera, source, frames)
     options = {
@@ -115,10 +122,13 @@ def reconstruct(
     if resume and run.is_done():
         run.finish()  # what a killed command left is removed
         tell(f"{output} is complete: nothing is left to do. Results in {output}.")
+        if report:
+            report_reconstruction(Reconstruction.load(output), output, source=source)
         return 0
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
         tell("Ctrl-C ends the recording; a second one ends the command.")
+    stages = StageTimes()
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
@@ -128,11 +138,13 @@ def reconstruct(
         task = bar.add_task("", total=None)
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:
+            stages.enter(stage)
             if stage == "reading" and is_interrupted():
                 raise Enough
             bar.update(task, description=_STAGES[stage], completed=done, total=total)
 
         result = run.result(resume=resume, progress=tell_progress)
+        stages.end()
     # What was found is written and told before anything that may not be possible with it.
     write_trajectories(result, output)
     _tell(result, output)
@@ -145,6 +157,8 @@ def reconstruct(
     if mesh is not None:
         result.mesh().save(output / f"mesh.{mesh}")
     run.finish()
+    if report:
+        report_reconstruction(result, output, timings=stages.seconds, source=source)
     return 0
 
 

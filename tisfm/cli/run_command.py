@@ -22,6 +22,7 @@ from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
 from tisfm.cli.pair_work import PairSource, PairWork
+from tisfm.cli.report_command import report_run
 from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
@@ -29,6 +30,7 @@ from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
+from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FramePair, FrameSource, Source
@@ -52,6 +54,7 @@ def run(
     resume: bool = False,
     outputs: Collection[str] = USUAL,
     figures: int = 1,
+    report: bool = False,
     workers: int = 1,
     cluster: str | None = None,
     arch: Arch | None = None,
@@ -63,7 +66,7 @@ def run(
     may be a file of one. `poses` is a file of a pose for every frame, those that are not taken
     included. `mask` is a picture, or a folder or pattern of one for every frame. With several
     `workers`, processes, or a `cluster`, the address of a scheduler of Dask, these share the pairs;
-    results are the same.
+    results are the same. With `report`, ``report.html`` is written at the end, or made again.
     """
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
@@ -73,6 +76,13 @@ def run(
             "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
             "the outputs"
         )
+    if report:
+        if "npz" not in outputs:
+            raise ValueError(
+                "the report shows what NAME.npz holds: let npz be among the outputs, or leave out "
+                "--report"
+            )
+        refuse_foreign(output)
     check_workers(workers, cluster)
     is_shared = workers > 1 or cluster is not None
     if is_shared:
@@ -145,6 +155,8 @@ def run(
     _tell(writer, here.seconds)
     for _, reason in sorted(skipped.items()):
         tell(f"skipped: {reason}")
+    if report:
+        report_run(output, source)
     return 0
 
 
