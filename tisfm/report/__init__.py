@@ -2,7 +2,7 @@
 
 Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
 May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top level
-`interpretation`, `outcome`, `settings` and `version`.
+`camera`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
 from tisfm.report.file import REPORT, is_report, refuse_foreign

@@ -118,7 +118,7 @@ def _draw_path(
     for set_limits, values in ((axes.set_xlim, x), (axes.set_ylim, y)):
         middle, half = (values.min() + values.max()) / 2, max(np.ptp(values), 0.35 * extent) * 0.58
         set_limits(middle - half, middle + half)
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal", adjustable="box")
 
 
 def _figure(width: float, height: float) -> "Figure":

@@ -24,6 +24,7 @@ from tisfm.show import (
 )
 
 _VIEWS = 5  # pictures of a frame, with labels
+_CONVERGED = "The frame has a pose, and depth if that was asked for."
 _MOST_ROWS = 40  # of a table of things, or of frames that could not be read
 
 
@@ -94,7 +95,7 @@ def predicted_flow(
 def _page(
     result: Reconstruction, folder: Path, timings: Mapping[str, float], source: str | None
 ) -> Page:
-    counts = counted(result.status, result.names)
+    counts = counted(result.status, result.names, converged=_CONVERGED)
     begins = [int(np.argmax(result.piece == piece)) for piece in _pieces(result)]
     first = [list(map(str, result.status)).index(status.code) for status in counts]
     numbers = chosen(len(result), [*first, *begins])

@@ -68,8 +68,11 @@ def color_of(code: str) -> str:
     return _COLORS.get(code, _WRONG)
 
 
-def counted(statuses: Sequence[Status], names: Sequence[str]) -> list[StatusCount]:
-    """Return what statuses there are, the most frequent first."""
+def counted(
+    statuses: Sequence[Status], names: Sequence[str], *, converged: str = MEANINGS["converged"]
+) -> list[StatusCount]:
+    """Return what statuses there are, the most frequent first; `converged` is what that means."""
+    meanings = {**MEANINGS, "converged": converged}
     counts = Counter(map(str, statuses))
     found = []
     for code, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
@@ -81,7 +84,7 @@ def counted(statuses: Sequence[Status], names: Sequence[str]) -> list[StatusCoun
         found.append(
             StatusCount(
                 code=code,
-                meaning=MEANINGS.get(code, ""),
+                meaning=meanings.get(code, ""),
                 advice=shortened(message),
                 count=count,
                 names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),
