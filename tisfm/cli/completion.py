@@ -1,6 +1,6 @@
 """Scripts by which shells complete commands, options and their values."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from tisfm.cli.known_options import OF_TISFM, SHELLS, Known
 from tisfm.cli.nearest import hint
@@ -100,5 +100,5 @@ def _tcsh(known: Known) -> str:
     return f"complete tisfm {' '.join(parts)}\n"
 
 
-def _joined(options: Sequence[str] | dict[str, tuple[str, ...]]) -> str:
+def _joined(options: Iterable[str]) -> str:
     return " ".join(option for option in options if option.startswith("--"))

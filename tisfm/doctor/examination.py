@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tisfm.doctor import machine, packages
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trying import Trials
+from tisfm.doctor.trying import Trials, Tried
 
 _GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
 
@@ -21,7 +21,7 @@ def examine() -> list[Finding]:
         imports = trials.begin([*modules, *optional])
         archs = trials.begin(["archs"], limit=_GPU_LIMIT)
         able = archs.result().get("archs", {}).get("archs", [])
-        started = {}
+        started: Tried = {}
         for arch in able:
             started |= trials.begin([f"kernel:{arch}"], limit=_GPU_LIMIT).result()
         tried = {**imports.result(), **kernel.result(), **archs.result()}

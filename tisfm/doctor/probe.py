@@ -69,7 +69,7 @@ def try_archs(name: str) -> None:
 
 def main(names: list[str]) -> None:
     """Try each of the names, in order; an error of one stops no other."""
-    if sys.flags.safe_path == 0 and sys.path and sys.path[0] == "":
+    if sys.path[:1] == [""]:
         del sys.path[0]  # no module of the working folder is one of Python's
     for name in names:
         tell(name, begun=True)

@@ -32,26 +32,28 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
     Returns
     -------
     str
-        An ``svg`` element; empty if no frame has a pose.
+        Two ``svg`` elements for each of the largest pieces; empty if no frame has a pose.
     """
     numbers, counts = np.unique(piece[piece >= 0], return_counts=True)
     shown = numbers[np.argsort(-counts, kind="stable")][:MOST_PIECES]
     if not len(shown):
         return ""
-    figure = _figure(8.0, 3.4 * len(shown))
-    for row, number in enumerate(shown):
+    drawings = []
+    for number in shown:
         frames = np.flatnonzero(piece == number)
-        places = poses[frames, :3, 3]
         kept = np.unique(np.linspace(0, len(frames) - 1, _MOST_POINTS).astype(int))
-        for column, (across, up, title, names) in enumerate(_VIEWS):
-            axes = figure.add_subplot(len(shown), 2, 2 * row + column + 1)
-            _draw_path(axes, places[kept], across, up)
+        places = poses[frames[kept], :3, 3]
+        for across, up, title, names in _VIEWS:
+            figure = _figure(4.0, 3.3)
+            axes = figure.add_subplot()
+            _draw_path(axes, places, across, up)
             said = f"piece {number}, {len(frames)} frames, " if len(numbers) > 1 else ""
             axes.set_title(f"{said}{title}", color=_INK, fontsize=10)
             axes.set_xlabel(names[0], color=_INK, fontsize=9)
             axes.set_ylabel(names[1], color=_INK, fontsize=9)
-    figure.tight_layout()
-    return _svg(figure)
+            axes.locator_params(nbins=5)
+            drawings.append(_svg(figure))
+    return "".join(drawings)
 
 
 # Which axes are drawn, in which direction, and how they are called.
@@ -81,20 +83,19 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
     known = [(name, values) for name, values in known if np.isfinite(values).sum() > 1]
     if not known:
         return ""
-    figure = _figure(8.0, 1.4 * len(known))
+    figure = _figure(6.4, 1.4 * len(known))
     for row, (name, values) in enumerate(known):
         axes = figure.add_subplot(len(known), 1, row + 1)
         edges = np.linspace(0, len(values), min(len(values), _MOST_POINTS) + 1).astype(int)
         middles = (edges[:-1] + edges[1:] - 1) / 2
         means = [_mean(values[a:b]) for a, b in pairwise(edges)]
-        dot = {"marker": "."} if len(means) <= 60 else {}
-        axes.plot(middles, means, color=_BLUE, linewidth=1.4, **dot)
+        dot = "." if len(means) <= 60 else ""
+        axes.plot(middles, means, color=_BLUE, linewidth=1.4, marker=dot)
         axes.set_ylabel(name, color=_INK, fontsize=9)
         axes.set_xlim(-0.02 * len(values), 1.02 * len(values) - 1)
         axes.set_ylim(0, 1.08 * max(np.nanmax(means), 1e-6))
         if row == len(known) - 1:
             axes.set_xlabel("pair", color=_INK, fontsize=9)
-    figure.tight_layout()
     return _svg(figure)
 
 
@@ -141,6 +142,7 @@ def _svg(figure: "Figure") -> str:
         axes.tick_params(colors=_INK, labelsize=8)
         for spine in axes.spines.values():
             spine.set(color=_FAINT, linewidth=0.6)
+    figure.tight_layout()
     data = io.StringIO()
     about: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tisfm"}):

@@ -156,7 +156,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
     about = result.calibration
     focal = f"{result.camera.focal:.5g} px"
     if 0 < about.focal_std < np.inf:
-        focal += f" ± {about.focal_std:.2g}"
+        focal += f" ± {about.focal_std:.3g}"
     height, width = result.shape
     rows = [
         *([("Source", source)] if source else []),

@@ -63,7 +63,8 @@ def _page(
     statuses = [Status(pair["status"], pair["message"]) for pair in pairs]
     settings = Settings(**_as_tuples(record["settings"]))
     counts = counted(statuses, names)
-    numbers = chosen(len(names), [statuses.index(status.code) for status in counts])
+    codes = [str(status) for status in statuses]
+    numbers = chosen(len(names), [codes.index(status.code) for status in counts])
     shown = [k for k in numbers if (folder / f"{names[k]}.npz").is_file()]
     slides, shape, flow_limit = _slides(folder, names, pairs, statuses, shown, record)
     known = [float(value) for value in seconds]
@@ -91,7 +92,7 @@ def _page(
         kind="Pairs of frames, interpreted by tisfm run",
         summary=_summary(folder, record, settings, shape, source),
         statuses=counts,
-        spans=spans([str(status) for status in statuses]),
+        spans=spans(codes),
         unit="pair",
         drawing=curves_drawing(
             [

@@ -25,7 +25,8 @@ border:2px solid var(--c)}
 .strip{position:relative;height:14px;border-radius:4px;overflow:hidden;background:var(--hold);
 margin-bottom:12px}
 .strip i{position:absolute;top:0;bottom:0}
-.drawing svg{width:100%;max-width:900px;height:auto;display:block;margin:0 auto}
+.drawing{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,320px),1fr));gap:10px}
+.drawing svg{width:100%;max-width:760px;height:auto;display:block;margin:0 auto}
 .control{display:flex;gap:10px;align-items:center;margin-bottom:8px}
 .control input{flex:1;min-width:0;height:28px}
 button{width:40px;height:32px;border:1px solid var(--line);border-radius:8px;
@@ -40,10 +41,10 @@ color:var(--soft)}
 .legend{display:flex;flex-wrap:wrap;gap:4px 10px;align-items:center;margin:8px 0 0;
 font-size:.85rem;color:var(--soft)}
 .bar{display:inline-block;width:130px;height:12px;border-radius:3px}
-.legend img{width:44px;height:44px}
+.legend img{width:44px;height:44px;border-radius:50%}
 summary{cursor:pointer;color:var(--soft);margin-bottom:8px}
 footer{padding-bottom:24px;color:var(--soft)}
-@media (max-width:560px){td,th{padding:6px}section{padding:12px}}
+@media (max-width:560px){td,th{padding:6px 4px}section{padding:12px}thead th{white-space:normal}}
 """
 
 SCRIPT = """
