@@ -18,6 +18,7 @@ from tisfm.cli.background import Background
 from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
 from tisfm.cli.console import tell
 from tisfm.cli.crew import Crew, check_workers, crew
+from tisfm.cli.foretelling import MUCH, Foretelling, as_size
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
@@ -36,8 +37,6 @@ from tisfm.settings import Settings
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.window import Window, WindowSize, window_of
-
-_MUCH = 2e8  # bytes: a run that writes more says so beforehand
 
 
 def run(
@@ -148,6 +147,7 @@ def run(
                 whole = replace(whole, threads=max(1, (os.cpu_count() or 1) // workers))
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
+                here.foretelling.done(sum(writer.statuses.values()), total)
                 skipped.update(chunk.skipped)
         else:  # nothing is left to share, unless a video has more frames than it says
             here.interpret(posed, until_ranges=False)
@@ -170,6 +170,7 @@ class _Here:
     progress: RunProgress
     kept: Window | None
     total: int | None
+    foretelling: Foretelling = field(default_factory=lambda: Foretelling("pairs"))
     seconds: list[float] = field(default_factory=list)
     _is_announced: bool = False
 
@@ -199,6 +200,7 @@ class _Here:
                     del result, about  # or they would be held while the next is computed
                 progress.finish(name, writer.statuses)
                 self._announce()
+                self.foretelling.done(sum(writer.statuses.values()), self.total)
                 del pair
                 if until_ranges:
                     background.wait()
@@ -289,15 +291,11 @@ def _announce(writer: PairWriter, total: int) -> None:
     expected, free = writer.expected_bytes(total), shutil.disk_usage(writer.folder).free
     if expected > free:
         tell(
-            f"about {_size(expected)} for {total} pairs, but {_size(free)} are free: see --outputs"
+            f"about {as_size(expected)} for {total} pairs, but {as_size(free)} are free: see "
+            "--outputs"
         )
-    elif expected > _MUCH:
-        tell(f"about {_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
-
-
-def _size(count: float) -> str:
-    """Return a number of bytes as it is read."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+    elif expected > MUCH:
+        tell(f"about {as_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
 
 
 def _refuse_mixing(
