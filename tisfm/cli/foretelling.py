@@ -39,9 +39,8 @@ class Foretelling:
         self._is_told = True
         left = spent / made * (total - count)
         if left > _LONG:
-            tell(
-                f"{total} {self._what}: about {as_duration(left)} to go, {made / spent:.2g} a second"
-            )
+            speed = f"{made / spent:.2g} a second"
+            tell(f"{total} {self._what}: about {as_duration(left)} to go, {speed}")
 
 
 def as_duration(seconds: float) -> str:

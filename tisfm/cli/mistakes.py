@@ -44,7 +44,7 @@ def explained(arguments: Sequence[str], said: str, parse: Help) -> str:
         word, name = choice[1], choice[2]
         values = options.get(name.partition("/")[0]) or re.findall(r"'(.*?)'", choice[3])
         return f"{name} is {word!r}{_meant(word, values)}; expected one of {', '.join(values)}"
-    missing = re.match(r"Missing from tisfm (\w+): (.*?) [A-Z][a-z].*", text)
+    missing = re.match(r"Missing from tisfm (\w+): (.*?) (?:[A-Z][a-z]|A ).*", text)
     if missing is not None:
         return f"tisfm {given} needs {missing[2]}; {_see(given)}"
     return f"{text or 'these options are wrong'}; {_see(given)}"

@@ -8,7 +8,7 @@ _ALIKE = 0.6  # share of the letters, as difflib counts
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that is most like another; None if none is like it."""
-    words = list(known)
+    words = [name for name in known if name]
     begun = [name for name in words if name.startswith(word)] if word.strip("-") else []
     if len(begun) == 1:
         return begun[0]

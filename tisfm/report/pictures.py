@@ -41,7 +41,7 @@ class Pictures:
             small.thumbnail((side, side), Image.Resampling.BOX)
             for quality in _QUALITIES:
                 data = io.BytesIO()
-                small.save(data, "JPEG", quality=quality, subsampling=0, optimize=True)
+                small.save(data, "JPEG", quality=quality, subsampling=0)
                 if data.tell() <= self._most or side <= 8:
                     return _address("jpeg", data.getvalue())
             side //= 2
