@@ -115,9 +115,9 @@ def _draw_path(
     axes.scatter(x[:1], y[:1], s=46, marker="o", color=_BLUE, zorder=3)
     axes.scatter(x[-1:], y[-1:], s=46, marker="s", color=_ORANGE, zorder=3)
     # One scale for both directions; what does not move aside is not blown up to look as if.
-    extent = max(float(np.ptp(places, axis=0).max()), 1e-9)
+    half = 0.58 * max(np.ptp(x), np.ptp(y), 0.35 * np.ptp(places, axis=0).max(), 1e-9)
     for set_limits, values in ((axes.set_xlim, x), (axes.set_ylim, y)):
-        middle, half = (values.min() + values.max()) / 2, max(np.ptp(values), 0.35 * extent) * 0.58
+        middle = (values.min() + values.max()) / 2
         set_limits(middle - half, middle + half)
     axes.set_aspect("equal", adjustable="box")
 

@@ -10,6 +10,8 @@ from tisfm.report.statuses import StatusCount, color_of
 from tisfm.report.style import SCRIPT, STYLE
 from tisfm.version import __version__
 
+_LONG = 60  # characters: a value of more has a line of its own
+
 
 @dataclass(frozen=True, kw_only=True)
 class View:
@@ -130,7 +132,9 @@ def _section(title: str, content: str) -> str:
 
 def _pairs(pairs: Sequence[tuple[str, str]]) -> str:
     rows = "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in pairs
+        f"<div{' class=long' * (len(value) > _LONG)}><dt>{escape(name)}</dt>"
+        f"<dd>{escape(value)}</dd></div>"
+        for name, value in pairs
     )
     return f"<dl>{rows}</dl>"
 

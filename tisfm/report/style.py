@@ -13,12 +13,15 @@ h1{margin:0 0 8px;font-size:1.7rem;overflow-wrap:anywhere}h2{margin:0 0 10px;fon
 section{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:16px;
 margin:14px 0}
 section p{margin:0 0 10px}
-dl{display:grid;grid-template-columns:repeat(auto-fill,minmax(220px,1fr));gap:10px 18px;margin:0}
+dl{display:grid;grid-template-columns:repeat(auto-fill,minmax(150px,1fr));gap:10px 18px;
+margin:0}
+dl .long{grid-column:1/-1}
 dt{color:var(--soft);font-size:.85rem}dd{margin:0;overflow-wrap:anywhere}
 .wide{overflow-x:auto}table{border-collapse:collapse;width:100%}
 th,td{text-align:left;vertical-align:top;padding:6px 10px;border-top:1px solid var(--line);
 overflow-wrap:anywhere}
-thead th{border-top:0;color:var(--soft);font-weight:600;font-size:.85rem;white-space:nowrap}
+thead th{border-top:0;color:var(--soft);font-weight:600;font-size:.85rem;white-space:nowrap;
+overflow-wrap:normal}
 .chip{display:inline-block;white-space:nowrap;padding:0 8px;border-radius:9px;font-size:.9em;
 border:2px solid var(--c)}
 .advice{color:var(--soft);margin:4px 0 0}
