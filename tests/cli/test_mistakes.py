@@ -1,13 +1,17 @@
 """Mistakes in commands, options and values: one line, with what was meant."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.cli.command_line import assert_one_line
-from tisfm.cli import foretelling
+from tisfm.cli import foretelling, reconstruct_command
 from tisfm.cli.command_line import _parse
 from tisfm.cli.foretelling import Foretelling, as_duration, as_size
+from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.known_options import known_options
 from tisfm.cli.nearest import hint, nearest
 
@@ -94,6 +98,21 @@ def test_how_long_it_takes_is_foretold_once(monkeypatch):
         short.done(count, None)
         now[0] += 1
     assert len(told) == 1
+
+
+def test_what_a_sequence_takes_is_told_before(frames, capsys, monkeypatch):
+    def announced(start=0):
+        frames_taken = FrameOptions(start=start)
+        reconstruct_command._announce(str(frames), Path("out"), frames_taken, "all")
+        return capsys.readouterr().err
+
+    assert announced() == ""
+    monkeypatch.setattr(reconstruct_command, "MUCH", 1000)
+    assert announced() == "about 0 MB for 4 frames in out\n"
+    assert "for 2 frames" in announced(start=2)
+    usage = SimpleNamespace(free=1e3)
+    monkeypatch.setattr(reconstruct_command.shutil, "disk_usage", lambda folder: usage)
+    assert announced() == "about 0 MB for 4 frames, but 0 MB are free\n"
 
 
 def test_durations_and_sizes():

@@ -194,7 +194,7 @@ def _advice_of_taichi() -> str:
     arch = os.environ.get("TI_ARCH")
     if arch is not None:
         return f"the variable TI_ARCH is {arch!r}: unset it, or give --arch cpu"
-    return "pip install --force-reinstall taichi; and look at the lines above"
+    return "first do what the lines above say; if nothing: pip install --force-reinstall taichi"
 
 
 def _is_writable(folder: Path, *, make: bool = True) -> bool:

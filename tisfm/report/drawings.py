@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _INK, _FAINT = "#0a0b0c", "#8c8c8c"  # the first becomes the colour of the text around
 _MOST_POINTS = 400  # of a path
 MOST_PIECES = 4
+_SHADES = -0.48, 1.13  # what would be the ends of the colours: they are not seen on every page
 _BLUE, _ORANGE = "#0072b2", "#d55e00"
 
 
@@ -108,10 +109,10 @@ def _draw_path(
     x, y = (sign * places[:, axis] for axis, sign in (across, up))
     ends = np.stack([x, y], axis=1)
     segments = np.stack([ends[:-1], ends[1:]], axis=1)
-    shades = np.linspace(0.1, 0.9, max(len(segments), 1))
-    axes.add_collection(
-        LineCollection(list(segments), array=shades, cmap="cividis", linewidths=2.2)
-    )
+    shades = np.linspace(0, 1, len(segments))
+    line = LineCollection(list(segments), array=shades, cmap="cividis", linewidths=2.2)
+    line.set_clim(*_SHADES)
+    axes.add_collection(line)
     axes.scatter(x[:1], y[:1], s=46, marker="o", color=_BLUE, zorder=3)
     axes.scatter(x[-1:], y[-1:], s=46, marker="s", color=_ORANGE, zorder=3)
     # One scale for both directions; what does not move aside is not blown up to look as if.
