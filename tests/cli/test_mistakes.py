@@ -107,7 +107,7 @@ def test_what_a_sequence_takes_is_told_before(frames, capsys, monkeypatch):
         return capsys.readouterr().err
 
     assert announced() == ""
-    monkeypatch.setattr(reconstruct_command, "MUCH", 1000)
+    monkeypatch.setattr(reconstruct_command, "MUCH", 100)  # bytes, fewer than they take
     assert announced() == "about 0 MB for 4 frames in out\n"
     assert "for 2 frames" in announced(start=2)
     usage = SimpleNamespace(free=1e3)
