@@ -1,5 +1,7 @@
 """`tisfm demo` and `tisfm figures`."""
 
+import os
+
 import pytest
 
 import tisfm
@@ -20,7 +22,8 @@ DEMO_FILES = promised("demo") | {
 def test_demo(tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "60", "--width", "80", "-o", "out")
     assert code == 0
-    assert err.startswith("Pictures and data in out: look at demo_figure.png first")
+    figure = os.path.join("out", "demo_figure.png")
+    assert err.startswith(f"Pictures and data in out. Open {figure} first, then ")
     rows = [line for line in out.splitlines() if line.startswith("│")]
     assert len(rows) == 6
     for row, label in zip(rows[:3], ("paper", "balanced", "Horn–Schunck"), strict=True):

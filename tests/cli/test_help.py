@@ -78,10 +78,13 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--resume",
                 "--no-resume",
             }
+            | {"--report", "--no-report"}
             | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
             | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}
             | {"--distortion", "--aspect", "--readout", "--help"},
         ),
+        ("report", {"--help"}),
+        ("doctor", {"--json", "--no-json", "--help"}),
         (
             "eval",
             {"--output", "--layout", "--step", "--preset", "--threads", "--focal", "--center"}

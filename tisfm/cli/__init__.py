@@ -8,3 +8,15 @@ May import: all of `tisfm`; nothing imports it.
 from tisfm.machine.address_space import require_for_import
 
 require_for_import(0.25e9)  # SciPy hangs where there is less
+
+
+def main() -> int:
+    """Run the command line; ``tisfm doctor`` even where it cannot be imported."""
+    try:
+        from tisfm.cli.command_line import main as run
+    except Exception as error:
+        from tisfm.doctor.examination import answer_instead
+
+        answer_instead(error)
+        raise
+    return run()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.run_record import RECORD
 from tisfm.reconstruction.folder import ASKED
 from tisfm.reconstruction.renewal import CHUNKS
@@ -124,8 +125,10 @@ def batch(
             executor.submit(processes.finished, call, Path(job.output))
             for job, call in zip(jobs, calls, strict=True)
         ]
-        for job, end in zip(jobs, ends, strict=True):
+        foretelling = Foretelling("videos")
+        for number, (job, end) in enumerate(zip(jobs, ends, strict=True), 1):
             code, last = end.result()
+            foretelling.done(number, len(jobs))
             failed += code != 0
             tell(f"{job.output}: {last}" if last else f"{job.output}: exit code {code}")
             progress.advance(task)

@@ -15,10 +15,14 @@ import tyro
 from tyro.conf import Positional, arg, subcommand
 
 from tisfm.cli.demo_arguments import Demo
+from tisfm.cli.doctor_arguments import Doctor
 from tisfm.cli.evaluate_arguments import Eval
 from tisfm.cli.export_arguments import Export
 from tisfm.cli.figures_arguments import Figures
+from tisfm.cli.known_options import SHELLS, known_options
+from tisfm.cli.mistakes import explained
 from tisfm.cli.reconstruct_arguments import Reconstruct
+from tisfm.cli.report_arguments import Report
 from tisfm.cli.run_arguments import Run
 from tisfm.cli.shared_options import SettingsOptions
 from tisfm.machine.address_space import advice, ran_out
@@ -26,6 +30,7 @@ from tisfm.settings import Preset, Settings
 from tisfm.stated import is_raised_here, is_stated
 from tisfm.version import __version__
 
+WRONG_OPTION = 2
 INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
 
 
@@ -64,6 +69,9 @@ class Batch:
         )
 
 
+Command = Run | Reconstruct | Eval | Batch | Export | Report | Demo | Figures | Doctor
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
@@ -82,7 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__version__)
         return 0
     try:
-        command = _parse(arguments)
+        if arguments[:1] == ["--completion"]:
+            return _print_completion(arguments[1:])
+        command = _parse_or_explain(arguments)
         return command()
     except KeyboardInterrupt:
         print("tisfm: interrupted", file=sys.stderr)
@@ -104,14 +114,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
 
 
-def _fail(text: str) -> int:
+def _print_completion(shells: list[str]) -> int:
+    """Print what a shell completes by; return the exit code."""
+    from tisfm.cli.completion import completion_script
+
+    if len(shells) != 1:
+        raise ValueError(f"--completion takes one shell: {', '.join(SHELLS)}")
+    print(completion_script(shells[0], known_options(_parse)), end="")
+    return 0
+
+
+def _fail(text: str, code: int = 1) -> int:
     """Print an error in one line and return the exit code."""
     shown = " ".join(text.split()).encode("utf-8", "replace").decode("utf-8")
     print(f"tisfm: {shown}", file=sys.stderr)
-    return 1
+    return code
 
 
-def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Export | Demo | Figures:
+def _parse_or_explain(arguments: list[str]) -> Command:
+    """Parse arguments; where they are wrong, say so in a line and leave with exit code 2."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return _parse(arguments)
+    except SystemExit as end:
+        if end.code in (0, None):  # help
+            raise
+    raise SystemExit(_fail(explained(arguments, said.getvalue(), _parse), WRONG_OPTION))
+
+
+def _parse(
+    arguments: list[str],
+) -> Run | Reconstruct | Eval | Batch | Export | Report | Demo | Figures | Doctor:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -125,22 +159,22 @@ def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Export | 
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Batch, subcommand("batch", prefix_name=False)]
         | Annotated[Export, subcommand("export", prefix_name=False)]
+        | Annotated[Report, subcommand("report", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
+        | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
     )
     return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
 
 
 def _refuse_wrong(arguments: list[str]) -> None:
-    """Raise ValueError if the parser refuses arguments, with what it says of them."""
+    """Raise ValueError if the parser refuses arguments, with what is wrong about them."""
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             _parse(arguments)
     except SystemExit:
-        lines = (line.strip(" │|╭╰─╮╯-") for line in said.getvalue().splitlines())
-        words = [line for line in lines if line]
-        raise ValueError(" ".join(words[:3]) or "these options are wrong") from None
+        raise ValueError(explained(arguments, said.getvalue(), _parse)) from None
 
 
 def _preset(arguments: list[str]) -> Preset:
@@ -157,5 +191,6 @@ def _preset(arguments: list[str]) -> Preset:
 
 __doc_cli__ = (
     "Dense structure and 3D motion from image sequences, on a CPU, without training. "
-    "Try `tisfm demo` first; `tisfm run --help` explains every setting."
+    "Try `tisfm demo` first; `tisfm run --help` explains every setting. `tisfm doctor` says what "
+    "is wrong with an installation, `tisfm --completion bash` prints what a shell completes by."
 )

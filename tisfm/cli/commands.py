@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
@@ -50,6 +52,7 @@ def evaluate(
         if output is None
         else EvaluationWriter(output, camera=camera, settings=settings, pairs=pairs)
     )
+    foretelling, done = Foretelling("pairs"), count(1)
     with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))
 
@@ -59,6 +62,7 @@ def evaluate(
             if writer is not None:
                 writer.write(evaluation, result, loaded)
             progress.update(task, advance=1, description=evaluation.label)
+            foretelling.done(next(done), len(pairs))
 
         evaluation = evaluate_pairs(
             pairs,

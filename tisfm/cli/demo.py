@@ -123,10 +123,11 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         progress.advance(task)
     print_whole(blocks)
     print_whole(models)
+    first, *others = (folder / f"{NAME}{ENDINGS['figure']}" for folder in folders)
     tell(
-        f"Pictures and data in {output}: look at demo_figure.png first, and at "
-        "camera/demo_figure.png and objects/demo_figure.png."
+        f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
     )
+    tell("Your own frames: tisfm run VIDEO -o results --report, and open results/report.html.")
     return 0
 
 

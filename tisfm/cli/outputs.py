@@ -15,6 +15,7 @@ from tisfm.cli.run_record import ENDINGS, FOUND, RECORD, TABLE, TIMINGS, RunReco
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
+from tisfm.report import REPORT, is_report
 from tisfm.settings import Settings
 from tisfm.version import __version__
 
@@ -158,7 +159,9 @@ class PairWriter:
             return
         self._is_begun = True
         self._inputs.refuse(*self._earlier)
-        for file in (*self._earlier, *(self.folder / name for name in (TABLE, TIMINGS, RECORD))):
+        report = [path for path in (self.folder / REPORT,) if is_report(path)]
+        records = (self.folder / name for name in (TABLE, TIMINGS, RECORD))
+        for file in (*report, *self._earlier, *records):
             file.unlink(missing_ok=True)
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 
 from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
+from tisfm.cli.nearest import hint
 from tisfm.cli.run_record import ENDINGS
 from tisfm.formats import (
     choose_depth_scale,
@@ -224,7 +225,7 @@ def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     """Return outputs in the order in which they are written, or raise ValueError."""
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
-        what = f"{unknown[0]!r} is none" if unknown else "there are none"
+        what = f"{unknown[0]!r} is none{hint(unknown[0], ENDINGS)}" if unknown else "there are none"
         raise ValueError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
     return tuple(output for output in ENDINGS if output in outputs)
 

@@ -65,6 +65,8 @@ class Reconstruct:
     """Write points.ply, a coloured point cloud."""
     mesh: Literal["ply", "glb"] | None = None
     """Write mesh.ply or mesh.glb, a coloured surface; it needs pip install 'tisfm[mesh]'."""
+    report: bool = False
+    """Write report.html, one page for a browser: summary, path, statuses with advice, pictures."""
     workers: int = 1
     """Processes at a time, each with chunks of frames, which are joined. For motion 'camera'."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
@@ -107,6 +109,7 @@ class Reconstruct:
             scale=self.scale,
             ply=self.ply,
             mesh=self.mesh,
+            report=self.report,
             workers=self.workers,
             cluster=self.cluster,
             chunk=self.chunk,

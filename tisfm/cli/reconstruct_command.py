@@ -1,10 +1,12 @@
 """What `tisfm reconstruct` does."""
 
+import shutil
 import signal
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -15,14 +17,18 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.crew import check_workers
+from tisfm.cli.foretelling import MUCH, Foretelling, as_size
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
+from tisfm.cli.report_command import report_reconstruction
+from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import Source
@@ -30,6 +36,7 @@ from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import read_trajectory, write_kitti, write_tum
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
+_PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth
 _STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
 
 
@@ -49,6 +56,7 @@ def reconstruct(
     scale: tuple[int, int, float] | None = None,
     ply: bool = False,
     mesh: str | None = None,
+    report: bool = False,
     workers: int = 1,
     cluster: str | None = None,
     chunk: int | None = None,
@@ -59,8 +67,9 @@ def reconstruct(
     """Reconstruct a sequence, write its folder, and return the exit code.
 
     `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
-    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `workers`, a
-    `cluster` or a `chunk`, it is made in chunks of frames.
+    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `report`,
+    ``report.html`` is written at the end, or made again. With `workers`, a `cluster` or a `chunk`,
+    it is made in chunks of frames.
     """
     in_chunks = workers != 1 or cluster is not None or chunk is not None
     check_workers(workers, cluster)
@@ -84,6 +93,8 @@ def reconstruct(
         _check_scale(*scale)
     if mesh is not None:
         check_library()
+    if report:
+        refuse_foreign(output)
     if isinstance(camera, Path):
         _check_fits(camera, source, frames)
     options = {
@@ -115,10 +126,16 @@ def reconstruct(
     if resume and run.is_done():
         run.finish()  # what a killed command left is removed
         tell(f"{output} is complete: nothing is left to do. Results in {output}.")
+        if report:
+            report_reconstruction(Reconstruction.load(output), output, source=source)
         return 0
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
         tell("Ctrl-C ends the recording; a second one ends the command.")
+    if not endless:
+        _announce(source, output, frames, depth_of)
+    stages = StageTimes()
+    foretold = {stage: Foretelling(f"frames, {text}") for stage, text in _STAGES.items()}
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
@@ -128,11 +145,14 @@ def reconstruct(
         task = bar.add_task("", total=None)
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:
+            stages.enter(stage)
+            foretold[stage].done(done, total)
             if stage == "reading" and is_interrupted():
                 raise Enough
             bar.update(task, description=_STAGES[stage], completed=done, total=total)
 
         result = run.result(resume=resume, progress=tell_progress)
+        stages.end()
     # What was found is written and told before anything that may not be possible with it.
     write_trajectories(result, output)
     _tell(result, output)
@@ -145,6 +165,8 @@ def reconstruct(
     if mesh is not None:
         result.mesh().save(output / f"mesh.{mesh}")
     run.finish()
+    if report:
+        report_reconstruction(result, output, timings=stages.seconds, source=source)
     return 0
 
 
@@ -160,6 +182,28 @@ def _run_of(
     if in_chunks is None:
         return WholeRun(source, output, options, **others)
     return ChunksRun(source, output, options, **others, **in_chunks)
+
+
+def _announce(source: Source, output: Path, frames: FrameOptions, depth_of: DepthOf) -> None:
+    """Say how much a long sequence will write, and whether the disk has room for it."""
+    if isinstance(source, str) and webcam_number(source) is not None:
+        return
+    try:
+        count = len(frames.open(source)) + 1
+    except TypeError:  # only reading tells
+        return
+    # The frames before --start would have to be decoded, to see the same size.
+    with closing(replace(frames, start=0, stop=None, step=1).open(source).frames()) as found:
+        first = next(found, None)
+    if first is None:
+        return
+    each = _PICTURE * first.image.size + _DEPTH * first.image[..., :1].size * (depth_of == "all")
+    folder = next(path for path in (output.resolve(), *output.resolve().parents) if path.exists())
+    expected, free = each * count, shutil.disk_usage(folder).free
+    if expected > free:
+        tell(f"about {as_size(expected)} for {count} frames, but {as_size(free)} are free")
+    elif expected > MUCH:
+        tell(f"about {as_size(expected)} for {count} frames in {output}")
 
 
 def _check_fits(file: Path, source: Source, frames: FrameOptions) -> None:

@@ -54,6 +54,8 @@ class Run:
     """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    report: bool = False
+    """Write report.html, one page for a browser: summary, statuses with advice, pictures."""
     workers: int = 1
     """Processes that share the pairs. Results do not depend on it."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
@@ -90,6 +92,7 @@ class Run:
             resume=self.resume,
             outputs=self._outputs(),
             figures=0 if self.no_figures else self.figures,
+            report=self.report,
             workers=self.workers,
             cluster=self.cluster,
             arch=self.arch,

@@ -18,10 +18,12 @@ from tisfm.cli.background import Background
 from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
 from tisfm.cli.console import tell
 from tisfm.cli.crew import Crew, check_workers, crew
+from tisfm.cli.foretelling import MUCH, Foretelling, as_size
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
 from tisfm.cli.pair_work import PairSource, PairWork
+from tisfm.cli.report_command import report_run
 from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
@@ -29,13 +31,12 @@ from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
+from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.window import Window, WindowSize, window_of
-
-_MUCH = 2e8  # bytes: a run that writes more says so beforehand
 
 
 def run(
@@ -52,6 +53,7 @@ def run(
     resume: bool = False,
     outputs: Collection[str] = USUAL,
     figures: int = 1,
+    report: bool = False,
     workers: int = 1,
     cluster: str | None = None,
     arch: Arch | None = None,
@@ -63,7 +65,7 @@ def run(
     may be a file of one. `poses` is a file of a pose for every frame, those that are not taken
     included. `mask` is a picture, or a folder or pattern of one for every frame. With several
     `workers`, processes, or a `cluster`, the address of a scheduler of Dask, these share the pairs;
-    results are the same.
+    results are the same. With `report`, ``report.html`` is written at the end, or made again.
     """
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
@@ -73,6 +75,13 @@ def run(
             "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
             "the outputs"
         )
+    if report:
+        if "npz" not in outputs:
+            raise ValueError(
+                "the report shows what NAME.npz holds: let npz be among the outputs, or leave out "
+                "--report"
+            )
+        refuse_foreign(output)
     check_workers(workers, cluster)
     is_shared = workers > 1 or cluster is not None
     if is_shared:
@@ -139,6 +148,7 @@ def run(
                 whole = replace(whole, threads=max(1, (os.cpu_count() or 1) // workers))
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
+                here.foretelling.done(sum(writer.statuses.values()), total)
                 skipped.update(chunk.skipped)
         else:  # nothing is left to share, unless a video has more frames than it says
             here.interpret(posed, until_ranges=False)
@@ -146,6 +156,8 @@ def run(
     _tell(writer, here.seconds)
     for _, reason in sorted(skipped.items()):
         tell(f"skipped: {reason}")
+    if report:
+        report_run(output, source)
     return 0
 
 
@@ -159,6 +171,7 @@ class _Here:
     progress: RunProgress
     kept: Window | None
     total: int | None
+    foretelling: Foretelling = field(default_factory=lambda: Foretelling("pairs"))
     seconds: list[float] = field(default_factory=list)
     _is_announced: bool = False
 
@@ -188,6 +201,7 @@ class _Here:
                     del result, about  # or they would be held while the next is computed
                 progress.finish(name, writer.statuses)
                 self._announce()
+                self.foretelling.done(sum(writer.statuses.values()), self.total)
                 del pair
                 if until_ranges:
                     background.wait()
@@ -278,15 +292,11 @@ def _announce(writer: PairWriter, total: int) -> None:
     expected, free = writer.expected_bytes(total), shutil.disk_usage(writer.folder).free
     if expected > free:
         tell(
-            f"about {_size(expected)} for {total} pairs, but {_size(free)} are free: see --outputs"
+            f"about {as_size(expected)} for {total} pairs, but {as_size(free)} are free: see "
+            "--outputs"
         )
-    elif expected > _MUCH:
-        tell(f"about {_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
-
-
-def _size(count: float) -> str:
-    """Return a number of bytes as it is read."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+    elif expected > MUCH:
+        tell(f"about {as_size(expected)} for {total} pairs in {writer.folder}; --outputs chooses")
 
 
 def _refuse_mixing(

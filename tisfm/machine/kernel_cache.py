@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-_LOCK, _LIST = "ticache.lock", "ticache.tcb"
-_STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
+LOCK, _LIST = "ticache.lock", "ticache.tcb"
+STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
 
 
 def cache_options() -> dict[str, Any]:
@@ -20,20 +20,28 @@ def cache_options() -> dict[str, Any]:
 
     What a process that was killed has left there is removed.
     """
-    if os.name == "nt":
-        return {}
-    if "HOME" not in os.environ and "XDG_CACHE_HOME" not in os.environ:
+    if "HOME" not in os.environ and "XDG_CACHE_HOME" not in os.environ and os.name != "nt":
         os.environ["HOME"] = os.path.expanduser("~")  # from the user database
-    base = os.environ.get("XDG_CACHE_HOME", f"{os.environ.get('HOME')}/.cache")
-    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", f"{base}/taichi/ticache")
+    folder = cache_folder()
+    if folder is None:
+        return {}
     try:
         os.makedirs(folder, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError:
         return {"offline_cache": False, "offline_cache_file_path": tempfile.gettempdir()}
     with contextlib.suppress(OSError):  # another process may do the same
-        remove_stale_lock(Path(folder))
+        remove_stale_lock(folder)
     return {}
+
+
+def cache_folder() -> Path | None:
+    """Return where Taichi keeps compiled kernels; None on Windows, where it finds a place."""
+    if os.name == "nt":
+        return None
+    home = os.environ.get("HOME") or os.path.expanduser("~")
+    base = os.environ.get("XDG_CACHE_HOME", f"{home}/.cache")
+    return Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", f"{base}/taichi/ticache"))
 
 
 def remove_stale_lock(folder: Path) -> None:
@@ -52,12 +60,12 @@ def remove_stale_lock(folder: Path) -> None:
     OSError
         If files cannot be looked at or removed.
     """
-    lock = folder / _LOCK
+    lock = folder / LOCK
     try:
         made = lock.stat().st_mtime
     except FileNotFoundError:
         return
-    if time.time() - made < _STALE:
+    if time.time() - made < STALE:
         return
     listed = folder / _LIST
     if not listed.exists() or listed.stat().st_mtime < made:

@@ -39,7 +39,10 @@ _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
 ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
-OTHERS = (ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb")
+REPORT = "report.html"
+OTHERS = (
+    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT
+)  # fmt: skip
 
 
 def write_depth(

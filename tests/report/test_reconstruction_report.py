@@ -1,0 +1,120 @@
+"""The report of a reconstruction."""
+
+import base64
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.report.made import EVIL, Read, assert_self_contained, reconstruction
+from tisfm.camera import Camera
+from tisfm.outcome import Status
+from tisfm.report import REPORT, is_report, write_reconstruction_report
+from tisfm.report.of_reconstruction import predicted_flow
+from tisfm.rigid import pose_matrix
+
+
+def written(result, folder, **options):
+    path = write_reconstruction_report(result, folder, **options)
+    assert path == folder / REPORT and is_report(path)
+    page = Read(path)
+    assert_self_contained(page)
+    return page
+
+
+def test_it_says_what_became_of_the_frames(tmp_path):
+    result = reconstruction(tmp_path / "r", pieces=[0, 0, 0, -1, 1, 1], skipped=[(6, "cut off")])
+    page = written(result, tmp_path, timings={"Path": 3.25})
+    for words in (
+        "5 of 6",  # with a pose
+        "2 (3, 2 frames)",
+        "no_texture",
+        "it shows too little: film on",
+        "piece 0, 3 frames, from above",
+        "piece 1, 2 frames, from the side",
+        "Each piece has a scale of its own.",
+        "cut off",
+        "3.25 s",
+        "Those of the preset fast",
+    ):
+        assert words in page.text, words
+    assert len(page.all("div", _class="slide")) == 6
+    slider = page.all("input", type="range")[0]
+    assert (slider["min"], slider["max"]) == ("0", "5")
+    # Frames without a pose have no depth; the last one of a piece has no motion to the next.
+    assert page.text.count("none here") == 3 + 1 + 1
+    assert sum("hidden" in slide for slide in page.all("div", _class="slide")) == 5
+
+
+def test_no_frame_has_a_pose(tmp_path):
+    page = written(reconstruction(tmp_path / "r", pieces=[-1, -1]), tmp_path)
+    assert "0 of 2" in page.text and not page.all("svg")
+
+
+def test_names_and_messages_do_not_run(tmp_path):
+    result = reconstruction(
+        tmp_path / "r",
+        pieces=[0, -1],
+        names=[EVIL, "b"],
+        statuses=[Status("converged"), Status("no_texture", EVIL)],
+        skipped=[(2, EVIL)],
+    )
+    page = written(result, tmp_path, source=EVIL)
+    assert page.text.count("<script>alert(1)</script>") >= 4
+    assert all("alert" not in script for script in page.scripts)
+
+
+def test_it_is_the_same_when_made_twice(tmp_path):
+    result = reconstruction(tmp_path / "r", pieces=[0] * 5)
+    first = write_reconstruction_report(result, tmp_path).read_bytes()
+    assert write_reconstruction_report(result, tmp_path).read_bytes() == first
+
+
+def test_long_sequences_and_large_frames_stay_small(tmp_path):
+    """Noise is what takes most bytes."""
+    statuses = [Status("converged")] * 200
+    statuses[77] = Status("uncertain", "give it more parallax")
+    result = reconstruction(tmp_path / "r", pieces=[0] * 200, shape=(300, 400), statuses=statuses)
+    path = write_reconstruction_report(result, tmp_path)
+    assert path.stat().st_size < 20_000_000
+    page = Read(path)
+    slides = page.all("div", _class="slide")
+    assert 40 < len(slides) <= 48 and f"{len(slides)} of 200 frames" in page.text
+    assert "number 77 uncertain" in page.text  # the one that is not like the others
+
+
+def test_a_budget_is_kept_whatever_the_pictures():
+    from tisfm.report.pictures import Pictures
+
+    noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
+    for budget in (400_000, 20_000, 4_000):
+        url = Pictures(2, budget=budget).url(noise)
+        data = base64.b64decode(url.partition(",")[2])
+        assert len(data) <= budget // 2
+        with Image.open(io.BytesIO(data)) as image:
+            assert max(image.size) <= 560 and image.format == "JPEG"
+
+
+def test_what_is_no_report_is_not_replaced(tmp_path):
+    (tmp_path / REPORT).write_text("mine")
+    with pytest.raises(ValueError, match="no report of tisfm"):
+        write_reconstruction_report(reconstruction(tmp_path / "r", pieces=[0]), tmp_path)
+    assert (tmp_path / REPORT).read_text() == "mine"
+
+
+def test_flow_is_that_of_a_point_seen_from_two_poses():
+    camera, random = Camera(focal=50.0, center=(10.0, 8.0)), np.random.default_rng(1)
+    inverse = random.uniform(0.3, 1, (17, 23)).astype(np.float32)
+    inverse[3, 4] = np.nan
+    first, second = (pose_matrix(random.normal(scale=0.05, size=6)) for _ in range(2))
+    flow = predicted_flow(inverse, first, second, camera)
+    assert np.isnan(flow[3, 4]).all()
+    for y, x in ((0, 0), (9, 20), (16, 11)):
+        ray = np.array([(x - 10) / 50, (y - 8) / 50, 1, inverse[y, x]]) / inverse[y, x]
+        there = np.linalg.inv(second) @ first @ ray
+        seen = 50 * there[:2] / there[2] + (10, 8)
+        np.testing.assert_allclose(flow[y, x], seen - (x, y), atol=1e-4)
+    np.testing.assert_allclose(
+        predicted_flow(inverse, first, first, camera)[inverse > 0], 0, atol=1e-4
+    )

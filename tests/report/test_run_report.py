@@ -1,0 +1,131 @@
+"""The report of a run, and of a reconstruction, by the command line."""
+
+import os
+import shutil
+
+import cv2
+import pytest
+
+import tisfm
+from tests.cli.command_line import FRAMES, assert_one_line, files, record
+from tests.cli.conftest import frames, place, tisfm_run  # noqa: F401
+from tests.reconstruction.films import walk
+from tests.report.made import Read, assert_self_contained
+from tisfm.formats import write_png
+from tisfm.report import REPORT
+
+
+def read(folder):
+    page = Read(folder / REPORT)
+    assert_self_contained(page)
+    return page
+
+
+def test_a_run_has_a_report(tisfm_run, frames, place):  # noqa: F811
+    code, out, err = tisfm_run("run", "frames", "-o", "out", "--report", "--preset", "fast",
+                               "--smoothness", "55")  # fmt: skip
+    assert code == 0 and out == ""
+    assert err.splitlines()[-1] == f"Open {os.path.join('out', REPORT)} in a browser."
+    page = read(place / "out")
+    for words in ("3 of 3", "40 × 24 px", "fast", "but for 1, which stand first", "smoothness 55",
+                  "A pair, median", "f0", "f1", "f2"):  # fmt: skip
+        assert words in page.text, words
+    assert len(page.all("div", _class="slide")) == 3
+    assert len(page.all("img")) == 3 * 4 + 1  # frame, depth, motion, confidence; and a legend
+    # The same again, from the folder alone, but for the name of the source.
+    before = (place / "out" / REPORT).read_bytes()
+    assert tisfm_run("report", "out")[0] == 0
+    again = (place / "out" / REPORT).read_bytes()
+    assert tisfm_run("report", "out")[0] == 0
+    assert (place / "out" / REPORT).read_bytes() == again
+    assert len(before) > len(again) > 5000
+
+
+def test_advice_of_statuses_is_told(tisfm_run, place):  # noqa: F811
+    (place / "still").mkdir()
+    for k, frame in enumerate((FRAMES[0], FRAMES[0], FRAMES[1])):
+        write_png(place / "still" / f"f{k}.png", frame)
+    assert tisfm_run("run", "still", "-o", "out", "--report")[0] == 0
+    page = read(place / "out")
+    message = record("out")["pairs"]["f0"]["message"]
+    assert "no_motion" in page.text and " ".join(message.split()) in page.text
+
+
+def test_resume_makes_it_again(tisfm_run, frames, place):  # noqa: F811
+    assert tisfm_run("run", "frames", "-o", "out", "--stop", "3", "--report")[0] == 0
+    short = (place / "out" / REPORT).read_bytes()
+    assert tisfm_run("run", "frames", "-o", "out", "--resume", "--report")[0] == 0
+    assert (place / "out" / REPORT).read_bytes() != short
+    assert "3 of 3" in read(place / "out").text
+    # What an earlier run left does not stay beside the results of another one.
+    assert tisfm_run("run", "frames", "-o", "out", "--stop", "2")[0] == 0
+    assert REPORT not in files("out")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such names")
+def test_a_file_of_an_evil_name_does_not_run(tisfm_run, place):  # noqa: F811
+    (place / "evil").mkdir()
+    for k in range(2):
+        write_png(place / "evil" / f"{k}<script>alert(1)<.png", FRAMES[k])
+    assert tisfm_run("run", "evil", "-o", "out", "--report", "--no-figures")[0] == 0
+    page = read(place / "out")
+    assert "0<script>alert(1)<" in page.text
+    assert all("alert" not in script for script in page.scripts)
+
+
+def test_it_is_refused_before_any_work(tisfm_run, frames, place):  # noqa: F811
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--report", "--outputs", "depth")
+    assert_one_line(code, err, "npz", "--report")
+    (place / "out").mkdir()
+    (place / "out" / REPORT).write_text("mine")
+    for command in ("run", "reconstruct"):
+        code, _, err = tisfm_run(command, "frames", "-o", "out", "--report")
+        assert_one_line(code, err, REPORT, "no report of tisfm")
+    assert (place / "out" / REPORT).read_text() == "mine"
+
+
+def test_folders_without_results_are_one_line(tisfm_run, place):  # noqa: F811
+    code, _, err = tisfm_run("report", "nowhere")
+    assert_one_line(code, err, "nowhere", "run.json", "reconstruction.json")
+    (place / "bad").mkdir()
+    (place / "bad" / "run.json").write_text('{"version": "0", "pairs": {"a": {"status": 3}}}')
+    code, _, err = tisfm_run("report", "bad")
+    assert_one_line(code, err, "bad")
+
+
+def test_pairs_without_their_data_have_no_pictures(tisfm_run, frames, place):  # noqa: F811
+    assert tisfm_run("run", "frames", "-o", "out")[0] == 0
+    for path in (place / "out").glob("*.npz"):
+        path.unlink()
+    assert tisfm_run("report", "out")[0] == 0
+    page = read(place / "out")
+    assert "did not write" in page.text and not page.all("img")
+
+
+@pytest.mark.slow
+def test_a_reconstruction_has_a_report(tisfm_run, place):  # noqa: F811
+    film = walk()
+    (place / "film").mkdir()
+    for k in range(6):
+        cv2.imwrite(str(place / "film" / f"f{k}.png"), film.frames[k])
+    focal = ("--focal", film.camera.focal)
+    call = ("reconstruct", "film", "-o", "out", "--preset", "fast", *focal)
+    assert tisfm_run(*call, "--report")[0] == 0
+    page = read(place / "out")
+    assert "6 of 6" in page.text and "Depth of every frame" in page.text
+    assert len(page.all("svg")) == 2 and len(page.all("div", _class="slide")) == 6
+    first = (place / "out" / REPORT).read_bytes()
+    # It is no part of what the folder is held against: it may be made again, or removed.
+    (place / "out" / REPORT).unlink()
+    code, _, err = tisfm_run(*call, "--resume")
+    assert code == 0 and "is complete" in err and not (place / "out" / REPORT).exists()
+    code, _, err = tisfm_run(*call, "--resume", "--report")
+    assert code == 0 and "is complete" in err
+    again = (place / "out" / REPORT).read_bytes()
+    assert "Timings" in first.decode() and "Timings" not in again.decode()
+    shutil.copytree("out", "copy")
+    assert tisfm_run("report", "copy")[0] == 0
+    assert len(tisfm.Reconstruction.load("copy")) == 6
+    # A new one replaces it, and its report.
+    assert tisfm_run(*call, "--stop", "4")[0] == 0
+    assert not (place / "out" / REPORT).exists()

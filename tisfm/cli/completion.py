@@ -1,0 +1,104 @@
+"""Scripts by which shells complete commands, options and their values."""
+
+from collections.abc import Iterable
+
+from tisfm.cli.known_options import OF_TISFM, SHELLS, Known
+from tisfm.cli.nearest import hint
+
+_BASH = """\
+_tisfm() {{
+  local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" words=""
+  local given="${{COMP_WORDS[1]}}"
+  COMPREPLY=()
+  if [ "$COMP_CWORD" -eq 1 ]; then
+    words="{first}"
+  elif [ "$before" = "--completion" ]; then
+    words="{shells}"
+  else
+    case "$given $before" in
+{values}
+      *)
+        case "$current" in
+          -*)
+            case "$given" in
+{options}
+            esac
+            ;;
+        esac
+        ;;
+    esac
+  fi
+  if [ -n "$words" ]; then
+    COMPREPLY=( $(compgen -W "$words" -- "$current") )
+  fi
+}}
+complete -o default -F _tisfm tisfm
+"""
+_ZSH = """\
+autoload -U +X compinit && compinit -u
+autoload -U +X bashcompinit && bashcompinit
+"""
+
+
+def completion_script(shell: str, known: Known) -> str:
+    """Return a script that a shell reads at its start.
+
+    Parameters
+    ----------
+    shell : {"bash", "zsh", "tcsh"}
+    known : Known
+
+    Raises
+    ------
+    ValueError
+        If it is another shell.
+    """
+    if shell not in SHELLS:
+        raise ValueError(
+            f"--completion is {shell!r}{hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
+        )
+    if shell == "tcsh":
+        return _tcsh(known)
+    return (_ZSH if shell == "zsh" else "") + _bash(known)
+
+
+def _bash(known: Known) -> str:
+    values = [
+        f'      "{command} {option}") words="{" ".join(chosen)}" ;;'
+        for command, options in known.options.items()
+        for option, chosen in options.items()
+        if chosen
+    ]
+    options = [
+        f'              {command}) words="{_joined(taken)}" ;;'
+        for command, taken in known.options.items()
+    ]
+    return _BASH.format(
+        first=" ".join((*known.commands, *OF_TISFM)),
+        shells=" ".join(SHELLS),
+        values="\n".join(values),
+        options="\n".join(options),
+    )
+
+
+def _tcsh(known: Known) -> str:
+    """Return one line: tcsh does not know which command an option is given to."""
+    chosen: dict[str, dict[str, None]] = {}
+    for options in known.options.values():
+        for option, values in options.items():
+            if option.startswith("--"):
+                chosen.setdefault(option, {}).update(dict.fromkeys(values))
+    after = [f"'n/{option}/({' '.join(values)})/'" for option, values in chosen.items() if values]
+    names = [option.removeprefix("--") for option in (*chosen, "--version", "--completion")]
+    parts = [
+        *after,
+        f"'n/--completion/({' '.join(SHELLS)})/'",
+        f"'c/--/({' '.join(dict.fromkeys(names))})/'",
+        f"'p/1/({' '.join(known.commands)})/'",
+        "'p/*/f/'",
+    ]
+    return f"complete tisfm {' '.join(parts)}\n"
+
+
+def _joined(options: Iterable[str]) -> str:
+    return " ".join(option for option in options if option.startswith("--"))

@@ -1,0 +1,90 @@
+"""Which commands and options there are, read from the help that the parser prints."""
+
+import contextlib
+import io
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+OF_TISFM = ("--help", "--version", "--completion")
+SHELLS = ("bash", "zsh", "tcsh")
+_WIDE = "400"  # columns: no option is broken over two lines
+_BRACES = re.compile(r"\{([^{} ]+)\}")
+_LINE = re.compile(r"[│| ] (-{1,2}[a-z].*)")  # in a frame of lines, or of ASCII
+_OPTION = re.compile(r"(?<!\S)(--?[a-z][\w-]*)(?: ([^,]+(?:,[^ ,][^,]*)*))?")
+_ANY = {"None", "INT", "FLOAT", "STR"}
+
+Help = Callable[[list[str]], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """Commands, and their options.
+
+    Attributes
+    ----------
+    options : mapping of str to (mapping of str to tuple of str)
+        Of every command, its options and the values that each takes; none where any will do.
+    """
+
+    options: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """The commands, in the order of the help."""
+        return tuple(self.options)
+
+
+def known_options(parse: Help, *, command: str | None = None) -> Known:
+    """Return all commands, and the options of all, or of one alone.
+
+    Parameters
+    ----------
+    parse : callable
+        Takes arguments, and prints help where they ask for it.
+    command : str, optional
+    """
+    usage = _printed(parse, ["--help"])
+    found = _BRACES.search(usage)
+    commands = found[1].split(",") if found else []
+    return Known(
+        options={
+            name: dict(_read(_printed(parse, [name, "--help"]))) if command in (None, name) else {}
+            for name in commands
+        }
+    )
+
+
+def _read(text: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield options and their values of the help of a command."""
+    for line in text.splitlines():
+        found = _LINE.match(line)
+        if found is None:
+            continue
+        head = found[1].rstrip(" │|").split("  ")[0]
+        for name, shape in _OPTION.findall(head):
+            values = [value for part in _BRACES.findall(shape) for value in part.split(",")]
+            yield name, tuple(value for value in dict.fromkeys(values) if value not in _ANY)
+
+
+def _printed(parse: Help, arguments: list[str]) -> str:
+    """Return what is printed where help is asked for."""
+    text = io.StringIO()
+    with _columns(), contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        parse(arguments)
+    return re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())
+
+
+@contextmanager
+def _columns() -> Iterator[None]:
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = _WIDE
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before

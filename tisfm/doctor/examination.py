@@ -1,0 +1,81 @@
+"""The examination: all that is looked at, in the order in which it is told."""
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from tisfm.doctor import machine, packages
+from tisfm.doctor.finding import Finding, as_json, as_text, is_well
+from tisfm.doctor.trying import Trials, Tried
+
+_GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
+
+
+def examine() -> list[Finding]:
+    """Look at everything; return what was found. It raises nothing."""
+    base, extras = packages.requirements()
+    modules = [packages.module_of(name) for name in base if name != "taichi"]
+    optional = [packages.module_of(name) for found in extras.values() for name in found]
+    with Trials() as trials:
+        kernel = trials.begin(["kernel:default"])
+        imports = trials.begin([*modules, *optional])
+        archs = trials.begin(["archs"], limit=_GPU_LIMIT)
+        able = archs.result().get("archs", {}).get("archs", [])
+        started: Tried = {}
+        for arch in able:
+            started |= trials.begin([f"kernel:{arch}"], limit=_GPU_LIMIT).result()
+        tried = {**imports.result(), **kernel.result(), **archs.result()}
+    # Importing Taichi takes longest: it is done no third time. A kernel that ran has imported it;
+    # where none did, another library may be why.
+    about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]
+    tried["taichi"] = {key: value for key, value in about_archs.items() if key == "error"}
+    looks: list[Callable[[], Finding | Iterable[Finding]]] = [
+        packages.about_python,
+        packages.about_tisfm,
+        lambda: packages.about_base(base, tried),
+        packages.about_opencv,
+        lambda: machine.about_kernel(tried),
+        machine.about_cores,
+        machine.about_memory,
+        machine.about_addresses,
+        machine.about_cache,
+        lambda: machine.about_folder(Path.cwd()),
+        machine.about_temporary,
+        lambda: machine.about_gpus(tried, started),
+        lambda: packages.about_extras(extras, tried),
+    ]
+    found: list[Finding] = []
+    for look in looks:
+        try:
+            seen = look()
+            found += [seen] if isinstance(seen, Finding) else list(seen)
+        except Exception as error:  # a look that fails is told as well
+            text = " ".join(str(error).split())
+            found.append(
+                Finding(name="doctor", verdict="warning", text=f"{type(error).__name__}: {text}")
+            )
+    return found
+
+
+def doctor(*, json: bool = False) -> int:
+    """Print what is found; return the exit code, 1 if something is broken."""
+    findings = examine()
+    text = as_json(findings) if json else as_text(findings)
+    encoding = sys.stdout.encoding or "utf-8"
+    print(text.encode(encoding, "replace").decode(encoding))
+    return 0 if is_well(findings) else 1
+
+
+def answer_instead(error: BaseException) -> None:
+    """Answer ``tisfm doctor`` where tisfm itself cannot be imported; else do nothing.
+
+    Raises
+    ------
+    SystemExit
+        After the answer.
+    """
+    if Path(sys.argv[0]).stem != "tisfm" or sys.argv[1:2] != ["doctor"]:
+        return
+    code = doctor(json="--json" in sys.argv[2:])
+    print(f"tisfm: it cannot be imported: {type(error).__name__}: {error}", file=sys.stderr)
+    raise SystemExit(code or 1)

@@ -1,0 +1,238 @@
+"""Cores, memory, limits, Taichi's cache and GPUs of this machine."""
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from tisfm.doctor.finding import Finding
+from tisfm.doctor.trying import Tried
+from tisfm.machine.address_space import limit
+from tisfm.machine.kernel_cache import LOCK, STALE, cache_folder
+
+_LEAST_ADDRESSES, _LEAST_MEMORY = 3.0e9, 2.0e9  # bytes: of a pair of 1920 × 1080 px
+_GROUPS = Path("/sys/fs/cgroup")
+
+
+def about_cores() -> Finding:
+    """Tell how many cores this process may use, and what limits it."""
+    there = os.cpu_count() or 1
+    usable, reasons = there, []
+    if hasattr(os, "sched_getaffinity"):
+        usable = len(os.sched_getaffinity(0))
+        if usable < there:
+            reasons.append(f"bound to {usable} of them")
+    share = _cores_of_group()
+    if share is not None and share < usable:
+        reasons.append(f"the control group gives the time of {share:g}")
+    text = f"{there} core{'s' * (there != 1)}" + "".join(f", {reason}" for reason in reasons)
+    if reasons:
+        most = max(1, int(min(usable, share or usable)))
+        return Finding(
+            name="Cores",
+            verdict="warning",
+            text=text,
+            advice=f"give --threads {most}: by default there are {there}, which wait for another",
+        )
+    return Finding(name="Cores", verdict="ok", text=text)
+
+
+def about_memory() -> Finding:
+    """Tell how much memory there is, and how much of it is free."""
+    total, free = _memory()
+    group = _number(_GROUPS / "memory.max") or _number(_GROUPS / "memory/memory.limit_in_bytes")
+    if total is None:
+        return Finding(name="Memory", verdict="ok", text="not known on this system")
+    text = f"{total / 1e9:.1f} GB"
+    if free is not None:
+        text += f", {free / 1e9:.1f} GB of it free"
+    if group is not None and group < total:
+        text += f"; the control group allows {group / 1e9:.1f} GB"
+        free = min(group, free or group)
+    if free is not None and free < _LEAST_MEMORY:
+        return Finding(
+            name="Memory",
+            verdict="warning",
+            text=text,
+            advice="frames of 1920 × 1080 px take 2 GB: give --size 960 for smaller ones",
+        )
+    return Finding(name="Memory", verdict="ok", text=text)
+
+
+def about_addresses() -> Finding:
+    """Tell whether the address space is limited too much."""
+    bound = limit()
+    if bound is None:
+        return Finding(name="Address space", verdict="ok", text="not limited (ulimit -v)")
+    text = f"limited to {bound / 1e9:.2f} GB (ulimit -v)"
+    if bound < _LEAST_ADDRESSES:
+        return Finding(
+            name="Address space",
+            verdict="warning",
+            text=text,
+            advice="the libraries reserve far more than they use: ulimit -v 3000000 or more",
+        )
+    return Finding(name="Address space", verdict="ok", text=text)
+
+
+def about_cache() -> Iterator[Finding]:
+    """Tell where Taichi keeps compiled kernels, whether it can, and of a lock that was left."""
+    folder = cache_folder()
+    if folder is None:
+        yield Finding(name="Kernel cache", verdict="ok", text="where Taichi keeps it on Windows")
+        return
+    if not _is_writable(folder):
+        yield Finding(
+            name="Kernel cache",
+            verdict="warning",
+            text=f"{folder} cannot be written to: kernels are compiled anew in every process",
+            advice="set TI_OFFLINE_CACHE_FILE_PATH to a folder of yours",
+        )
+        return
+    size, count = 0, 0
+    for path in folder.glob("*.tic"):
+        try:
+            size, count = size + path.stat().st_size, count + 1
+        except OSError:  # another process removes it
+            continue
+    yield Finding(
+        name="Kernel cache",
+        verdict="ok",
+        text=f"{folder}, {count} kernel{'s' * (count != 1)}, {size / 1e6:.0f} MB",
+    )
+    try:
+        age = time.time() - (folder / LOCK).stat().st_mtime
+    except OSError:
+        return
+    if age > STALE:
+        yield Finding(
+            name="Cache lock",
+            verdict="warning",
+            text=f"{folder / LOCK} was left by a process that was killed, {age / 60:.0f} min ago",
+            advice="the next command of tisfm removes it",
+        )
+
+
+def about_folder(folder: Path) -> Finding:
+    """Tell whether results can be written to the working folder."""
+    name = "Working folder"
+    if _is_writable(folder, make=False):
+        return Finding(name=name, verdict="ok", text=f"{folder} can be written to")
+    return Finding(
+        name=name,
+        verdict="warning",
+        text=f"{folder} cannot be written to",
+        advice="give a folder of yours with -o, or go to one",
+    )
+
+
+def about_temporary() -> Finding:
+    """Tell whether there is a folder for temporary files."""
+    try:
+        return Finding(
+            name="Temporary files", verdict="ok", text=f"{tempfile.gettempdir()} can be written to"
+        )
+    except OSError as error:
+        return Finding(
+            name="Temporary files",
+            verdict="wrong",
+            text=str(error),
+            advice="set TMPDIR to a folder that can be written to",
+        )
+
+
+def about_kernel(tried: Tried) -> Iterator[Finding]:
+    """Tell whether Taichi compiles and runs a kernel, with how many threads, how wide."""
+    about = tried["kernel:default"]
+    if "error" in about:
+        yield Finding(
+            name="Kernels",
+            verdict="wrong",
+            text=f"Taichi does not run: {about['error']}",
+            advice=_advice_of_taichi(),
+        )
+        return
+    arch, lanes = about["arch"], about["lanes"]
+    yield Finding(
+        name="Kernels",
+        verdict="ok",
+        text=f"one was compiled and run on {arch}, with the import of Taichi in "
+        f"{about['seconds']:.1f} s",
+    )
+    if arch == "cpu":
+        width = {16: "16 numbers (AVX-512)", 8: "8 numbers (AVX2, or as NEON has them)"}
+        yield Finding(name="Vectors", verdict="ok", text=f"of {width.get(lanes, lanes)}")
+        yield Finding(name="Threads", verdict="ok", text=f"{about['threads']} by default")
+
+
+def about_gpus(tried: Tried, started: Tried) -> Finding:
+    """Tell on which GPU archs kernels can run; none is needed."""
+    about = tried["archs"]
+    if "error" in about:
+        return Finding(
+            name="GPU",
+            verdict="absent",
+            text=f"not known: {about['error']}",
+            advice="none is needed; give --arch cpu if TI_ARCH says otherwise",
+        )
+    works = [arch for arch in about["archs"] if "error" not in started.get(f"kernel:{arch}", {})]
+    fails = [arch for arch in about["archs"] if arch not in works]
+    if works:
+        arch = works[0]
+        return Finding(
+            name="GPU", verdict="ok", text=f"kernels run on {', '.join(works)}: --arch {arch}"
+        )
+    text = "none that Taichi can use; none is needed"
+    if fails:
+        error = started[f"kernel:{fails[0]}"]["error"]
+        text = f"{', '.join(fails)} cannot be started ({error}); none is needed"
+    return Finding(name="GPU", verdict="absent", text=text)
+
+
+def _advice_of_taichi() -> str:
+    arch = os.environ.get("TI_ARCH")
+    if arch is not None:
+        return f"the variable TI_ARCH is {arch!r}: unset it, or give --arch cpu"
+    return "first do what the lines above say; if nothing: pip install --force-reinstall taichi"
+
+
+def _is_writable(folder: Path, *, make: bool = True) -> bool:
+    try:
+        if make:
+            folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _cores_of_group() -> float | None:
+    """Return the time of how many cores the control group gives, None where it sets no limit."""
+    try:
+        quota, period = (_GROUPS / "cpu.max").read_text(encoding="ascii").split()
+    except (OSError, ValueError):
+        found = [_number(_GROUPS / f"cpu/cpu.cfs_{name}_us") for name in ("quota", "period")]
+        if found[0] is None or not found[1] or found[0] < 0:
+            return None
+        return found[0] / found[1]
+    return None if quota == "max" else float(quota) / float(period)
+
+
+def _memory() -> tuple[float | None, float | None]:
+    """Return all memory and what is free of it, bytes, as far as the system says."""
+    known = {}
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            name, _, value = line.partition(":")
+            known[name] = 1024.0 * float(value.split()[0])
+    except (OSError, ValueError, IndexError):
+        pass
+    return known.get("MemTotal"), known.get("MemAvailable")
+
+
+def _number(path: Path) -> float | None:
+    try:
+        return float(path.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None

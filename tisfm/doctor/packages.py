@@ -1,0 +1,172 @@
+"""Python, tisfm, and the packages that it asks for: what is installed, and can be imported."""
+
+import platform
+import sys
+from collections.abc import Iterator, Mapping
+from importlib import metadata
+
+from tisfm.doctor.finding import Finding
+from tisfm.doctor.trying import Tried
+
+# Distributions whose modules are called otherwise.
+_MODULES = {
+    "opencv-python-headless": "cv2",
+    "pillow": "PIL",
+    "scikit-image": "skimage",
+    "pyyaml": "yaml",
+}
+_OPENCV = (
+    "opencv-python",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+)
+_FOR_DEVELOPERS = ("test", "dev")
+_USES = {
+    "video": "videos, damaged ones too, decoded by PyAV",
+    "mesh": "meshes",
+    "cluster": "many machines",
+}
+
+
+def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]]]:
+    """Return what tisfm asks for, and what each extra does: versions by distributions.
+
+    Both are empty where tisfm is not installed, or nobody can read what it asks for.
+    """
+    base: dict[str, str] = {}
+    extras: dict[str, dict[str, str]] = {}
+    try:
+        from packaging.requirements import Requirement
+
+        for line in metadata.requires("tisfm") or ():
+            asked = Requirement(line)
+            name, versions = asked.name.lower(), str(asked.specifier)
+            if asked.marker is None:
+                base[name] = versions
+                continue
+            for extra in metadata.metadata("tisfm").get_all("Provides-Extra") or ():
+                if asked.marker.evaluate({"extra": extra}) and name != "tisfm":
+                    extras.setdefault(extra, {})[name] = versions
+    except Exception:  # whatever is broken here is told by what is missing
+        pass
+    return base, {k: v for k, v in extras.items() if k not in _FOR_DEVELOPERS}
+
+
+def module_of(distribution: str) -> str:
+    """Return the module that a distribution is imported by."""
+    return _MODULES.get(distribution, distribution.replace("-", "_"))
+
+
+def about_python() -> Finding:
+    """Tell the version of Python and of tisfm, and where they lie."""
+    version = platform.python_version()
+    text = f"{version}, {platform.system()} {platform.machine()}, {sys.executable}"
+    if not (3, 10) <= sys.version_info[:2] < (3, 14):
+        return Finding(
+            name="Python",
+            verdict="wrong",
+            text=text,
+            advice="Taichi has builds for Python 3.10 to 3.13: make an environment with one",
+        )
+    return Finding(name="Python", verdict="ok", text=text)
+
+
+def about_tisfm() -> Finding:
+    """Tell the version of tisfm."""
+    try:
+        return Finding(name="tisfm", verdict="ok", text=metadata.version("tisfm"))
+    except metadata.PackageNotFoundError:
+        return Finding(
+            name="tisfm",
+            verdict="warning",
+            text="not installed; what it asks for is not known",
+            advice="in the checkout: pip install -e .",
+        )
+
+
+def about_base(base: Mapping[str, str], tried: Tried) -> Iterator[Finding]:
+    """Tell of each package that tisfm cannot do without."""
+    for name, versions in base.items():
+        yield _about(
+            name, versions, tried, missing="wrong", command=f"pip install '{name}{versions}'"
+        )
+
+
+def about_extras(extras: Mapping[str, Mapping[str, str]], tried: Tried) -> Iterator[Finding]:
+    """Tell of each package that some of tisfm needs."""
+    for extra, packages in extras.items():
+        command = f"pip install 'tisfm[{extra}]'"
+        use = _USES.get(extra, extra)
+        for name, versions in packages.items():
+            found = _about(name, versions, tried, missing="absent", command=command)
+            advice = f"for {use}: {command}" if found.verdict == "absent" else found.advice
+            yield Finding(
+                name=f"{name} [{extra}]", verdict=found.verdict, text=found.text, advice=advice
+            )
+
+
+def about_opencv() -> Finding:
+    """Tell of builds of OpenCV that overwrite one another's files."""
+    found = {name: version for name in _OPENCV if (version := _version(name)) is not None}
+    listed = ", ".join(f"{name} {version}" for name, version in found.items())
+    if len(found) > 1:
+        return Finding(
+            name="OpenCV builds",
+            verdict="wrong",
+            text=f"{listed}: they have the same files, and the last one installed wins",
+            advice=f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+        )
+    if found and "opencv-python-headless" not in found:
+        return Finding(
+            name="OpenCV builds",
+            verdict="warning",
+            text=f"{listed}, another build than tisfm asks for",
+            advice=f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+        )
+    return Finding(name="OpenCV builds", verdict="ok", text=listed or "none")
+
+
+def _about(name: str, versions: str, tried: Tried, *, missing: str, command: str) -> Finding:
+    version = _version(name)
+    error = tried.get(module_of(name), {}).get("error")
+    if version is None and (error or module_of(name) not in tried):
+        return Finding(
+            name=name,
+            verdict="wrong" if missing == "wrong" else "absent",
+            text="not installed",
+            advice=command,
+        )
+    if error:
+        return Finding(
+            name=name,
+            verdict="wrong" if missing == "wrong" else "warning",
+            text=f"{version} cannot be imported: {error}",
+            advice=f"pip install --force-reinstall '{name}{versions}'",
+        )
+    if version is None:
+        return Finding(name=name, verdict="ok", text="version unknown")
+    if not _suits(version, versions):
+        return Finding(
+            name=name,
+            verdict="wrong" if missing == "wrong" else "warning",
+            text=f"{version}, but tisfm asks for {versions}",
+            advice=command,
+        )
+    return Finding(name=name, verdict="ok", text=version)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except Exception:  # damaged metadata, too
+        return None
+
+
+def _suits(version: str, versions: str) -> bool:
+    try:
+        from packaging.specifiers import SpecifierSet
+
+        return SpecifierSet(versions).contains(version, prereleases=True)
+    except Exception:  # nobody can tell
+        return True

@@ -1,0 +1,92 @@
+"""Tries things out, in a process of its own: this file is run, and imported by nobody.
+
+Its words are what to try. It prints a line of JSON before and after each: where it crashes or
+hangs, the last line says at what.
+"""
+
+import json
+import os
+import sys
+import time
+from importlib import import_module
+from typing import Any
+
+
+def tell(name: str, **about: Any) -> None:
+    """Print a line of JSON."""
+    print(json.dumps({"name": name, **about}), file=_OUT, flush=True)
+
+
+def try_import(name: str) -> None:
+    """Import a module."""
+    begin = time.perf_counter()
+    import_module(name)
+    tell(name, seconds=time.perf_counter() - begin)
+
+
+def try_kernel(name: str) -> None:
+    """Start Taichi as tisfm does, on an arch; compile and run one small kernel."""
+    import numpy as np
+
+    from tisfm import runtime
+
+    begin = time.perf_counter()
+    arch = name.partition(":")[2]
+    runtime.start(None if arch == "default" else arch)  # type: ignore[arg-type]
+    import taichi as ti
+
+    @ti.kernel
+    def double(values: ti.types.ndarray()):  # type: ignore[no-untyped-def, valid-type]
+        for index in values:
+            values[index] = 2 * values[index]
+
+    values = np.arange(1024, dtype=np.float32)
+    double(values)
+    ti.sync()
+    if not np.array_equal(values, 2 * np.arange(1024, dtype=np.float32)):
+        raise RuntimeError("a kernel that doubles numbers gives others")
+    tell(
+        name,
+        arch=runtime.running_arch(),
+        lanes=runtime.lanes(),
+        threads=runtime.threads(),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def try_archs(name: str) -> None:
+    """Ask Taichi's library which GPU archs have what they need here."""
+    # Else Taichi's import prints a banner, and starts a thread that asks the network.
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+    import_module("taichi")
+    library = import_module("taichi._lib").core
+    found = [
+        arch for arch in ("cuda", "vulkan", "metal") if getattr(library, f"with_{arch}", bool)()
+    ]
+    tell(name, archs=found)
+
+
+def main(names: list[str]) -> None:
+    """Try each of the names, in order; an error of one stops no other."""
+    if sys.path[:1] == [""]:
+        del sys.path[0]  # no module of the working folder is one of Python's
+    for name in names:
+        tell(name, begun=True)
+        try:
+            if name.startswith("kernel:"):
+                try_kernel(name)
+            elif name == "archs":
+                try_archs(name)
+            else:
+                try_import(name)
+        except BaseException as error:
+            text = " ".join(str(error).split())
+            tell(name, error=f"{type(error).__name__}: {text}" if text else type(error).__name__)
+
+
+if __name__ == "__main__":
+    # What libraries print on standard output must not mix with ours.
+    _OUT = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    main(sys.argv[1:])

@@ -1,0 +1,18 @@
+"""A run or a reconstruction on one page of HTML, which needs no network and no other file.
+
+Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
+May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top level
+`camera`, `interpretation`, `outcome`, `settings` and `version`.
+"""
+
+from tisfm.report.file import REPORT, is_report, refuse_foreign
+from tisfm.report.of_reconstruction import write_reconstruction_report
+from tisfm.report.of_run import write_run_report
+
+__all__ = [
+    "REPORT",
+    "is_report",
+    "refuse_foreign",
+    "write_reconstruction_report",
+    "write_run_report",
+]

@@ -1,0 +1,40 @@
+"""The file of a report: whose it is, and how it is written."""
+
+from pathlib import Path
+
+from tisfm.formats import atomic_write
+from tisfm.reconstruction.folder import REPORT
+
+MARK = '<meta name="generator" content="tisfm">'
+_HEAD = 400  # bytes, in which the mark is found
+
+
+def is_report(path: Path) -> bool:
+    """Return whether a file is a report that tisfm wrote."""
+    try:
+        with open(path, "rb") as file:
+            return path.is_file() and MARK.encode() in file.read(_HEAD)
+    except OSError:
+        return False
+
+
+def refuse_foreign(folder: Path) -> Path:
+    """Return where the report of a folder lies; refuse to replace what tisfm did not write.
+
+    Raises
+    ------
+    ValueError
+        If something else is there.
+    """
+    path = folder / REPORT
+    if path.exists() and not is_report(path):
+        raise ValueError(
+            f"{path} is no report of tisfm, and would be replaced: give another folder with -o"
+        )
+    return path
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a page, complete or not at all; characters that are none become question marks."""
+    with atomic_write(path) as file:
+        file.write(page.encode("utf-8", "replace"))
