@@ -20,6 +20,7 @@ from tisfm.cli.figures_arguments import Figures
 from tisfm.cli.reconstruct_arguments import Reconstruct
 from tisfm.cli.run_arguments import Run
 from tisfm.cli.shared_options import SettingsOptions
+from tisfm.cli.view_arguments import View
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.stated import is_raised_here, is_stated
@@ -110,7 +111,7 @@ def _fail(text: str) -> int:
     return 1
 
 
-def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Figures:
+def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | View | Demo | Figures:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -123,6 +124,7 @@ def _parse(arguments: list[str]) -> Run | Reconstruct | Eval | Batch | Demo | Fi
         | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
         | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
         | Annotated[Batch, subcommand("batch", prefix_name=False)]
+        | Annotated[View, subcommand("view", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
     )
