@@ -1,4 +1,4 @@
-"""The points of a frame, or its surface, as far as thresholds and a box leave them."""
+"""The points of a frame, as far as thresholds and a box leave them."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,6 @@ from tisfm.view.colors import Quantity, Ranges, pixel_colors
 from tisfm.view.frame import ViewFrame
 
 FARTHEST_MEDIANS = 10.0  # depths, as of point clouds: farther depth is a guess
-_TORN = 0.05  # neighbours whose depth differs by a larger share are of different surfaces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,28 +101,6 @@ def cloud(
         step=step,
         size=step * median / frame.camera.focal,
     )
-
-
-def surface(points: Cloud, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Return triangles between neighbouring points, (M, 3) indices, torn where depth jumps.
-
-    Parameters
-    ----------
-    points : Cloud
-    shape : (int, int)
-        Height and width of the frame.
-    """
-    height, width = (-(-side // points.step) for side in shape)
-    index = np.full((height, width), -1, np.int32)
-    index[tuple((points.pixels // points.step).T)] = np.arange(len(points), dtype=np.int32)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    corners = ((a, c, b), (b, c, d))
-    triangles = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners])
-    triangles = triangles[(triangles >= 0).all(axis=1)]
-    depth = points.positions[:, 2][triangles]
-    whole = np.ptp(depth, axis=1) <= _TORN * points.step**0.5 * depth.min(axis=1)
-    kept: NDArray[np.int32] = triangles[whole]
-    return kept
 
 
 def _passing(frame: ViewFrame, choice: Choice) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ import contextlib
 import io
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from tisfm.view.cache import MOST_BYTES, FrameCache
 from tisfm.view.cloud import Choice, Cloud, cloud
-from tisfm.view.colors import legend
+from tisfm.view.colors import legend, pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import field_of_view, picked_pixel, picked_point
@@ -94,7 +95,7 @@ class Page:
         self._is_stale, self._is_coarse, self._changed_at = True, True, 0.0
         self._playing_since: tuple[float, int] | None = None
         self._looked_at = time.monotonic()
-        self._shown_piece: Any = None
+        self._shown_path: tuple[int, bool] | None = None
         self._without_picture: list[int] = []
         self.controls.frame.value = number
         self._listen()
@@ -147,10 +148,11 @@ class Page:
                 pose = self.scene.pose_of(number)
                 quantity = controls.color.value
                 self.points = cloud(frame, quantity, self.ranges, self.choice(most), pose)
-                as_surface = controls.shape.value == "surface"
-                self.scene.show_points(
-                    self.points, frame, as_surface=as_surface, size=controls.size.value
-                )
+                if controls.shape.value == "surface":
+                    colors = pixel_colors(frame, quantity, self.ranges)
+                    self.scene.show_surface(self.points, frame, colors)
+                else:
+                    self.scene.show_points(self.points, frame, size=controls.size.value)
                 self.scene.show_here(frame, visible=not controls.follow.value)
                 self.scene.show_box(self._box())
             self._show_path(number)
@@ -177,7 +179,7 @@ class Page:
 
     def _change(self, *, path: bool = False) -> None:
         if path:
-            self._shown_piece = None
+            self._shown_path = None
         self._is_stale = True
         self._wake.set()
 
@@ -229,22 +231,29 @@ class Page:
             self._wake.clear()
             if self._stopping.is_set():
                 return
-            with contextlib.suppress(Empty):
-                while True:
-                    self._jobs.get_nowait()()
-            self._play()
-            now = time.monotonic()
-            if self._is_stale:
-                self._is_stale, self._is_coarse, self._changed_at = False, True, now
-                self._draw(most=COARSE)
-            elif self._is_coarse and now - self._changed_at > _REST:
-                self._is_coarse = False
-                self._draw(most=None)
-            elif self._without_picture and self._playing_since is None:
-                self._give_picture(self._without_picture.pop(0))
-            if now - self._looked_at > _LOOK:
-                self._looked_at = now
-                self._look()
+            try:
+                self._step()
+            except Exception:  # a bug: it is told, and the page goes on
+                traceback.print_exc()
+
+    def _step(self) -> None:
+        """Do what is to be done now."""
+        with contextlib.suppress(Empty):
+            while True:
+                self._jobs.get_nowait()()
+        self._play()
+        now = time.monotonic()
+        if self._is_stale:
+            self._is_stale, self._is_coarse, self._changed_at = False, True, now
+            self._draw(most=COARSE)
+        elif self._is_coarse and now - self._changed_at > _REST:
+            self._is_coarse = False
+            self._draw(most=None)
+        elif self._without_picture and self._playing_since is None:
+            self._give_picture(self._without_picture.pop(0))
+        if now - self._looked_at > _LOOK:
+            self._looked_at = now
+            self._look()
 
     def _pause(self) -> float:
         """Return how long to wait for a change, s."""
@@ -316,13 +325,17 @@ class Page:
     def _show_path(self, number: int) -> None:
         """Show path and frusta, if they are those of another piece than before; and things."""
         self.scene.show_things(number, visible=self.controls.things.value)
-        piece = int(self.result.piece[number])
-        if self.frame is None or piece == self._shown_piece:
-            return
-        self._shown_piece = piece
         controls = self.controls
+        from_inside = controls.follow.value  # where frusta are in the way
+        shown = int(self.result.piece[number]), from_inside
+        if self.frame is None or shown == self._shown_path:
+            return
+        self._shown_path = shown
         self.scene.show_path(
-            number, self.frame, path=controls.path.value, frusta=controls.frusta.value
+            number,
+            self.frame,
+            path=controls.path.value and not from_inside,
+            frusta=controls.frusta.value and not from_inside,
         )
         self._without_picture = list(self.scene.frusta) if controls.pictures.value else []
 

@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.view.cloud import Cloud, surface
+from tisfm.view.cloud import Cloud
 from tisfm.view.colors import thing_colors
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import field_of_view, picture_distance
 from tisfm.view.result import Result
+from tisfm.view.surface import surface_file, triangles_between
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 PATH_COLOR, HERE, MARK = (0, 114, 178), (213, 94, 0), (230, 159, 0)
 MOST_FRUSTA = 40
 _THUMB, _PICTURE = 96, 480  # px, of pictures in frusta
-_SIZE = 0.12  # of frusta, over the median depth
+_SIZE = 0.07  # of frusta, over the median depth
 
 
 class SceneView:
@@ -53,26 +54,34 @@ class SceneView:
         start.near, start.far = 1e-3 * self.depth, 1e3 * self.depth
         start.fov = 0.9
 
-    def show_points(
-        self, points: Cloud, frame: ViewFrame, *, as_surface: bool, size: float
-    ) -> None:
-        """Show the points of a frame, or the surface between them, in place of the last one."""
-        pose = self.pose_of(frame.number)
-        turn, position = quaternion(pose), pose[:3, 3]
-        triangles = surface(points, frame.shape) if as_surface else None
-        if triangles is not None and len(triangles):
-            from trimesh import Trimesh
+    def show_surface(self, points: Cloud, frame: ViewFrame, colors: NDArray[np.uint8]) -> None:
+        """Show the surface between points in place of what was shown last.
 
-            mesh = Trimesh(
-                vertices=points.positions,
-                faces=triangles,
-                vertex_colors=points.colors,
-                process=False,
-            )
-            self._nodes["points"] = self._server.scene.add_mesh_trimesh(
-                "/points", mesh, wxyz=turn, position=position
-            )
+        Parameters
+        ----------
+        points : Cloud
+        frame : ViewFrame
+            Theirs.
+        colors : (H, W, 3) uint8
+            Of all its pixels.
+        """
+        triangles = triangles_between(points, frame.shape)
+        if not len(triangles):
+            self.remove("points")
             return
+        pose = self.pose_of(frame.number)
+        self._nodes["points"] = self._server.scene.add_glb(
+            "/points",
+            surface_file(points, triangles, colors),
+            wxyz=quaternion(pose),
+            position=pose[:3, 3],
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def show_points(self, points: Cloud, frame: ViewFrame, *, size: float) -> None:
+        """Show the points of a frame in place of what was shown last."""
+        pose = self.pose_of(frame.number)
         self._nodes["points"] = self._server.scene.add_point_cloud(
             "/points",
             points.positions,
@@ -81,8 +90,8 @@ class SceneView:
             point_shape="square",
             point_shading="flat",
             precision="float32",
-            wxyz=turn,
-            position=position,
+            wxyz=quaternion(pose),
+            position=pose[:3, 3],
         )
 
     def show_here(self, frame: ViewFrame, *, visible: bool) -> None:
@@ -172,7 +181,7 @@ class SceneView:
                 )
             if number in thing.frames and known[thing.frames.index(number)]:
                 self._nodes[f"thing{thing.id}here"] = self._server.scene.add_label(
-                    f"/things/{thing.id}/here",
+                    f"/names/{thing.id}",
                     f"thing {thing.id}",
                     position=thing.poses[thing.frames.index(number), :3, 3],
                 )
@@ -240,7 +249,7 @@ def box_edges(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np
 
 
 def behind(pose: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
-    """Return a pose a little behind and above another that looks the same way."""
+    """Return a pose a little behind, above and beside another that looks the same way."""
     moved = pose.copy()
-    moved[:3, 3] += pose[:3, :3] @ np.array((0.0, -0.08, -0.45)) * depth
+    moved[:3, 3] += pose[:3, :3] @ np.array((0.12, -0.22, -0.5)) * depth
     return moved

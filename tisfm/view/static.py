@@ -61,7 +61,7 @@ def static_page(
                 scene.show_path(number, frame, path=True, frusta=True)
                 recording = server.get_scene_serializer()
             points = cloud(frame, quantity, ranges, choice, scene.pose_of(number))
-            scene.show_points(points, frame, as_surface=False, size=size)
+            scene.show_points(points, frame, size=size)
             scene.show_here(frame, visible=True)
             scene.show_things(number, visible=True)
             recording.insert_sleep(1 / frames_per_second)
