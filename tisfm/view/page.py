@@ -140,9 +140,9 @@ class Page:
         """
         self.number, self.frame = number, self._read(number)
         frame, controls = self.frame, self.controls
-        self.points = None
         with self.server.atomic():
             if frame is None:
+                self.points = None
                 self.scene.remove("points")
             else:
                 pose = self.scene.pose_of(number)
@@ -220,7 +220,7 @@ class Page:
             self._wake.set()
 
     def _measure_anew(self) -> None:
-        self._jobs.put(lambda: self._measure(None))
+        self._jobs.put(self._clear_measured)
         self._wake.set()
 
     # What the thread does.
@@ -365,15 +365,11 @@ class Page:
     def _show_reading(self) -> None:
         """Say what is known of the marked pixel in the frame that is shown, and mark it."""
         frame, reading = self.frame, None
-        marks: list[NDArray[np.float64]] = []
         if frame is not None and self.pixel is not None:
             with contextlib.suppress(IndexError):
                 reading = frame.reading(*self.pixel)
-        if frame is not None and reading is not None and reading.depth is not None:
-            row, column = np.array([reading.row]), np.array([reading.column])
-            position = frame.rays(row, column)[0] * reading.depth * frame.scale
-            marks.append(_moved(self.scene.pose_of(self.number), position))
-        self.scene.show_marks(marks, "pixel")
+        place = None if reading is None else self._place_of(reading.row, reading.column)
+        self.scene.show_marks([] if place is None else [place], "pixel")
         self.controls.reading.content = reading_html(reading, self.result.unit)
 
     def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
@@ -385,20 +381,31 @@ class Page:
         start = pose[:3, :3].T @ (origin - pose[:3, 3])
         along = pose[:3, :3].T @ direction
         hit = picked_point(start, along, points.positions)
-        in_picture = None
+        pixel = None if hit is None else tuple(map(int, points.pixels[hit]))
         if not self.controls.follow.value:
             distance = self.scene.picture_distance(frame)
             in_picture = picked_pixel(start, along, frame, distance)
-        if hit is not None:
-            length = float(np.linalg.norm(points.positions[hit] - start))
-            if in_picture is None or length < in_picture[2]:
-                if self.controls.measure.value:
-                    self._measure(_moved(pose, points.positions[hit]))
-                else:
-                    self._mark(*map(int, points.pixels[hit]))
-                return
-        if in_picture is not None and not self.controls.measure.value:
-            self._mark(*in_picture[:2])
+            length = np.inf if hit is None else np.linalg.norm(points.positions[hit] - start)
+            if in_picture is not None and in_picture[2] < length:
+                pixel = in_picture[:2]
+        if pixel is None:
+            return
+        if self.controls.measure.value:
+            self._measure(self._place_of(*pixel))
+        else:
+            self._mark(*pixel)
+
+    def _place_of(self, row: int, column: int) -> NDArray[np.float64] | None:
+        """Return where a pixel of the frame is in the world, None if it has no depth."""
+        frame = self.frame
+        if frame is None or not frame.has_depth[row, column]:
+            return None
+        ray = frame.rays(np.array([row]), np.array([column]))[0].astype(np.float64)
+        pose = self.scene.pose_of(self.number)
+        place: NDArray[np.float64] = (
+            pose[:3, :3] @ ray * (frame.scale / frame.inverse_depth[row, column]) + pose[:3, 3]
+        )
+        return place
 
     def _mark(self, row: int, column: int) -> None:
         """Read a pixel."""
@@ -408,14 +415,19 @@ class Page:
         self._show_pictures()
 
     def _measure(self, point: NDArray[np.float64] | None) -> None:
-        """Add a point to measure from or to; None to begin anew."""
-        if point is None:
-            self.measured = []
-        else:
+        """Add a point to measure from or to, if there is one."""
+        if point is not None:
             self.measured = [*self.measured[: len(self.measured) % 2], point]
+        self._show_distance()
+
+    def _clear_measured(self) -> None:
+        self.measured = []
+        self._show_distance()
+
+    def _show_distance(self) -> None:
+        """Show what is measured between, and the distance."""
         self.scene.show_marks(self.measured, "measured")
-        frame = self.frame
-        scale = 1.0 if frame is None else frame.scale
+        scale = 1.0 if self.frame is None else self.frame.scale
         self.controls.distance.content = (
             distance_html(self.measured, scale, self.result.unit)
             if self.measured or self.controls.measure.value
@@ -446,8 +458,3 @@ class Page:
                 client.camera.wxyz = quaternion(pose)
                 client.camera.position = pose[:3, 3]
                 client.camera.fov = field_of_view(self.frame)[0]
-
-
-def _moved(pose: NDArray[np.float64], position: NDArray[Any]) -> NDArray[np.float64]:
-    moved: NDArray[np.float64] = pose[:3, :3] @ position + pose[:3, 3]
-    return moved
