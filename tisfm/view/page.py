@@ -280,6 +280,8 @@ class Page:
         """Show the frame that the slider is at, and what belongs to it."""
         number = min(int(self.controls.frame.value), len(self.result.names) - 1)
         is_another = number != self.number
+        if is_another and self.measured and not self._shares_scale(number):
+            self._clear_measured()
         self.show(number, most)
         if is_another:
             self.controls.status.content = status_html(self.result, self.frame, number, self.fault)
@@ -289,6 +291,11 @@ class Page:
             self._show_reading()
         if self.controls.follow.value:
             self._follow()
+
+    def _shares_scale(self, number: int) -> bool:
+        """Return whether a frame has the scale of the one that is shown."""
+        piece = self.result.piece
+        return self.number >= 0 and piece[number] == piece[self.number] >= 0
 
     def _read(self, number: int) -> ViewFrame | None:
         """Return a frame, None if it cannot be read; what is wrong is said."""
