@@ -17,7 +17,7 @@ from tisfm.view.cloud import Choice, Cloud, cloud
 from tisfm.view.colors import legend, pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls
 from tisfm.view.frame import ViewFrame
-from tisfm.view.picking import field_of_view, picked_pixel, picked_point
+from tisfm.view.picking import WIDE, field_of_view, picked_pixel, picked_point
 from tisfm.view.pictures import picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
@@ -387,7 +387,10 @@ class Page:
         pose = self.scene.pose_of(self.number)
         start = pose[:3, :3].T @ (origin - pose[:3, 3])
         along = pose[:3, :3].T @ direction
-        hit = picked_point(start, along, points.positions)
+        between = (
+            0.75 * points.step / frame.camera.focal
+        )  # what is between two points belongs to one
+        hit = picked_point(start, along, points.positions, wide=max(WIDE, between))
         pixel = None if hit is None else tuple(map(int, points.pixels[hit]))
         if not self.controls.follow.value:
             distance = self.scene.picture_distance(frame)

@@ -7,12 +7,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.view.frame import ViewFrame
 
-_WIDE = 0.012  # rad: how far beside a point a click may be
+WIDE = 0.012  # rad: how far beside a point a click may be
 _BEHIND = 1.03  # of the distance of the nearest: points of one surface
 
 
 def picked_point(
-    origin: ArrayLike, direction: ArrayLike, positions: NDArray[np.floating]
+    origin: ArrayLike,
+    direction: ArrayLike,
+    positions: NDArray[np.floating],
+    *,
+    wide: float = WIDE,
 ) -> int | None:
     """Return the index of the point that a ray hits, None if there is none.
 
@@ -23,6 +27,8 @@ def picked_point(
     origin, direction : (3,) array_like
     positions : (N, 3)
         In the same axes.
+    wide : float
+        How far beside a point the ray may be, rad.
     """
     if not len(positions):
         return None
@@ -32,7 +38,7 @@ def picked_point(
     distance = beside @ along
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.linalg.norm(beside - distance[:, None] * along, axis=1) / distance
-    near = (distance > 0) & (angle < _WIDE)
+    near = (distance > 0) & (angle < wide)
     if not near.any():
         return None
     front = near & (distance <= _BEHIND * distance[near].min())
