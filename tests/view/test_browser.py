@@ -16,6 +16,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 from tisfm.view.page import Page  # noqa: E402, after what is skipped without viser
+from tisfm.view.scene import behind, quaternion  # noqa: E402
 
 SIZE = {"width": 1200, "height": 800}
 PATIENCE = 30_000  # ms: without a GPU a picture takes its time
@@ -165,6 +166,23 @@ def test_a_pixel_that_is_typed_is_read(look, tmp_path):
         "the pixel is not read",
     )
     assert "thing 2" in tab.get_by_test_id("reading").inner_text()
+
+
+def test_the_view_goes_to_the_camera(look, tmp_path):
+    shot = write_reconstruction(tmp_path / "r")
+    page, tab = look(tmp_path / "r")
+    set_number(tab, "Frame", 4)
+    wait_until(tab, lambda: page.number == 4, "the frame stays")
+    (client,) = page.server.get_clients().values()
+    expected = behind(shot.poses[4], page.scene.depth)[:3, 3]
+    assert np.linalg.norm(client.camera.position - expected) > 0.1
+    tab.get_by_role("button", name="Go to the camera").click()
+    wait_until(
+        tab,
+        lambda: np.linalg.norm(client.camera.position - expected) < 0.01,
+        "it does not go there",
+    )
+    assert client.camera.wxyz @ quaternion(shot.poses[4]) == pytest.approx(1, abs=0.02)
 
 
 def test_thresholds_and_colours(look, tmp_path):

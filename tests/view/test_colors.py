@@ -87,10 +87,13 @@ def test_legends_say_what_colours_mean(quantity):
 @pytest.mark.parametrize("kind", KINDS)
 def test_pictures_are_as_wide_as_asked_for(kind):
     assert picture_of(full(), kind, RANGES, width=4).shape == (3, 4, 3)
-    plain = picture_of(full(), kind, RANGES, width=99)
-    marked = picture_of(full(), kind, RANGES, width=99, marked=(2, 3))
+    plain = picture_of(full(), kind, RANGES, width=15)
+    marked = picture_of(full(), kind, RANGES, width=15, marked=(2, 3))
     assert plain.shape == marked.shape == (6, 8, 3) and plain.dtype == np.uint8
     assert (plain != marked).any()
+    large = picture_of(full(), kind, RANGES, width=20)
+    np.testing.assert_array_equal(large[::2, ::2], plain)
+    assert large.shape == (12, 16, 3)
 
 
 def test_ranges_are_those_of_the_middle_frame():

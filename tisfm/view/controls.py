@@ -23,6 +23,7 @@ class Controls:
     play: Any
     speed: Any
     follow: Any
+    go: Any
     status: Any
     color: Any
     legend: Any
@@ -74,6 +75,7 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
         found["play"] = gui.add_button("Play")
         found["speed"] = gui.add_slider("Frames per second", min=1, max=30, step=1, initial_value=8)
         found["follow"] = gui.add_checkbox("Follow the camera", initial_value=False)
+        found["go"] = gui.add_button("Go to the camera")
         found["status"] = gui.add_html("")
     with gui.add_folder("Points"):
         found["color"] = gui.add_dropdown("Colour", colors, initial_value="image")

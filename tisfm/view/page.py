@@ -22,7 +22,7 @@ from tisfm.view.pictures import picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static
-from tisfm.view.scene import SceneView, quaternion, thumbnail
+from tisfm.view.scene import START_FOV, SceneView, behind, quaternion, thumbnail
 from tisfm.view.server import start_server
 from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
 
@@ -168,6 +168,7 @@ class Page:
         for control in (controls.path, controls.frusta, controls.things, controls.pictures):
             control.on_update(lambda _: self._change(path=True))
         controls.play.on_click(lambda _: self._toggle_play())
+        controls.go.on_click(lambda event: self._go(event.client))
         controls.speed.on_update(lambda _: self._restart_play())
         controls.pixel.on_update(lambda event: self._mark_typed(event.client is not None))
         controls.measure.on_update(lambda _: self._measure_anew())
@@ -195,6 +196,15 @@ class Page:
 
         self._jobs.put(done)
         self._wake.set()
+
+    def _go(self, client: "ClientHandle") -> None:
+        """Bring a browser to a little behind the frame that is shown."""
+        pose = behind(self.scene.pose_of(max(self.number, 0)), self.scene.depth)
+        with client.atomic():
+            client.camera.wxyz = quaternion(pose)
+            client.camera.position = pose[:3, 3]
+            client.camera.look_at = pose[:3, 3] + self.scene.depth * pose[:3, 2]
+            client.camera.fov = START_FOV
 
     def _toggle_play(self) -> None:
         playing = self._playing_since is None

@@ -25,6 +25,8 @@ def picture_of(
 ) -> NDArray[np.uint8]:
     """Return a picture of a frame, (h, w, 3) uint8, at most so wide.
 
+    Small ones are enlarged by a whole number.
+
     Parameters
     ----------
     frame : ViewFrame
@@ -41,6 +43,9 @@ def picture_of(
     if full > width:
         size = (width, max(1, round(height * width / full)))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    elif width >= 2 * full:
+        enlarged = picture.repeat(width // full, axis=0).repeat(width // full, axis=1)
+        picture = enlarged
     picture = np.ascontiguousarray(picture)
     if marked is not None:
         share = picture.shape[1] / full

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.view.scene import behind, quaternion
+from tisfm.view.scene import START_FOV, behind, quaternion
 from tisfm.view.static import static_page
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
                 *FILM_SIZE,
                 wxyz=quaternion(pose),
                 position=pose[:3, 3],
-                fov=0.9,
+                fov=START_FOV,
                 transport_format="jpeg",
                 timeout=_TIMEOUT,
             )

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 PATH_COLOR, HERE, MARK = (0, 114, 178), (213, 94, 0), (230, 159, 0)
 MOST_FRUSTA = 40
+START_FOV = 0.9  # of browsers, rad
 _THUMB, _PICTURE = 96, 480  # px, of pictures in frusta
 _SIZE = 0.07  # of frusta, over the median depth
 
@@ -52,7 +53,7 @@ class SceneView:
         start.look_at = pose[:3, 3] + self.depth * pose[:3, 2]
         start.up = -pose[:3, 1]
         start.near, start.far = 1e-3 * self.depth, 1e3 * self.depth
-        start.fov = 0.9
+        start.fov = START_FOV
 
     def show_surface(self, points: Cloud, frame: ViewFrame, colors: NDArray[np.uint8]) -> None:
         """Show the surface between points in place of what was shown last.
