@@ -9,7 +9,7 @@ from tests.view.test_cloud import made
 from tisfm.outcome import Status
 from tisfm.view.cache import FrameCache
 from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors, thing_colors
-from tisfm.view.pictures import KINDS, picture_of
+from tisfm.view.pictures import KINDS, caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
 
@@ -94,6 +94,12 @@ def test_pictures_are_as_wide_as_asked_for(kind):
     large = picture_of(full(), kind, RANGES, width=20)
     np.testing.assert_array_equal(large[::2, ::2], plain)
     assert large.shape == (12, 16, 3)
+
+
+def test_captions_have_units():
+    assert "full colour at 3 px" in caption("flow", RANGES)
+    assert "from 0.5" in caption("depth", RANGES)
+    assert caption("frame", RANGES) == ""
 
 
 def test_ranges_are_those_of_the_middle_frame():

@@ -16,10 +16,12 @@ def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):
     result = open_result(tmp_path)
     assert result.names == ["f0"] and not result.refresh()
     write_record_of(tmp_path, shot, [0, 1, 2, 3], "camera")
-    assert result.refresh() and result.names == ["f0", "f1", "f2", "f3"]
+    assert result.refresh() == "grown" and result.names == ["f0", "f1", "f2", "f3"]
     assert len(result.statuses) == len(result.times) == len(result.poses) == 4
     assert result.times == pytest.approx([0, 0.1, 0.2, 0.3])
-    assert not result.refresh()
+    assert result.refresh() is None
+    write_record_of(tmp_path, shot, [1, 2, 3], "camera")  # a run from another frame on
+    assert result.refresh() == "replaced"
 
 
 def test_pairs_are_in_the_order_of_their_numbers(tmp_path):
@@ -77,7 +79,7 @@ def test_a_reconstruction_that_is_being_replaced_stays(tmp_path):
     about = json.loads(record)
     about["names"][0] = "another"
     (tmp_path / "r" / "reconstruction.json").write_text(json.dumps(about))
-    assert result.refresh() and result.names[0] == "another"
+    assert result.refresh() == "replaced" and result.names[0] == "another"
 
 
 @pytest.mark.parametrize("begun", ["reconstruction.begun", ".tisfm.lock"])

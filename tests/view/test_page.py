@@ -29,7 +29,7 @@ def opened(tmp_path):
         page.stop()
 
 
-def wait_for(condition, seconds=10.0):
+def wait_for(condition, seconds=30.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not come about"
@@ -144,7 +144,8 @@ def test_it_plays_and_stops(opened, tmp_path):
     wait_for(has_seen_all)
     assert page.controls.play.label == "Pause"
     page._toggle_play()
-    time.sleep(0.2)
+    time.sleep(0.5)
+    wait_for(lambda: not page._is_coarse and not page._is_stale)
     number = page.number
     time.sleep(0.3)
     assert page.number == number and page.controls.play.label == "Play"
@@ -159,6 +160,18 @@ def test_a_run_that_goes_on_grows_in_the_page(opened, tmp_path):
     wait_for(lambda: page.controls.frame.max == 3)
     wait_for(lambda: "2 of 4" in page.controls.status.content)  # the frame that was looked at
     assert page.controls.frame.value == 1
+
+
+def test_a_frame_stays_as_it_is_while_others_follow(opened, tmp_path):
+    shot = write_run(tmp_path / "r", 4, with_poses=True)
+    write_record_of(tmp_path / "r", shot, [0, 1], "camera", with_poses=True)
+    page = opened(tmp_path / "r")
+    wait_for(lambda: not page._is_coarse and len(page.scene.frusta) == 2)
+    frame = page.frame
+    write_record_of(tmp_path / "r", shot, range(4), "camera", with_poses=True)
+    wait_for(lambda: "1 of 4" in page.controls.status.content)
+    wait_for(lambda: len(page.scene.frusta) == 4)  # the path follows
+    assert page.frame is frame
 
 
 def test_a_frame_that_cannot_be_read_is_told(opened, tmp_path):

@@ -18,7 +18,7 @@ from tisfm.view.colors import legend, pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import WIDE, field_of_view, picked_pixel, picked_point
-from tisfm.view.pictures import picture_of
+from tisfm.view.pictures import caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
 _LOOK = 1.0  # s between looks at the folder
+_GROWN = 1.2  # times as many frames, for the path to be drawn anew
 _PICTURE = 420  # px, pictures beside the scene
 
 
@@ -96,6 +97,7 @@ class Page:
         self._playing_since: tuple[float, int] | None = None
         self._looked_at = time.monotonic()
         self._shown_path: tuple[int, bool] | None = None
+        self._path_of = 0  # frames, when the path was drawn last
         self._without_picture: list[int] = []
         self.controls.frame.value = number
         self._listen()
@@ -294,7 +296,7 @@ class Page:
             self._clear_measured()
         self.show(number, most)
         if is_another:
-            self.controls.status.content = status_html(self.result, self.frame, number, self.fault)
+            self._show_status()
         if is_another or most == COARSE:
             self._show_pictures()
             self._show_legend()
@@ -321,13 +323,19 @@ class Page:
         """Take over what the folder has more than before."""
         name = self.result.names[max(self.number, 0)]
         try:
-            if not self.result.refresh():
-                return
+            change = self.result.refresh()
         except (OSError, ValueError):  # it is replaced, or gone: what is there stays
             return
+        if change is None:
+            return
         names = self.result.names
-        self.cache.clear()
         self.controls.frame.max = max(1, len(names) - 1)
+        if change == "grown":
+            self._show_status()
+            if len(names) >= _GROWN * self._path_of and self.result.has_one_scale:
+                self._change(path=True)
+            return
+        self.cache.clear()
         number = names.index(name) if name in names else 0
         self.number = -1
         self.controls.frame.value = number
@@ -347,7 +355,7 @@ class Page:
         shown = int(self.result.piece[number]), from_inside
         if self.frame is None or shown == self._shown_path:
             return
-        self._shown_path = shown
+        self._shown_path, self._path_of = shown, len(self.result.names)
         self.scene.show_path(
             number,
             self.frame,
@@ -363,9 +371,13 @@ class Page:
             with contextlib.suppress(OSError, ValueError):
                 handle.image = thumbnail(self.result.read(number).picture)
 
+    def _show_status(self) -> None:
+        self.controls.status.content = status_html(self.result, self.frame, self.number, self.fault)
+
     def _show_pictures(self) -> None:
         for kind, image in zip(self.controls.kinds, self.controls.images, strict=True):
             if self.frame is not None:
+                image.label = caption(kind.value, self.ranges) or None
                 image.image = picture_of(
                     self.frame, kind.value, self.ranges, width=_PICTURE, marked=self.pixel
                 )

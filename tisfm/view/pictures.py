@@ -56,6 +56,18 @@ def picture_of(
     return picture
 
 
+def caption(kind: PictureKind, ranges: Ranges) -> str:
+    """Return what the colours of a picture mean."""
+    captions = {
+        "depth": f"bright is near, from {1 / ranges.inverse_depth:.3g} in the scene",
+        "flow": f"direction as hue, full colour at {ranges.flow:.3g} px",
+        "anaglyph": "for red-cyan glasses",
+        "confidence": "blue 0, yellow 1",
+        "deviation": "dark 1 %, yellow 64 %, grey not known",
+    }
+    return captions.get(kind, "")
+
+
 def _picture(frame: ViewFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.uint8]:
     if kind == "frame":
         return frame.picture

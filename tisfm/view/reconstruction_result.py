@@ -11,7 +11,7 @@ from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_twist
 from tisfm.view.frame import ViewFrame
-from tisfm.view.result import as_rgb
+from tisfm.view.result import Change, as_rgb
 
 
 class ReconstructionResult:
@@ -33,22 +33,22 @@ class ReconstructionResult:
         self._seen: tuple[int, int] | None = None
         self.refresh()
 
-    def refresh(self) -> bool:
+    def refresh(self) -> Change | None:
         """Open it anew if it was replaced; while that goes on it stays as it was."""
         try:
             about = os.stat(self.folder / RECORD)
         except FileNotFoundError:
             if self._seen is not None:  # another is being made
-                return False
+                return None
             raise FileNotFoundError(
                 f"the folder {self.folder} is not complete: it has no {RECORD}"
             ) from None
         seen = about.st_mtime_ns, about.st_size
         if seen == self._seen:
-            return False
+            return None
         self._take(Reconstruction.load(self.folder))
         self._seen = seen
-        return True
+        return "replaced"
 
     def read(self, number: int) -> ViewFrame:
         """Read picture, depth and labels of a frame."""

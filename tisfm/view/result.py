@@ -1,7 +1,7 @@
 """A result as it is looked at: which frames there are, where the camera was, and each frame."""
 
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.view.frame import ViewFrame
+
+Change = Literal["grown", "replaced"]
 
 
 class Result(Protocol):
@@ -56,8 +58,14 @@ class Result(Protocol):
         """
         ...
 
-    def refresh(self) -> bool:
-        """Look whether the folder has more than before; return whether it has changed."""
+    def refresh(self) -> Change | None:
+        """Look whether the folder has changed, and take over what it has now.
+
+        Returns
+        -------
+        {"grown", "replaced"} or None
+            Whether the frames that there were are the same, and others follow; or anything else.
+        """
         ...
 
 

@@ -14,7 +14,7 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.rigid import pose_matrix
 from tisfm.view.frame import ViewFrame
-from tisfm.view.result import as_rgb
+from tisfm.view.result import Change, as_rgb
 
 RECORD = "run.json"
 _UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
@@ -36,23 +36,25 @@ class RunResult:
         self.objects: tuple[MovingObject, ...] = ()
         self.names: list[str] = []
         self._seen: tuple[int, int] | None = None
+        self._files: list[Any] = []
         self.refresh()
 
-    def refresh(self) -> bool:
+    def refresh(self) -> Change | None:
         """Read the record anew if it is another; it is replaced as a whole while a run goes on."""
         path = self.folder / RECORD
         about = os.stat(path)
         seen = about.st_mtime_ns, about.st_size
         if seen == self._seen:
-            return False
+            return None
         record = read_json(path)
+        before = self._files
         try:
             self._take(record)
         except (LookupError, TypeError, AttributeError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
         self._seen = seen
-        return True
+        return "grown" if self._files[: len(before)] == before else "replaced"
 
     def read(self, number: int) -> ViewFrame:
         """Read the interpretation of a pair."""
@@ -91,6 +93,7 @@ class RunResult:
                 raise ValueError(f"{name} is no name of a pair")
         motion = record["settings"]["motion"]
         self.names = [name for name, _ in kept]
+        self._files = [(name, pair.get("files")) for name, pair in kept]
         self.statuses = [Status(pair["status"], pair["message"]) for _, pair in kept]
         self.times = [(pair.get("times") or [None])[0] for _, pair in kept]
         twists = [(pair.get("twists") or [None])[0] for _, pair in kept]
