@@ -19,7 +19,7 @@ from tisfm.view.page import Page  # noqa: E402, after what is skipped without vi
 from tisfm.view.scene import behind, quaternion  # noqa: E402
 
 SIZE = {"width": 1200, "height": 800}
-PATIENCE = 30_000  # ms: without a GPU a picture takes its time
+PATIENCE = 60_000  # ms: without a GPU a picture takes its time
 
 
 @pytest.fixture(scope="module")

@@ -55,6 +55,22 @@ def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
     assert page.server.request_share_url() is None  # no tunnel to the outside
 
 
+def test_pages_from_elsewhere_are_refused(opened, tmp_path):
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    write_run(tmp_path / "r", 1)
+    address = opened(tmp_path / "r").url.replace("http", "ws")
+    protocol = f"viser-v{viser.__version__}"
+    for origin in ("http://127.0.0.1:8080", "http://localhost:1", "http://[::1]", None):
+        with connect(address, origin=origin, subprotocols=[protocol], max_size=None) as socket:
+            assert socket.recv(timeout=20)
+    for origin in ("http://example.org", "http://127.0.0.1.example.org", "http://1.2.3.4", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(address, origin=origin, subprotocols=[protocol])
+
+
 def test_a_host_that_is_none_is_refused(tmp_path):
     write_run(tmp_path / "r", 1)
     with pytest.raises(OSError, match=r"cannot listen at 192\.0\.2\.1"):
