@@ -239,7 +239,7 @@ def test_two_clicks_measure(opened, tmp_path):
     wait_for(lambda: f"distance {expected:.4g}" in page.controls.distance.content)
     page._measure_anew()
     wait_for(lambda: "two points" in page.controls.distance.content)
-    assert not page.measured
+    assert not page.marks.measured
 
 
 def test_paths_of_the_camera_and_of_things(opened, tmp_path):

@@ -17,14 +17,15 @@ from tisfm.view.cloud import Choice, Cloud, cloud
 from tisfm.view.colors import legend, pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls
 from tisfm.view.frame import ViewFrame
-from tisfm.view.picking import WIDE, field_of_view, picked_pixel, picked_point
+from tisfm.view.marks import Marks
+from tisfm.view.picking import field_of_view
 from tisfm.view.pictures import caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static
 from tisfm.view.scene import START_FOV, SceneView, behind, quaternion, thumbnail
 from tisfm.view.server import start_server
-from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
+from tisfm.view.texts import legend_html, status_html
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -80,8 +81,6 @@ class Page:
         self.number, self.fault = -1, ""
         self.frame: ViewFrame | None = None
         self.points: Cloud | None = None
-        self.pixel: tuple[int, int] | None = None
-        self.measured: list[NDArray[np.float64]] = []
         self.server = start_server(host, port)
         with self.server.atomic():
             self.controls = build_controls(self.server, result, most_points=most_points)
@@ -89,6 +88,7 @@ class Page:
         self.ranges = ranges_of([] if first is None else [first])
         depth = 1.0 if first is None else first.usual_depth
         self.scene = SceneView(self.server, result, depth)
+        self.marks = Marks(self.controls, self.scene, result)
         self.scene.place_browsers(number)
         self._place_box(number)
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -141,6 +141,7 @@ class Page:
         It belongs to the thread that draws.
         """
         self.number, self.frame = number, self._read(number)
+        self.marks.frame = self.frame
         frame, controls = self.frame, self.controls
         with self.server.atomic():
             if frame is None:
@@ -232,7 +233,7 @@ class Page:
             self._wake.set()
 
     def _measure_anew(self) -> None:
-        self._jobs.put(self._clear_measured)
+        self._jobs.put(self.marks.clear_measured)
         self._wake.set()
 
     # What the thread does.
@@ -292,15 +293,15 @@ class Page:
         """Show the frame that the slider is at, and what belongs to it."""
         number = min(int(self.controls.frame.value), len(self.result.names) - 1)
         is_another = number != self.number
-        if is_another and self.measured and not self._shares_scale(number):
-            self._clear_measured()
+        if is_another and self.marks.measured and not self._shares_scale(number):
+            self.marks.clear_measured()
         self.show(number, most)
         if is_another:
             self._show_status()
         if is_another or most == COARSE:
             self._show_pictures()
             self._show_legend()
-            self._show_reading()
+            self.marks.show_reading()
         if self.controls.follow.value:
             self._follow()
 
@@ -379,7 +380,7 @@ class Page:
             if self.frame is not None:
                 image.label = caption(kind.value, self.ranges) or None
                 image.image = picture_of(
-                    self.frame, kind.value, self.ranges, width=_PICTURE, marked=self.pixel
+                    self.frame, kind.value, self.ranges, width=_PICTURE, marked=self.marks.pixel
                 )
 
     def _show_legend(self) -> None:
@@ -391,80 +392,13 @@ class Page:
         shown = legend(self.controls.color.value, self.ranges, unit, things)
         self.controls.legend.content = legend_html(shown)
 
-    def _show_reading(self) -> None:
-        """Say what is known of the marked pixel in the frame that is shown, and mark it."""
-        frame, reading = self.frame, None
-        if frame is not None and self.pixel is not None:
-            with contextlib.suppress(IndexError):
-                reading = frame.reading(*self.pixel)
-        place = None if reading is None else self._place_of(reading.row, reading.column)
-        self.scene.show_marks([] if place is None else [place], "pixel")
-        self.controls.reading.content = reading_html(reading, self.result.unit)
-
     def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
-        """Mark what a ray in the world hits."""
-        frame, points = self.frame, self.points
-        if frame is None or points is None:
-            return
-        pose = self.scene.pose_of(self.number)
-        start = pose[:3, :3].T @ (origin - pose[:3, 3])
-        along = pose[:3, :3].T @ direction
-        between = (
-            0.75 * points.step / frame.camera.focal
-        )  # what is between two points belongs to one
-        hit = picked_point(start, along, points.positions, wide=max(WIDE, between))
-        pixel = None if hit is None else tuple(map(int, points.pixels[hit]))
-        if not self.controls.follow.value:
-            distance = self.scene.picture_distance(frame)
-            in_picture = picked_pixel(start, along, frame, distance)
-            length = np.inf if hit is None else np.linalg.norm(points.positions[hit] - start)
-            if in_picture is not None and in_picture[2] < length:
-                pixel = in_picture[:2]
-        if pixel is None:
-            return
-        if self.controls.measure.value:
-            self._measure(self._place_of(*pixel))
-        else:
-            self._mark(*pixel)
-
-    def _place_of(self, row: int, column: int) -> NDArray[np.float64] | None:
-        """Return where a pixel of the frame is in the world, None if it has no depth."""
-        frame = self.frame
-        if frame is None or not frame.has_depth[row, column]:
-            return None
-        ray = frame.rays(np.array([row]), np.array([column]))[0].astype(np.float64)
-        pose = self.scene.pose_of(self.number)
-        place: NDArray[np.float64] = (
-            pose[:3, :3] @ ray * (frame.scale / frame.inverse_depth[row, column]) + pose[:3, 3]
-        )
-        return place
-
-    def _mark(self, row: int, column: int) -> None:
-        """Read a pixel."""
-        self.pixel = row, column
-        self.controls.pixel.value = (column, row)
-        self._show_reading()
+        self.marks.pick(origin, direction, self.points)
         self._show_pictures()
 
-    def _measure(self, point: NDArray[np.float64] | None) -> None:
-        """Add a point to measure from or to, if there is one."""
-        if point is not None:
-            self.measured = [*self.measured[: len(self.measured) % 2], point]
-        self._show_distance()
-
-    def _clear_measured(self) -> None:
-        self.measured = []
-        self._show_distance()
-
-    def _show_distance(self) -> None:
-        """Show what is measured between, and the distance."""
-        self.scene.show_marks(self.measured, "measured")
-        scale = 1.0 if self.frame is None else self.frame.scale
-        self.controls.distance.content = (
-            distance_html(self.measured, scale, self.result.unit)
-            if self.measured or self.controls.measure.value
-            else ""
-        )
+    def _mark(self, row: int, column: int) -> None:
+        self.marks.mark(row, column)
+        self._show_pictures()
 
     def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         controls = self.controls
