@@ -26,7 +26,18 @@ MEASURED = RESULTS / "README.md"
 CHANGES = ROOT / "CHANGELOG.md"
 PAGES = [README, CHANGES, *sorted(DOCS.glob("*.md")), MEASURED]
 PRESETS = {name: tisfm.Settings.preset(name) for name in get_args(Preset)}
-COMMANDS = ("run", "reconstruct", "eval", "batch", "export", "report", "demo", "figures", "doctor")
+COMMANDS = (
+    "run",
+    "reconstruct",
+    "eval",
+    "batch",
+    "export",
+    "report",
+    "view",
+    "demo",
+    "figures",
+    "doctor",
+)
 OF_TISFM = {"--version", "--help", "--completion"}
 LONGEST, LARGEST = 250, 150_000  # lines of the README, bytes of its picture
 FENCE = re.compile(r"(<!-- runnable -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -15,7 +15,10 @@ from tisfm.exports.formats import FORMATS
 from tisfm.trajectory import read_tum
 
 LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))
-OF_SEQUENCES = {"tum", "kitti", "mesh-ply", "mesh-glb", "gltf-camera", "chan"}
+OF_SEQUENCES = {
+    "tum", "kitti", "mesh-ply", "mesh-glb", "gltf-camera", "chan", "colmap", "colmap-text",
+    "nerfstudio",
+}  # fmt: skip
 
 
 def names(folder):

@@ -25,6 +25,7 @@ from tisfm.cli.reconstruct_arguments import Reconstruct
 from tisfm.cli.report_arguments import Report
 from tisfm.cli.run_arguments import Run
 from tisfm.cli.shared_options import SettingsOptions
+from tisfm.cli.view_arguments import View
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.stated import is_raised_here, is_stated
@@ -69,7 +70,7 @@ class Batch:
         )
 
 
-Command = Run | Reconstruct | Eval | Batch | Export | Report | Demo | Figures | Doctor
+Command = Run | Reconstruct | Eval | Batch | Export | Report | View | Demo | Figures | Doctor
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,7 +146,7 @@ def _parse_or_explain(arguments: list[str]) -> Command:
 
 def _parse(
     arguments: list[str],
-) -> Run | Reconstruct | Eval | Batch | Export | Report | Demo | Figures | Doctor:
+) -> Run | Reconstruct | Eval | Batch | Export | Report | View | Demo | Figures | Doctor:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
@@ -160,6 +161,7 @@ def _parse(
         | Annotated[Batch, subcommand("batch", prefix_name=False)]
         | Annotated[Export, subcommand("export", prefix_name=False)]
         | Annotated[Report, subcommand("report", prefix_name=False)]
+        | Annotated[View, subcommand("view", prefix_name=False)]
         | Annotated[Demo, subcommand("demo", prefix_name=False)]
         | Annotated[Figures, subcommand("figures", prefix_name=False)]
         | Annotated[Doctor, subcommand("doctor", prefix_name=False)]

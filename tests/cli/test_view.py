@@ -1,0 +1,88 @@
+"""``tisfm view``: the page on this computer, a page that plays by itself, and what is refused."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+
+import pytest
+
+from tests.cli.command_line import TISFM, assert_one_line
+from tests.view.results import write_reconstruction, write_record_of, write_run
+from tisfm.cli.command_line import main
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
+
+
+def test_a_page_that_plays_by_itself(place, capsys):
+    write_reconstruction(place / "r")
+    assert main(["view", "r", "--html", "view.html", "--html-frames", "3"]) == 0
+    text = (place / "view.html").read_text(encoding="utf-8")
+    assert text.rstrip().endswith("</html>") and "__VISER_EMBED_DATA__" in text
+    out, err = capsys.readouterr()
+    assert out == "" and "3 of 5 frames in view.html" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], ["there is no folder nowhere"]),
+        (["empty"], ["empty is no result of tisfm"]),
+        (["r", "--frame", "5"], ["--frame is 5", "0 to 4"]),
+        (["r", "--frame=-1"], ["--frame is -1"]),
+        (["r", "--points", "0"], ["--points is 0"]),
+        (["r", "--port", "99999"], ["port is 99999"]),
+        (["r", "--host", "192.0.2.1"], ["cannot listen at 192.0.2.1"]),
+        (["r", "--html", "no/view.html"], ["there is no folder no"]),
+        (["r", "--html", "view.html", "--html-frames", "0"], ["--html-frames is 0"]),
+        (["nowhere", "--html", "view.html"], ["there is no folder nowhere"]),
+    ],
+)
+def test_what_is_refused(place, capsys, arguments, words):
+    write_reconstruction(place / "r")
+    (place / "empty").mkdir()
+    code = main(["view", *arguments, "--no-browser"])
+    assert_one_line(code, capsys.readouterr().err, *words)
+    assert not (place / "view.html").exists()
+
+
+def test_without_viser_it_says_what_to_install(place, capsys, monkeypatch):
+    write_reconstruction(place / "r")
+    monkeypatch.setitem(sys.modules, "viser", None)
+    code = main(["view", "r", "--no-browser"])
+    assert_one_line(code, capsys.readouterr().err, "pip install 'tisfm[view]'")
+
+
+def begun(*arguments):
+    """Start the command in a process of its own; return it."""
+    return subprocess.Popen(
+        [*TISFM, "view", *arguments, "--no-browser", "--port", "0"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
+def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place):
+    (place / "r").mkdir()
+    (place / "r" / ".tisfm.lock").touch()
+    process = begun("r")
+    try:
+        assert "waiting for it" in process.stderr.readline()
+        shot = write_run(place / "r", 2)
+        write_record_of(place / "r", shot, [0], "camera")
+        line = process.stderr.readline()
+        url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
+        with urllib.request.urlopen(url, timeout=20) as answer:
+            assert b"<html" in answer.read()
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and out == "" and err == ""

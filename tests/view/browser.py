@@ -1,0 +1,24 @@
+"""A real browser without a window, where there is one."""
+
+import shutil
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+# WebGL without a GPU.
+OPTIONS = (
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+)  # fmt: skip
+
+
+def launched(playwright):
+    """Return a browser; skip, saying why, where there is none."""
+    from playwright.sync_api import Error
+
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    if path is None:
+        pytest.skip("no Chromium: Debian has it as the package chromium")
+    try:
+        return playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
+    except Error as error:
+        pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")

@@ -1,0 +1,252 @@
+"""The page in a real browser: what it shows, a click, the slider, what it saves."""
+
+import io
+import re
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.view.browser import launched
+from tests.view.results import write_reconstruction, write_record_of, write_run
+from tisfm.view.opening import open_result
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
+api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tisfm.view.page import Page  # noqa: E402, after what is skipped without viser
+from tisfm.view.scene import behind, quaternion  # noqa: E402
+
+SIZE = {"width": 1200, "height": 800}
+PATIENCE = 60_000  # ms: without a GPU a picture takes its time
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with api.sync_playwright() as playwright:
+        found = launched(playwright)
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def look(browser, tmp_path):
+    """Open a result in a tab; return the page and the tab."""
+    opened = []
+
+    def looked(folder, **options):
+        page = Page(open_result(folder), port=0, **options)
+        opened.append(page)
+        tab = browser.new_context(viewport=SIZE, accept_downloads=True).new_page()
+        opened.append(tab.context)
+        tab.set_default_timeout(PATIENCE)
+        tab.asked = []
+        tab.on("request", lambda request: tab.asked.append(request.url))
+        tab.goto(page.url)
+        tab.get_by_test_id("status").wait_for()
+        tab.locator("canvas").first.wait_for()
+        return page, tab
+
+    yield looked
+    for thing in reversed(opened):
+        (thing.close if hasattr(thing, "close") else thing.stop)()
+
+
+def picture(tab):
+    """Return what the tab shows between its panels, (h, w, 3)."""
+    shot = np.asarray(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
+    return shot[200:, 320:860].astype(int)
+
+
+def wait_until(tab, condition, what):
+    for _ in range(PATIENCE // 250):
+        if condition():
+            return
+        tab.wait_for_timeout(250)
+    raise AssertionError(what)
+
+
+def status(tab):
+    return tab.get_by_test_id("status").inner_text()
+
+
+def field_of(tab, label):
+    """Return the field beside a label, its last one if it has several."""
+    return (
+        tab.get_by_text(label, exact=True)
+        .locator("xpath=../../..")
+        .locator("input:not([type=hidden])")
+        .last
+    )
+
+
+def set_number(tab, label, value):
+    field = field_of(tab, label)
+    field.fill(str(value))
+    field.press("Enter")
+    field.blur()
+
+
+def test_it_shows_the_scene_and_asks_nobody_else(look, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    _, tab = look(tmp_path / "r")
+    # Points fade in on a white ground.
+    wait_until(tab, lambda: (picture(tab).min(axis=2) < 225).mean() > 0.2, "there are no points")
+    assert "1 of 5" in status(tab) and "converged" in status(tab)
+    for label in ("Frame", "Colour", "Largest deviation, %", "Column, row", "Follow the camera"):
+        assert tab.get_by_text(label, exact=True).is_visible()
+    assert not tab.get_by_text("Least confidence", exact=True).is_visible()  # it has none
+    assert tab.locator("img").count() >= 2
+    hosts = {urlsplit(url).hostname for url in tab.asked if url.startswith(("http", "ws"))}
+    assert hosts == {"127.0.0.1"}
+
+
+def test_the_slider_goes_to_a_frame(look, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page, tab = look(tmp_path / "r")
+    before = tab.locator("img").first.get_attribute("src")
+    set_number(tab, "Frame", 3)
+    wait_until(tab, lambda: "4 of 5" in status(tab), "the frame stays")
+    assert page.number == 3
+    wait_until(
+        tab, lambda: tab.locator("img").first.get_attribute("src") != before, "the picture stays"
+    )
+
+
+def test_playing_moves_the_slider(look, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    _, tab = look(tmp_path / "r")
+    tab.get_by_role("button", name="Play").click()
+    tab.get_by_role("button", name="Pause").wait_for()
+    seen = set()
+    wait_until(tab, lambda: seen.add(status(tab)) or len(seen) >= 3, "it does not play")
+    tab.get_by_role("button", name="Pause").click()
+    tab.get_by_role("button", name="Play").wait_for()
+
+
+def test_a_click_reads_the_pixel_that_is_there(look, tmp_path):
+    write_run(tmp_path / "r", 2)
+    page, tab = look(tmp_path / "r")
+    tab.get_by_label("Follow the camera").check()
+    wait_until(tab, lambda: not page._is_coarse and not page._is_stale, "it is not drawn in full")
+    tab.wait_for_timeout(1500)  # until the browser has turned there
+    box = tab.locator("canvas").first.bounding_box()
+    x, y = box["x"] + 0.45 * box["width"], box["y"] + 0.6 * box["height"]
+    tab.mouse.click(x, y)
+    tab.get_by_test_id("reading").wait_for()
+    text = tab.get_by_test_id("reading").inner_text()
+    column, row = map(int, re.search(r"column (\d+), row (\d+)", text).groups())
+    # From where the camera was, the height of the page is that of the frame.
+    height, width = page.frame.shape
+    share = height / box["height"]
+    expected = (width - 1) / 2 - 0.05 * box["width"] * share, (height - 1) / 2 + 0.1 * height
+    assert (column, row) == pytest.approx(expected, abs=1.5)
+    reading = page.frame.reading(row, column)
+    for shown in (f"{reading.depth:.4g} ±", f"{reading.tau[0]:.4g}", f"{reading.confidence:.3f}"):
+        assert shown in text
+    for unit in ("1/frame", "rad/frame", "px/frame"):
+        assert unit in text
+
+
+def test_a_pixel_that_is_typed_is_read(look, tmp_path):
+    write_reconstruction(tmp_path / "r", things=True)
+    _, tab = look(tmp_path / "r")
+    fields = tab.get_by_text("Column, row", exact=True).locator("xpath=../../..").locator("input")
+    for field, value in ((fields.first, 16), (fields.last, 14)):
+        field.fill(str(value))
+        field.press("Enter")
+        field.blur()
+    wait_until(
+        tab,
+        lambda: (
+            tab.get_by_test_id("reading").count()
+            and "column 16, row 14" in tab.get_by_test_id("reading").inner_text()
+        ),
+        "the pixel is not read",
+    )
+    assert "thing 2" in tab.get_by_test_id("reading").inner_text()
+
+
+def test_the_view_goes_to_the_camera(look, tmp_path):
+    shot = write_reconstruction(tmp_path / "r")
+    page, tab = look(tmp_path / "r")
+    set_number(tab, "Frame", 4)
+    wait_until(tab, lambda: page.number == 4, "the frame stays")
+    (client,) = page.server.get_clients().values()
+    expected = behind(shot.poses[4], page.scene.depth)[:3, 3]
+    assert np.linalg.norm(client.camera.position - expected) > 0.1
+    tab.get_by_role("button", name="Go to the camera").click()
+    wait_until(
+        tab,
+        lambda: np.linalg.norm(client.camera.position - expected) < 0.01,
+        "it does not go there",
+    )
+    assert client.camera.wxyz @ quaternion(shot.poses[4]) == pytest.approx(1, abs=0.02)
+
+
+def test_thresholds_and_colours(look, tmp_path):
+    write_run(tmp_path / "r", 1)
+    page, tab = look(tmp_path / "r")
+    wait_until(tab, lambda: (picture(tab).min(axis=2) < 225).mean() > 0.2, "there are no points")
+    set_number(tab, "Least confidence", 0.9)
+    wait_until(tab, lambda: len(page.points) < 400, "all points are left")
+    set_number(tab, "Least confidence", 0)
+    field_of(tab, "Colour").click()
+    tab.get_by_role("option", name="confidence").click()
+    tab.get_by_text("0.5", exact=True).first.wait_for()  # of the legend
+    assert page.controls.color.value == "confidence"
+    # Blue at the left and yellow at the right, as confidence grows.
+    wait_until(
+        tab, lambda: np.ptp(picture(tab)[..., 0] - picture(tab)[..., 2]) > 150, "it is not coloured"
+    )
+
+
+def test_a_run_that_goes_on_grows(look, tmp_path):
+    shot = write_run(tmp_path / "r", 3)
+    write_record_of(tmp_path / "r", shot, [0], "camera")
+    _, tab = look(tmp_path / "r")
+    assert "1 of 1" in status(tab)
+    write_record_of(tmp_path / "r", shot, [0, 1, 2], "camera")
+    wait_until(tab, lambda: "1 of 3" in status(tab), "it stays as it was")
+
+
+@pytest.mark.slow
+def test_it_saves_pictures_films_and_pages(look, browser, tmp_path, monkeypatch):
+    monkeypatch.setattr("tisfm.view.saving.FILM_SIZE", (120, 160))
+    write_reconstruction(tmp_path / "r", 3)
+    _, tab = look(tmp_path / "r")
+    tab.get_by_text("Save", exact=True).click()
+
+    def saved(name):
+        with tab.expect_download(timeout=PATIENCE) as download:
+            tab.get_by_role("button", name=name).click()
+        path = tmp_path / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
+
+    with Image.open(saved("Screenshot (PNG)")) as shot:
+        assert shot.format == "PNG" and shot.height >= 700
+        assert (np.asarray(shot.convert("L")) < 140).mean() > 0.1
+    av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'tisfm[video]'")
+    with av.open(str(saved("Fly-through (MP4)"))) as film:
+        pictures = [frame.to_ndarray(format="gray") for frame in film.decode(video=0)]
+    assert len(pictures) == 3 and pictures[0].shape == (120, 160)
+    assert all(np.ptp(picture) > 60 for picture in pictures)
+    plays_by_itself(browser, saved("Page that plays by itself (HTML)"))
+
+
+def plays_by_itself(browser, path):
+    """Open a page without a network, and see that it moves."""
+    context = browser.new_context(viewport=SIZE, offline=True)
+    try:
+        tab = context.new_page()
+        asked = []
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto(path.as_uri())
+        wait_until(tab, lambda: (picture(tab).min(axis=2) < 225).mean() > 0.1, "it is empty")
+        first = picture(tab)
+        wait_until(tab, lambda: (picture(tab) != first).mean() > 0.01, "it does not play")
+        assert {urlsplit(url).scheme for url in asked} <= {"file", "blob", "data"}
+    finally:
+        context.close()

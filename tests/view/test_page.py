@@ -1,0 +1,270 @@
+"""The page without a browser: what it shows, when controls change, and while a run goes on."""
+
+import socket
+import time
+
+import numpy as np
+import pytest
+
+from tests.view.results import film, write_reconstruction, write_record_of, write_run
+from tisfm.view.opening import open_result
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
+
+from tisfm.view.page import Page
+from tisfm.view.static import static_page
+
+
+@pytest.fixture
+def opened(tmp_path):
+    """Open pages on results, and end them."""
+    pages = []
+
+    def page_of(folder, **options):
+        pages.append(Page(open_result(folder), port=0, **options))
+        return pages[-1]
+
+    yield page_of
+    for page in pages:
+        page.stop()
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.02)
+
+
+def change(page, name, value):
+    """Set a control as a browser would."""
+    getattr(page.controls, name).value = value
+    page._change()
+
+
+def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
+    write_run(tmp_path / "r", 1)
+    page = opened(tmp_path / "r")
+    assert page.url.startswith("http://127.0.0.1:")
+    port = page.server.get_port()
+    for host, expected in (("127.0.0.1", True), (socket.gethostbyname(socket.gethostname()), None)):
+        with socket.socket() as probe:
+            found = probe.connect_ex((host, port)) == 0
+        assert found == (host.startswith("127.") if expected is None else expected)
+    assert capsys.readouterr().out == ""
+    assert page.server.request_share_url() is None  # no tunnel to the outside
+
+
+def test_pages_from_elsewhere_are_refused(opened, tmp_path):
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    write_run(tmp_path / "r", 1)
+    address = opened(tmp_path / "r").url.replace("http", "ws")
+    protocol = f"viser-v{viser.__version__}"
+    for origin in ("http://127.0.0.1:8080", "http://localhost:1", "http://[::1]", None):
+        with connect(address, origin=origin, subprotocols=[protocol], max_size=None) as socket:
+            assert socket.recv(timeout=20)
+    for origin in ("http://example.org", "http://127.0.0.1.example.org", "http://1.2.3.4", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(address, origin=origin, subprotocols=[protocol])
+
+
+def test_a_host_that_is_none_is_refused(tmp_path):
+    write_run(tmp_path / "r", 1)
+    with pytest.raises(OSError, match=r"cannot listen at 192\.0\.2\.1"):
+        Page(open_result(tmp_path / "r"), host="192.0.2.1")
+    with pytest.raises(ValueError, match="port is 70000"):
+        Page(open_result(tmp_path / "r"), port=70000)
+
+
+def test_frames_are_read_when_they_are_looked_at(opened, tmp_path):
+    shot = write_run(tmp_path / "r", 1)
+    for k in range(1, 200):
+        (tmp_path / "r" / f"f{k}.npz").hardlink_to(tmp_path / "r" / "f0.npz")
+    write_record_of(tmp_path / "r", film(5), range(4), "camera")
+    result = open_result(tmp_path / "r")
+    result.names = [f"f{k}" for k in range(200)]
+    for name in ("statuses", "times"):
+        setattr(result, name, getattr(result, name)[:1] * 200)
+    result.poses, result.piece = np.tile(np.eye(4), (200, 1, 1)), np.arange(200)
+    read = []
+    result.read = lambda number, read_one=result.read: read.append(number) or read_one(number)
+    page = Page(result, port=0)
+    try:
+        wait_for(lambda: page.points is not None and not page._is_coarse)
+        assert len(set(read)) <= 4
+        change(page, "frame", 150)
+        wait_for(lambda: page.number == 150)
+        assert len(set(read)) <= 5
+    finally:
+        page.stop()
+    assert shot.frames.shape[1:] == page.frame.shape
+
+
+def test_coarse_first_then_all(opened, tmp_path, monkeypatch):
+    monkeypatch.setattr("tisfm.view.page.COARSE", 100)
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    shown = []
+    show = page.scene.show_points
+
+    def noted(points, *arguments, **options):
+        shown.append(len(points))
+        show(points, *arguments, **options)
+
+    monkeypatch.setattr(page.scene, "show_points", noted)
+    change(page, "frame", 2)
+    wait_for(lambda: page.number == 2 and len(page.points) > 1000)
+    assert shown[0] < 150 and shown[-1] > 1000
+
+
+def test_controls_change_what_is_shown(opened, tmp_path):
+    write_run(tmp_path / "r", 3)
+    page = opened(tmp_path / "r")
+    wait_for(lambda: not page._is_coarse and not page._is_stale)
+    everything = len(page.points)
+    change(page, "min_confidence", 0.5)
+    wait_for(lambda: len(page.points) < 0.6 * everything)
+    change(page, "min_confidence", 0)
+    change(page, "max_deviation", 1.0)
+    wait_for(lambda: len(page.points) == 0)
+    change(page, "max_deviation", 100.0)
+    change(page, "color", "deviation")
+    wait_for(lambda: "relative deviation" in page.controls.legend.content)
+    before = page.points.colors
+    change(page, "color", "confidence")
+    wait_for(lambda: "confidence" in page.controls.legend.content)
+    assert (page.points.colors[:5] != before[:5]).any()
+    change(page, "shape", "surface")
+    wait_for(lambda: type(page.scene._nodes["points"]).__name__ == "GlbHandle")
+    low = tuple(page.points.positions.max(axis=0) + 1)
+    change(page, "box_low", low)
+    change(page, "box_high", tuple(np.add(low, 1)))
+    change(page, "box", True)
+    wait_for(lambda: len(page.points) == 0 and "box" in page.scene._nodes)
+
+
+def test_it_plays_and_stops(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    page.controls.speed.value = 30
+    page._toggle_play()
+    seen = set()
+
+    def has_seen_all():
+        seen.add(page.number)
+        return seen == set(range(5))
+
+    wait_for(has_seen_all)
+    assert page.controls.play.label == "Pause"
+    page._toggle_play()
+    time.sleep(0.5)
+    wait_for(lambda: not page._is_coarse and not page._is_stale)
+    number = page.number
+    time.sleep(0.3)
+    assert page.number == number and page.controls.play.label == "Play"
+
+
+def test_a_run_that_goes_on_grows_in_the_page(opened, tmp_path):
+    shot = write_run(tmp_path / "r", 4)
+    write_record_of(tmp_path / "r", shot, [1], "camera")
+    page = opened(tmp_path / "r")
+    assert page.controls.status.content.count("1 of 1") == 1
+    write_record_of(tmp_path / "r", shot, range(4), "camera")
+    wait_for(lambda: page.controls.frame.max == 3)
+    wait_for(lambda: "2 of 4" in page.controls.status.content)  # the frame that was looked at
+    assert page.controls.frame.value == 1
+
+
+def test_a_frame_stays_as_it_is_while_others_follow(opened, tmp_path):
+    shot = write_run(tmp_path / "r", 4, with_poses=True)
+    write_record_of(tmp_path / "r", shot, [0, 1], "camera", with_poses=True)
+    page = opened(tmp_path / "r")
+    wait_for(lambda: not page._is_coarse and len(page.scene.frusta) == 2)
+    frame = page.frame
+    write_record_of(tmp_path / "r", shot, range(4), "camera", with_poses=True)
+    wait_for(lambda: "1 of 4" in page.controls.status.content)
+    wait_for(lambda: len(page.scene.frusta) == 4)  # the path follows
+    assert page.frame is frame
+
+
+def test_a_frame_that_cannot_be_read_is_told(opened, tmp_path):
+    write_run(tmp_path / "r", 3)
+    page = opened(tmp_path / "r")
+    (tmp_path / "r" / "f1.npz").write_bytes(b"PK damaged")
+    page.cache.clear()
+    change(page, "frame", 1)
+    wait_for(lambda: "cannot be read" in page.controls.status.content)
+    assert page.points is None
+    change(page, "frame", 2)
+    wait_for(lambda: page.points is not None and page.number == 2)
+    assert "cannot be read" not in page.controls.status.content
+
+
+def test_clicks_read_pixels(opened, tmp_path):
+    write_reconstruction(tmp_path / "r", things=True)
+    page = opened(tmp_path / "r")
+    change(page, "frame", 1)
+    wait_for(lambda: page.number == 1 and not page._is_coarse)
+    frame, pose = page.frame, film().poses[1]
+    ray = frame.rays(np.array([15]), np.array([16]))[0]
+    page._jobs.put(lambda: page._pick(pose[:3, 3] - 0.001 * pose[:3, 2], pose[:3, :3] @ ray))
+    # From the place of the camera the picture in the frustum is the first thing that is hit.
+    wait_for(lambda: "column 16, row 15" in page.controls.reading.content)
+    assert "thing 2" in page.controls.reading.content
+    assert page.controls.pixel.value == (16, 15)
+    change(page, "follow", True)  # there is no picture in the way
+    page._jobs.put(
+        lambda: page._pick(pose[:3, 3], pose[:3, :3] @ frame.rays(*np.array([[30], [40]]))[0])
+    )
+    wait_for(lambda: "column 40, row 30" in page.controls.reading.content)
+    assert f"{1 / frame.inverse_depth[30, 40]:.4g} ±" in page.controls.reading.content
+
+
+def test_two_clicks_measure(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    wait_for(lambda: not page._is_coarse)
+    page.controls.measure.value = True
+    frame = page.frame
+    ends = [np.array([20]), np.array([10])], [np.array([20]), np.array([50])]
+    places = []
+    for row, column in ends:
+        ray = frame.rays(row, column)[0]
+        places.append(ray / frame.inverse_depth[row, column])
+        page._jobs.put(lambda ray=ray: page._pick(np.zeros(3), ray))
+    expected = float(np.linalg.norm(places[0] - places[1]))
+    wait_for(lambda: f"distance {expected:.4g}" in page.controls.distance.content)
+    page._measure_anew()
+    wait_for(lambda: "two points" in page.controls.distance.content)
+    assert not page.marks.measured
+
+
+def test_paths_of_the_camera_and_of_things(opened, tmp_path):
+    poses, piece = film().poses.copy(), np.array([0, 0, 0, 1, 1], np.int32)
+    changes = {"poses": poses, "piece": piece, "unit": (1.0, 1.0)}
+    write_reconstruction(tmp_path / "r", things=True, changes=changes)
+    page = opened(tmp_path / "r")
+    wait_for(lambda: set(page.scene.frusta) == {0, 1, 2})
+    assert len(page.scene._nodes["thing2"].points) == 2  # of three frames of this piece
+    wait_for(lambda: all(handle.image is not None for handle in page.scene.frusta.values()))
+    change(page, "frame", 4)
+    wait_for(lambda: set(page.scene.frusta) == {3, 4})
+    page.controls.frusta.value = False
+    page._change(path=True)
+    wait_for(lambda: not page.scene.frusta)
+
+
+def test_a_static_page_holds_everything(tmp_path):
+    write_reconstruction(tmp_path / "r", things=True)
+    page = Page(open_result(tmp_path / "r"), port=0)
+    page.stop()
+    options = {"ranges": page.ranges, "choice": page.choice(500), "frames_per_second": 5}
+    text = static_page(page.result, quantity="image", most_frames=3, **options)
+    assert "__VISER_EMBED_DATA__" in text and "</html>" in text
+    more = static_page(page.result, quantity="image", most_frames=5, **options)
+    assert len(more) > len(text)
+    (tmp_path / "r" / "frames" / "000000.jpg").unlink()
+    assert static_page(page.result, quantity="image", most_frames=5, **options)

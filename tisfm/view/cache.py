@@ -1,0 +1,51 @@
+"""Frames that were read, as many as fit into a number of bytes."""
+
+from collections import OrderedDict
+
+from tisfm.view.frame import ViewFrame
+from tisfm.view.result import Result
+
+MOST_BYTES = 256 * 2**20
+
+
+class FrameCache:
+    """Frames of a result; those that were not asked for the longest are forgotten.
+
+    Parameters
+    ----------
+    result : Result
+    most_bytes : int
+        Of all frames kept; the last one is kept whatever it takes.
+    """
+
+    def __init__(self, result: Result, most_bytes: int = MOST_BYTES) -> None:
+        self._result, self._most = result, most_bytes
+        self._frames: OrderedDict[int, ViewFrame] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the frames that are kept."""
+        return sum(frame.nbytes for frame in self._frames.values())
+
+    def __getitem__(self, number: int) -> ViewFrame:
+        """Return a frame, and read it if need be.
+
+        Raises
+        ------
+        OSError, ValueError
+            If it cannot be read.
+        """
+        frame = self._frames.pop(number, None)
+        if frame is None:
+            frame = self._result.read(number)
+        self._frames[number] = frame
+        while len(self._frames) > 1 and self.nbytes > self._most:
+            self._frames.popitem(last=False)
+        return frame
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._frames.clear()

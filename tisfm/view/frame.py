@@ -1,0 +1,227 @@
+"""A frame as it is looked at: its picture, depth, motion, and what is known of each pixel."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.camera import Camera
+from tisfm.outcome import Status
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewFrame:
+    """What is known of one frame.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the result.
+    picture : (H, W, 3) uint8
+        Red, green, blue.
+    camera : Camera
+        The pinhole that all of this belongs to.
+    inverse_depth : (H, W) float32
+        In the unit of the result; NaN where there is none.
+    status : Status
+    scale : float
+        What depth is multiplied by in the scene, so that frames of scales of their own look alike;
+        1 where all have one scale.
+    inverse_depth_std : (H, W) float32 or None
+        Infinite where nothing is known.
+    confidence : (H, W) float32 or None
+        In [0, 1].
+    labels : (H, W) int or None
+        Which thing a pixel belongs to; 0 is what is at rest.
+    hidden : (H, W) bool or None
+        Where a pixel is not visible in the next frame.
+    rho : (6, H, W) float32 or None
+        (τ, ω)·f, where motion is free at every pixel.
+    stored_flow : (H, W, 2) float32 or None
+        Image motion to the next frame, px, where the result has it.
+    motions : dict of int to ((6,) twist, (4, 4) pose)
+        By labels, the motion of the scene before the camera to the next frame, in the unit of the
+        depth; empty where it is not known.
+    """
+
+    number: int
+    picture: NDArray[np.uint8] = field(repr=False)
+    camera: Camera
+    inverse_depth: Floats = field(repr=False)
+    status: Status
+    scale: float = 1.0
+    inverse_depth_std: Floats | None = field(default=None, repr=False)
+    confidence: Floats | None = field(default=None, repr=False)
+    labels: NDArray[np.integer] | None = field(default=None, repr=False)
+    hidden: NDArray[np.bool_] | None = field(default=None, repr=False)
+    rho: Floats | None = field(default=None, repr=False)
+    stored_flow: Floats | None = field(default=None, repr=False)
+    motions: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(
+        default_factory=dict, repr=False
+    )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, px."""
+        height, width = self.inverse_depth.shape
+        return height, width
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that its arrays take, flow that is made from depth and motion included."""
+        arrays: list[NDArray[Any] | None] = [
+            self.picture, self.inverse_depth, self.inverse_depth_std, self.confidence, self.labels,
+            self.hidden, self.rho, self.stored_flow,
+        ]  # fmt: skip
+        made = 8 * self.inverse_depth.size if self.stored_flow is None else 0
+        return sum(array.nbytes for array in arrays if array is not None) + made
+
+    @property
+    def has_depth(self) -> NDArray[np.bool_]:
+        """Where there is a positive finite depth, (H, W) bool."""
+        return np.isfinite(self.inverse_depth) & (self.inverse_depth > 0)
+
+    @property
+    def usual_depth(self) -> float:
+        """The median depth in the scene; 1 if there is none."""
+        known = self.inverse_depth[self.has_depth]
+        return self.scale / float(np.median(known)) if known.size else 1.0
+
+    @cached_property
+    def relative_deviation(self) -> Floats | None:
+        """Deviation of the inverse depth over it, (H, W); NaN where it is not known."""
+        if self.inverse_depth_std is None:
+            return None
+        known = self.has_depth & np.isfinite(self.inverse_depth_std)
+        share = np.full(self.shape, np.nan, np.float32)
+        np.divide(self.inverse_depth_std, self.inverse_depth, out=share, where=known)
+        return share
+
+    @cached_property
+    def flow(self) -> Floats | None:
+        """Image motion to the next frame, (H, W, 2), px; NaN where it is not known, or None."""
+        if self.stored_flow is not None or not self.motions:
+            return self.stored_flow
+        height, width = self.shape
+        flow = np.full((height, width, 2), np.nan, np.float32)
+        for label, (_, pose) in self.motions.items():
+            mine = (
+                self.has_depth if self.labels is None else self.has_depth & (self.labels == label)
+            )
+            rows, columns = np.nonzero(mine)
+            flow[rows, columns] = self._displacement(rows, columns, pose)[0]
+        return flow
+
+    def rays(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
+        """Return the directions of pixels, (N, 3), Z = 1, in the axes of the camera."""
+        cx, cy = self.camera.center_for(*self.shape)
+        x = (columns - cx) / self.camera.focal
+        y = (rows - cy) / self.camera.focal
+        return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
+
+    def reading(self, row: int, column: int) -> "PixelReading":
+        """Return what is known of a pixel.
+
+        Raises
+        ------
+        IndexError
+            If it is outside of the frame.
+        """
+        height, width = self.shape
+        if not (0 <= row < height and 0 <= column < width):
+            raise IndexError(
+                f"the pixel is ({column}, {row}): expected a column below {width} and a row below "
+                f"{height}"
+            )
+        inverse = float(self.inverse_depth[row, column])
+        has_depth = bool(self.has_depth[row, column])
+        deviation = self._at(self.inverse_depth_std, row, column)
+        label = None if self.labels is None else int(self.labels[row, column])
+        flow = None if self.flow is None else self.flow[row, column].astype(float)
+        tau = omega = tau_std = flow_std = None
+        known = self.motions.get(label or 0)
+        if self.rho is not None:
+            tau, omega = np.split(self.rho[:, row, column] / self.camera.focal, 2)
+        elif known is not None:
+            omega = known[0][3:]
+            tau = known[0][:3] * inverse if has_depth else None
+        if known is not None and has_depth and deviation is not None and np.isfinite(deviation):
+            tau_std = np.abs(known[0][:3]) * deviation
+            slope = self._displacement(np.array([row]), np.array([column]), known[1])[1][0]
+            flow_std = np.abs(slope) * deviation
+        depth = 1 / inverse if has_depth else None
+        return PixelReading(
+            row=row,
+            column=column,
+            depth=depth,
+            # to first order, as that of the inverse depth
+            depth_std=None
+            if depth is None or deviation is None or not np.isfinite(deviation)
+            else deviation * depth**2,
+            tau=tau,
+            tau_std=tau_std,
+            omega=omega,
+            flow=None if flow is None or not np.isfinite(flow).all() else flow,
+            flow_std=flow_std,
+            confidence=self._at(self.confidence, row, column),
+            label=label,
+            hidden=self.hidden is not None and bool(self.hidden[row, column]),
+        )
+
+    def _at(self, values: Floats | None, row: int, column: int) -> float | None:
+        return None if values is None else float(values[row, column])
+
+    def _displacement(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], pose: NDArray[np.float64]
+    ) -> tuple[Floats, Floats]:
+        """Return where a motion takes pixels, (N, 2) px, and its derivative in inverse depth.
+
+        NaN for what comes to lie behind the camera.
+        """
+        rays = self.rays(rows, columns).astype(np.float64)
+        inverse = self.inverse_depth[rows, columns].astype(np.float64)[:, None]
+        moved = rays @ pose[:3, :3].T + inverse * pose[:3, 3]
+        depth = np.where(moved[:, 2:] > 1e-9, moved[:, 2:], np.nan)
+        focal = self.camera.focal
+        flow = focal * (moved[:, :2] / depth - rays[:, :2])
+        slope = focal * (pose[:2, 3] * depth - moved[:, :2] * pose[2, 3]) / depth**2
+        return flow.astype(np.float32), slope.astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelReading:
+    """What is known of a pixel; None stands for what is not.
+
+    Attributes
+    ----------
+    row, column : int
+    depth, depth_std : float or None
+        Z and its standard deviation, in the unit of the result.
+    tau, tau_std : (3,) or None
+        τ = T/Z, 1/frame.
+    omega : (3,) or None
+        ω, rad/frame.
+    flow, flow_std : (2,) or None
+        Image motion and its deviation by that of depth, px.
+    confidence : float or None
+    label : int or None
+    hidden : bool
+        Whether it is not visible in the next frame.
+    """
+
+    row: int
+    column: int
+    depth: float | None
+    depth_std: float | None
+    tau: NDArray[np.floating] | None
+    tau_std: NDArray[np.floating] | None
+    omega: NDArray[np.floating] | None
+    flow: NDArray[np.floating] | None
+    flow_std: NDArray[np.floating] | None
+    confidence: float | None
+    label: int | None
+    hidden: bool

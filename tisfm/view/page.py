@@ -1,0 +1,426 @@
+"""The page: what the controls ask for is drawn, coarse first, then in full."""
+
+import contextlib
+import io
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.view.cache import MOST_BYTES, FrameCache
+from tisfm.view.cloud import Choice, Cloud, cloud
+from tisfm.view.colors import legend, pixel_colors
+from tisfm.view.controls import ANY_DEVIATION, build_controls
+from tisfm.view.frame import ViewFrame
+from tisfm.view.marks import Marks
+from tisfm.view.picking import field_of_view
+from tisfm.view.pictures import caption, picture_of
+from tisfm.view.ranges import ranges_of, sampled
+from tisfm.view.result import Result
+from tisfm.view.saving import save_film, save_screenshot, save_static
+from tisfm.view.scene import START_FOV, SceneView, behind, quaternion, thumbnail
+from tisfm.view.server import start_server
+from tisfm.view.texts import legend_html, status_html
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
+_REST = 0.25  # s without a change before the rest is drawn
+_LOOK = 1.0  # s between looks at the folder
+_GROWN = 1.2  # times as many frames, for the path to be drawn anew
+_PICTURE = 420  # px, pictures beside the scene
+
+
+class Page:
+    """A page that shows a result to all browsers that open it.
+
+    One thread draws; the controls only say that something has changed. So a browser that is
+    slower than the changes misses some of them, and none is drawn twice.
+
+    Parameters
+    ----------
+    result : Result
+        It has at least one frame.
+    host : str
+        The address that is listened at.
+    port : int
+        The first port that is tried, 0 for any.
+    number : int
+        The frame that is looked at first.
+    most_points : int
+        Of a frame, at first.
+    most_bytes : int
+        Of frames that are kept in memory.
+
+    Raises
+    ------
+    ImportError
+        If viser is not installed.
+    OSError
+        If it cannot listen there.
+    """
+
+    def __init__(
+        self,
+        result: Result,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        number: int = 0,
+        most_points: int = 200_000,
+        most_bytes: int = MOST_BYTES,
+    ) -> None:
+        self.result = result
+        self.cache = FrameCache(result, most_bytes)
+        self.number, self.fault = -1, ""
+        self.frame: ViewFrame | None = None
+        self.points: Cloud | None = None
+        self.server = start_server(host, port)
+        with self.server.atomic():
+            self.controls = build_controls(self.server, result, most_points=most_points)
+        first = self._read(number)
+        self.ranges = ranges_of([] if first is None else [first])
+        depth = 1.0 if first is None else first.usual_depth
+        self.scene = SceneView(self.server, result, depth)
+        self.marks = Marks(self.controls, self.scene, result)
+        self.scene.place_browsers(number)
+        self._place_box(number)
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._is_stale, self._is_coarse, self._changed_at = True, True, 0.0
+        self._playing_since: tuple[float, int] | None = None
+        self._looked_at = time.monotonic()
+        self._shown_path: tuple[int, bool] | None = None
+        self._path_of = 0  # frames, when the path was drawn last
+        self._without_picture: list[int] = []
+        self.controls.frame.value = number
+        self._listen()
+        self._draw(most=COARSE)
+        self._jobs.put(self._widen_ranges)
+        self._wake.set()
+        self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        host = self.server.get_host()
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.server.get_port()}"
+
+    def stop(self) -> None:
+        """End the page; browsers keep what they show."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(timeout=10)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def choice(self, most: int | None = None) -> Choice:
+        """Return which points the controls ask for, at most so many."""
+        controls = self.controls
+        deviation = controls.max_deviation.value
+        asked = 1000 * int(controls.most.value)
+        return Choice(
+            min_confidence=controls.min_confidence.value,
+            max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
+            box=self._box(),
+            most_points=asked if most is None else min(most, asked),
+            with_hidden=controls.hidden.value,
+        )
+
+    def show(self, number: int, most: int | None = None) -> Cloud | None:
+        """Show a frame, as the controls ask for it; return its points, None if it has none.
+
+        It belongs to the thread that draws.
+        """
+        self.number, self.frame = number, self._read(number)
+        self.marks.frame = self.frame
+        frame, controls = self.frame, self.controls
+        with self.server.atomic():
+            if frame is None:
+                self.points = None
+                self.scene.remove("points")
+            else:
+                pose = self.scene.pose_of(number)
+                quantity = controls.color.value
+                self.points = cloud(frame, quantity, self.ranges, self.choice(most), pose)
+                if controls.shape.value == "surface":
+                    colors = pixel_colors(frame, quantity, self.ranges)
+                    self.scene.show_surface(self.points, frame, colors)
+                else:
+                    self.scene.show_points(self.points, frame, size=controls.size.value)
+                self.scene.show_here(frame, visible=not controls.follow.value)
+                self.scene.show_box(self._box())
+            self._show_path(number)
+        return self.points
+
+    # What a browser asks for.
+
+    def _listen(self) -> None:
+        """Take note of what the controls and clicks ask for."""
+        controls = self.controls
+        for control in controls.redrawing:
+            control.on_update(lambda _: self._change())
+        for control in (controls.path, controls.frusta, controls.things, controls.pictures):
+            control.on_update(lambda _: self._change(path=True))
+        controls.play.on_click(lambda _: self._toggle_play())
+        controls.go.on_click(lambda event: self._go(event.client))
+        controls.speed.on_update(lambda _: self._restart_play())
+        controls.pixel.on_update(lambda event: self._mark_typed(event.client is not None))
+        controls.measure.on_update(lambda _: self._measure_anew())
+        controls.clear.on_click(lambda _: self._measure_anew())
+        controls.screenshot.on_click(lambda event: self._do(save_screenshot, event.client))
+        controls.film.on_click(lambda event: self._do(save_film, event.client))
+        controls.static.on_click(lambda event: self._do(save_static, event.client))
+        self.server.scene.on_click()(lambda event: self._clicked(event))
+
+    def _change(self, *, path: bool = False) -> None:
+        if path:
+            self._shown_path = None
+        self._is_stale = True
+        self._wake.set()
+
+    def _do(self, job: "Callable[[Page, ClientHandle], None]", client: "ClientHandle") -> None:
+        """Have something saved for a browser."""
+
+        def done() -> None:
+            try:
+                job(self, client)
+            except (ImportError, OSError, RuntimeError, ValueError) as error:
+                client.add_notification("It was not saved", " ".join(str(error).split()))
+            self.controls.progress.content = ""
+
+        self._jobs.put(done)
+        self._wake.set()
+
+    def _go(self, client: "ClientHandle") -> None:
+        """Bring a browser to a little behind the frame that is shown."""
+        pose = behind(self.scene.pose_of(max(self.number, 0)), self.scene.depth)
+        with client.atomic():
+            client.camera.wxyz = quaternion(pose)
+            client.camera.position = pose[:3, 3]
+            client.camera.look_at = pose[:3, 3] + self.scene.depth * pose[:3, 2]
+            client.camera.fov = START_FOV
+
+    def _toggle_play(self) -> None:
+        playing = self._playing_since is None
+        self.controls.play.label = "Pause" if playing else "Play"
+        self._playing_since = (
+            (time.monotonic(), int(self.controls.frame.value)) if playing else None
+        )
+        self._wake.set()
+
+    def _restart_play(self) -> None:
+        if self._playing_since is not None:
+            self._playing_since = (time.monotonic(), int(self.controls.frame.value))
+
+    def _clicked(self, event: Any) -> None:
+        origin, direction = event.ray_origin, event.ray_direction
+        self._jobs.put(lambda: self._pick(np.array(origin), np.array(direction)))
+        self._wake.set()
+
+    def _mark_typed(self, is_typed: bool) -> None:
+        if is_typed:
+            column, row = (int(part) for part in self.controls.pixel.value)
+            self._jobs.put(lambda: self._mark(row, column))
+            self._wake.set()
+
+    def _measure_anew(self) -> None:
+        self._jobs.put(self.marks.clear_measured)
+        self._wake.set()
+
+    # What the thread does.
+
+    def _work(self) -> None:
+        while not self._stopping.is_set():
+            self._wake.wait(self._pause())
+            self._wake.clear()
+            if self._stopping.is_set():
+                return
+            try:
+                self._step()
+            except Exception:  # a bug: it is told, and the page goes on
+                traceback.print_exc()
+
+    def _step(self) -> None:
+        """Do what is to be done now."""
+        with contextlib.suppress(Empty):
+            while True:
+                self._jobs.get_nowait()()
+        self._play()
+        now = time.monotonic()
+        if self._is_stale:
+            self._is_stale, self._is_coarse, self._changed_at = False, True, now
+            self._draw(most=COARSE)
+        elif self._is_coarse and now - self._changed_at > _REST:
+            self._is_coarse = False
+            self._draw(most=None)
+        elif self._without_picture and self._playing_since is None:
+            self._give_picture(self._without_picture.pop(0))
+        if now - self._looked_at > _LOOK:
+            self._looked_at = now
+            self._look()
+
+    def _pause(self) -> float:
+        """Return how long to wait for a change, s."""
+        if self._is_stale:
+            return 0.0
+        if self._playing_since is not None:
+            return 0.5 / self.controls.speed.value
+        if self._is_coarse:
+            return _REST
+        return 0.02 if self._without_picture else _LOOK
+
+    def _play(self) -> None:
+        """Go on to the frame whose turn it is; those that there was no time for are left out."""
+        if self._playing_since is None:
+            return
+        since, start = self._playing_since
+        elapsed = int((time.monotonic() - since) * self.controls.speed.value)
+        number = (start + elapsed) % len(self.result.names)
+        if number != int(self.controls.frame.value):
+            self.controls.frame.value = number
+            self._is_stale = True
+
+    def _draw(self, most: int | None) -> None:
+        """Show the frame that the slider is at, and what belongs to it."""
+        number = min(int(self.controls.frame.value), len(self.result.names) - 1)
+        is_another = number != self.number
+        if is_another and self.marks.measured and not self._shares_scale(number):
+            self.marks.clear_measured()
+        self.show(number, most)
+        if is_another:
+            self._show_status()
+        if is_another or most == COARSE:
+            self._show_pictures()
+            self._show_legend()
+            self.marks.show_reading()
+        if self.controls.follow.value:
+            self._follow()
+
+    def _shares_scale(self, number: int) -> bool:
+        """Return whether a frame has the scale of the one that is shown."""
+        piece = self.result.piece
+        return self.number >= 0 and piece[number] == piece[self.number] >= 0
+
+    def _read(self, number: int) -> ViewFrame | None:
+        """Return a frame, None if it cannot be read; what is wrong is said."""
+        try:
+            frame = self.cache[number]
+        except (OSError, ValueError) as error:
+            self.fault = f"it cannot be read: {' '.join(str(error).split())}"
+            return None
+        self.fault = ""
+        return frame
+
+    def _look(self) -> None:
+        """Take over what the folder has more than before."""
+        name = self.result.names[max(self.number, 0)]
+        try:
+            change = self.result.refresh()
+        except (OSError, ValueError):  # it is replaced, or gone: what is there stays
+            return
+        if change is None:
+            return
+        names = self.result.names
+        self.controls.frame.max = max(1, len(names) - 1)
+        if change == "grown":
+            self._show_status()
+            if len(names) >= _GROWN * self._path_of and self.result.has_one_scale:
+                self._change(path=True)
+            return
+        self.cache.clear()
+        number = names.index(name) if name in names else 0
+        self.number = -1
+        self.controls.frame.value = number
+        self._restart_play()
+        self._change(path=True)
+
+    def _widen_ranges(self) -> None:
+        """Take ranges of colours from a few frames of the whole result."""
+        self.ranges = ranges_of(sampled(self.cache, len(self.result.names)))
+        self._is_stale = True
+
+    def _show_path(self, number: int) -> None:
+        """Show path and frusta, if they are those of another piece than before; and things."""
+        self.scene.show_things(number, visible=self.controls.things.value)
+        controls = self.controls
+        from_inside = controls.follow.value  # where frusta are in the way
+        shown = int(self.result.piece[number]), from_inside
+        if self.frame is None or shown == self._shown_path:
+            return
+        self._shown_path, self._path_of = shown, len(self.result.names)
+        self.scene.show_path(
+            number,
+            self.frame,
+            path=controls.path.value and not from_inside,
+            frusta=controls.frusta.value and not from_inside,
+        )
+        self._without_picture = list(self.scene.frusta) if controls.pictures.value else []
+
+    def _give_picture(self, number: int) -> None:
+        """Put the picture of a frame into its frustum."""
+        handle = self.scene.frusta.get(number)
+        if handle is not None:
+            with contextlib.suppress(OSError, ValueError):
+                handle.image = thumbnail(self.result.read(number).picture)
+
+    def _show_status(self) -> None:
+        self.controls.status.content = status_html(self.result, self.frame, self.number, self.fault)
+
+    def _show_pictures(self) -> None:
+        for kind, image in zip(self.controls.kinds, self.controls.images, strict=True):
+            if self.frame is not None:
+                image.label = caption(kind.value, self.ranges) or None
+                image.image = picture_of(
+                    self.frame, kind.value, self.ranges, width=_PICTURE, marked=self.marks.pixel
+                )
+
+    def _show_legend(self) -> None:
+        things = tuple(thing.id for thing in self.result.objects)
+        frame = self.frame
+        if not things and frame is not None and frame.labels is not None:
+            things = tuple(int(k) for k in np.unique(frame.labels) if k)
+        unit = self.result.unit if self.result.has_one_scale else "mean depth of the frame"
+        shown = legend(self.controls.color.value, self.ranges, unit, things)
+        self.controls.legend.content = legend_html(shown)
+
+    def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
+        self.marks.pick(origin, direction, self.points)
+        self._show_pictures()
+
+    def _mark(self, row: int, column: int) -> None:
+        self.marks.mark(row, column)
+        self._show_pictures()
+
+    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        controls = self.controls
+        if not controls.box.value:
+            return None
+        ends = np.array([controls.box_low.value, controls.box_high.value], np.float64)
+        return ends.min(axis=0), ends.max(axis=0)
+
+    def _place_box(self, number: int) -> None:
+        """Let the clipping box begin around what a frame shows."""
+        pose, depth = self.scene.pose_of(number), self.scene.depth
+        middle = pose[:3, 3] + depth * pose[:3, 2]
+        self.controls.box_low.value = tuple(np.round(middle - depth, 3))
+        self.controls.box_high.value = tuple(np.round(middle + depth, 3))
+
+    def _follow(self) -> None:
+        """Let all browsers look from where the camera was."""
+        if self.frame is None:
+            return
+        pose = self.scene.pose_of(self.number)
+        for client in self.server.get_clients().values():
+            with client.atomic():
+                client.camera.wxyz = quaternion(pose)
+                client.camera.position = pose[:3, 3]
+                client.camera.fov = field_of_view(self.frame)[0]

@@ -1,0 +1,81 @@
+"""Pictures beside the scene: the frame, its depth, its motion, an anaglyph."""
+
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.show import anaglyph, flow_to_color
+from tisfm.view.colors import Ranges, pixel_colors
+from tisfm.view.frame import ViewFrame
+
+PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
+KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
+_CROSS = (230, 159, 0)
+
+
+def picture_of(
+    frame: ViewFrame,
+    kind: PictureKind,
+    ranges: Ranges,
+    *,
+    width: int,
+    marked: tuple[int, int] | None = None,
+) -> NDArray[np.uint8]:
+    """Return a picture of a frame, (h, w, 3) uint8, at most so wide.
+
+    Small ones are enlarged by a whole number.
+
+    Parameters
+    ----------
+    frame : ViewFrame
+    kind : str
+        Of `KINDS`; grey where there is nothing to see.
+    ranges : Ranges
+    width : int
+        Most columns, px.
+    marked : (int, int), optional
+        Row and column of a pixel that gets a cross.
+    """
+    picture = _picture(frame, kind, ranges)
+    height, full = picture.shape[:2]
+    if full > width:
+        size = (width, max(1, round(height * width / full)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    elif width >= 2 * full:
+        enlarged = picture.repeat(width // full, axis=0).repeat(width // full, axis=1)
+        picture = enlarged
+    picture = np.ascontiguousarray(picture)
+    if marked is not None:
+        share = picture.shape[1] / full
+        center = (int((marked[1] + 0.5) * share), int((marked[0] + 0.5) * share))
+        picture = picture.copy()
+        for color, thickness in (((0, 0, 0), 4), (_CROSS, 2)):
+            cv2.drawMarker(picture, center, color, cv2.MARKER_CROSS, 17, thickness)
+    return picture
+
+
+def caption(kind: PictureKind, ranges: Ranges) -> str:
+    """Return what the colours of a picture mean."""
+    captions = {
+        "depth": f"bright is near, from {1 / ranges.inverse_depth:.3g} in the scene",
+        "flow": f"direction as hue, full colour at {ranges.flow:.3g} px",
+        "anaglyph": "for red-cyan glasses",
+        "confidence": "blue 0, yellow 1",
+        "deviation": "dark 1 %, yellow 64 %, grey not known",
+    }
+    return captions.get(kind, "")
+
+
+def _picture(frame: ViewFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.uint8]:
+    if kind == "frame":
+        return frame.picture
+    if kind == "flow":
+        if frame.flow is None:
+            return np.full((*frame.shape, 3), 150, np.uint8)
+        return flow_to_color(frame.flow, limit=ranges.flow or None)
+    if kind == "anaglyph":
+        limit = ranges.inverse_depth * frame.scale
+        return anaglyph(frame.picture, np.nan_to_num(frame.inverse_depth), limit=limit or None)
+    return pixel_colors(frame, kind, ranges)

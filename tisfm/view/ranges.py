@@ -1,0 +1,34 @@
+"""One range of depth and of motion for a whole result, from a few of its frames."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tisfm.show import inverse_depth_limit, usual_length
+from tisfm.view.cache import FrameCache
+from tisfm.view.colors import Ranges
+from tisfm.view.frame import ViewFrame
+
+
+def ranges_of(frames: Sequence[ViewFrame]) -> Ranges:
+    """Return ranges that suit frames; 1 for what none of them has."""
+    depths = [inverse_depth_limit(frame.inverse_depth) / frame.scale for frame in frames]
+    flows = [usual_length(frame.flow) for frame in frames if frame.flow is not None]
+    return Ranges(inverse_depth=_middle(depths), flow=_middle(flows))
+
+
+def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ViewFrame]:
+    """Return a few frames of so many that can be read, spread over all of them."""
+    found = []
+    for number in dict.fromkeys(int(k) for k in np.linspace(0, count - 1, samples)):
+        try:
+            found.append(cache[number])
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def _middle(values: list[float]) -> float:
+    """Return the median of those above 0; 1 if there are none."""
+    known = [value for value in values if value > 0]
+    return float(np.median(known)) if known else 1.0

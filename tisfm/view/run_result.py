@@ -1,0 +1,138 @@
+"""The folder of `tisfm run`, also while the run goes on."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.formats import FormatError
+from tisfm.formats.text import read_json
+from tisfm.interpretation import Interpretation
+from tisfm.outcome import Status
+from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.rigid import pose_matrix
+from tisfm.view.frame import ViewFrame
+from tisfm.view.result import Change, as_rgb
+
+RECORD = "run.json"
+_UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
+
+
+class RunResult:
+    """The pairs that a run has finished; see `tisfm.view.result.Result`.
+
+    Raises
+    ------
+    FormatError
+        If the record is damaged, or the run keeps no ``.npz`` files.
+    OSError
+        If it cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.objects: tuple[MovingObject, ...] = ()
+        self.names: list[str] = []
+        self._seen: tuple[int, int] | None = None
+        self._files: list[Any] = []
+        self.refresh()
+
+    def refresh(self) -> Change | None:
+        """Read the record anew if it is another; it is replaced as a whole while a run goes on."""
+        path = self.folder / RECORD
+        about = os.stat(path)
+        seen = about.st_mtime_ns, about.st_size
+        if seen == self._seen:
+            return None
+        record = read_json(path)
+        before = self._files
+        try:
+            self._take(record)
+        except (LookupError, TypeError, AttributeError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
+        self._seen = seen
+        return "grown" if self._files[: len(before)] == before else "replaced"
+
+    def read(self, number: int) -> ViewFrame:
+        """Read the interpretation of a pair."""
+        result = Interpretation.load(self.folder / f"{self.names[number]}.npz")
+        motions = {}
+        if result.motions is not None:
+            motions = {k: (twist, pose_matrix(twist)) for k, twist in enumerate(result.motions)}
+        inverse = np.where(result.inverse_depth > 0, result.inverse_depth, np.float32(np.nan))
+        scale = 1.0
+        if not self.has_one_scale and np.isfinite(inverse).any():
+            scale = float(np.nanmean(inverse, dtype=np.float64))
+        return ViewFrame(
+            number=number,
+            picture=as_rgb(result.frame),
+            camera=result.camera,
+            inverse_depth=inverse,
+            inverse_depth_std=result.inverse_depth_std,
+            status=result.status,
+            scale=scale,
+            confidence=result.confidence,
+            labels=result.labels,
+            hidden=result.occlusion,
+            rho=result.rho,
+            stored_flow=result.flow,
+            motions=motions,
+        )
+
+    def _take(self, record: Any) -> None:
+        """Take over what a record says."""
+        pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
+        kept = [(name, pair) for name, pair in pairs if _has_npz(pair)]
+        if pairs and not kept:
+            raise ValueError("it has no .npz of any pair: run again with npz among --outputs")
+        for name, _ in kept:
+            if os.path.basename(name) != name:
+                raise ValueError(f"{name} is no name of a pair")
+        motion = record["settings"]["motion"]
+        self.names = [name for name, _ in kept]
+        self._files = [(name, pair.get("files")) for name, pair in kept]
+        self.statuses = [Status(pair["status"], pair["message"]) for _, pair in kept]
+        self.times = [(pair.get("times") or [None])[0] for _, pair in kept]
+        twists = [(pair.get("twists") or [None])[0] for _, pair in kept]
+        numbers = [int(pair["number"]) for _, pair in kept]
+        self.has_one_scale = motion == "camera" and _have_a_unit(twists)
+        self.poses, self.piece = _chained(numbers, twists if self.has_one_scale else [])
+        self.unit = (
+            "the unit of the poses"
+            if self.has_one_scale
+            else "lengths of the motion to the next frame"
+        )
+        self.quantities = ("confidence",) + (("deviation",) if motion != "field" else ())
+        self.quantities += ("object",) if motion == "objects" else ()
+
+
+def _has_npz(pair: Any) -> bool:
+    """Return whether a pair is kept; records of early versions do not say so."""
+    return pair.get("files") is None or ".npz" in pair["files"]
+
+
+def _have_a_unit(twists: list[Any]) -> bool:
+    """Return whether translations are in a unit that poses gave, rather than of length 1."""
+    lengths = [float(np.linalg.norm(twist[:3])) for twist in twists if twist is not None]
+    return any(length > 0 and abs(length - 1) > _UNIT_LENGTH for length in lengths)
+
+
+def _chained(
+    numbers: list[int], twists: list[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the poses of frames, camera to world, from the motions between neighbours.
+
+    A new piece begins where a pair is missing. Without motions every frame is at the origin, in
+    a piece of its own, whose scale is its own.
+    """
+    count = len(numbers)
+    poses, piece = np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=np.int32)
+    for k in range(1, count if twists else 0):
+        before = twists[k - 1]
+        if numbers[k] == numbers[k - 1] + 1 and before is not None:
+            poses[k] = poses[k - 1] @ np.linalg.inv(pose_matrix(before))
+            piece[k] = piece[k - 1]
+    return poses, piece

@@ -1,0 +1,71 @@
+"""The surface between the points of a frame, with its picture on it."""
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tisfm.view.cloud import Cloud
+
+_TORN = 0.05  # neighbours whose depth differs by a larger share are of different surfaces
+_UNLIT = "KHR_materials_unlit"  # colours are those of a picture or a legend: no light on them
+
+
+def triangles_between(points: Cloud, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Return triangles between neighbouring points, (M, 3) indices, torn where depth jumps.
+
+    Parameters
+    ----------
+    points : Cloud
+    shape : (int, int)
+        Height and width of the frame.
+    """
+    height, width = (-(-side // points.step) for side in shape)
+    index = np.full((height, width), -1, np.int32)
+    index[tuple((points.pixels // points.step).T)] = np.arange(len(points), dtype=np.int32)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    corners = ((a, c, b), (b, c, d))
+    triangles = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners])
+    triangles = triangles[(triangles >= 0).all(axis=1)]
+    depth = points.positions[:, 2][triangles]
+    whole = np.ptp(depth, axis=1) <= _TORN * points.step**0.5 * depth.min(axis=1)
+    kept: NDArray[np.int32] = triangles[whole]
+    return kept
+
+
+def surface_file(points: Cloud, triangles: NDArray[np.int32], colors: NDArray[np.uint8]) -> bytes:
+    """Return a surface as a GLB file.
+
+    Parameters
+    ----------
+    points : Cloud
+    triangles : (M, 3) int32
+    colors : (H, W, 3) uint8
+        Of all pixels of the frame.
+    """
+    from trimesh import Trimesh
+    from trimesh.exchange.gltf import export_glb
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    height, width = colors.shape[:2]
+    picture = io.BytesIO()
+    Image.fromarray(colors).save(picture, "JPEG", quality=92)
+    across = (points.pixels[:, 1] + 0.5) / width
+    up = 1 - (points.pixels[:, 0] + 0.5) / height
+    material = PBRMaterial(baseColorTexture=Image.open(picture), doubleSided=True)
+    mesh = Trimesh(
+        vertices=points.positions,
+        faces=triangles,
+        visual=TextureVisuals(uv=np.stack([across, up], axis=-1), material=material),
+        process=False,
+    )
+    return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_unlit))
+
+
+def _unlit(tree: dict[str, Any]) -> None:
+    tree.setdefault("extensionsUsed", []).append(_UNLIT)
+    for material in tree["materials"]:
+        material.setdefault("extensions", {})[_UNLIT] = {}
