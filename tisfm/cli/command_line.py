@@ -144,9 +144,7 @@ def _parse_or_explain(arguments: list[str]) -> Command:
     raise SystemExit(_fail(explained(arguments, said.getvalue(), _parse), WRONG_OPTION))
 
 
-def _parse(
-    arguments: list[str],
-) -> Run | Reconstruct | Eval | Batch | Export | Report | View | Demo | Figures | Doctor:
+def _parse(arguments: list[str]) -> Command:
     preset = _preset(arguments)
     settings = SettingsOptions(**asdict(Settings.preset(preset)))
     run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
