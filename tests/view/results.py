@@ -89,12 +89,12 @@ def pair(shot, k, motion, *, with_poses=False):
     """Return the true interpretation of a pair."""
     pose = np.linalg.inv(shot.poses[k + 1]) @ shot.poses[k]
     twist = tisfm.rigid.rigid_twist(pose[:3, :3], pose[:3, 3])
-    length = 1.0 if with_poses else float(np.linalg.norm(twist[:3]))
-    twist[:3] /= length
-    inverse = (length / shot.depth[k]).astype(np.float32)
+    length = float(np.linalg.norm(twist[:3]))
+    twist[:3] /= length  # so it is also where poses are given, which depth has the unit of
+    inverse = ((1.0 if with_poses else length) / shot.depth[k]).astype(np.float32)
     shape = inverse.shape
     rho = np.empty((6, *shape), np.float32)
-    rho[:3] = shot.camera.focal * twist[:3, None, None] * inverse
+    rho[:3] = shot.camera.focal * twist[:3, None, None] * length / shot.depth[k]
     rho[3:] = shot.camera.focal * twist[3:, None, None]
     occlusion = np.zeros(shape, bool)
     occlusion[:, :3] = True
@@ -126,6 +126,15 @@ def pair(shot, k, motion, *, with_poses=False):
     )
 
 
+def rows_of(shot, k, with_poses):
+    """Return the rows of (R | t) of a pair, as a record has them."""
+    pose = np.linalg.inv(shot.poses[k + 1]) @ shot.poses[k]
+    twist = tisfm.rigid.rigid_twist(pose[:3, :3], pose[:3, 3])
+    if not with_poses:
+        twist[:3] /= np.linalg.norm(twist[:3])
+    return tisfm.rigid.pose_matrix(twist)[:3].tolist()
+
+
 def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=(".npz",)):
     """Write ``run.json`` of the pairs with these numbers."""
     pairs = {}
@@ -137,6 +146,7 @@ def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=("
             "status": "converged",
             "message": "it is well",
             "times": [0.1 * k, 0.1 * k + 0.1],
+            "motions": None if twists is None else [rows_of(shot, k, with_poses)],
             "twists": twists,
             "files": {ending: [1, 1] for ending in files},
         }

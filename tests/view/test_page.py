@@ -1,5 +1,6 @@
 """The page without a browser: what it shows, when controls change, and while a run goes on."""
 
+import contextlib
 import socket
 import time
 
@@ -47,10 +48,13 @@ def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
     page = opened(tmp_path / "r")
     assert page.url.startswith("http://127.0.0.1:")
     port = page.server.get_port()
-    for host, expected in (("127.0.0.1", True), (socket.gethostbyname(socket.gethostname()), None)):
-        with socket.socket() as probe:
-            found = probe.connect_ex((host, port)) == 0
-        assert found == (host.startswith("127.") if expected is None else expected)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) == 0
+    with contextlib.suppress(OSError):  # a machine may not know itself by name
+        other = socket.gethostbyname(socket.gethostname())
+        if other != "127.0.0.1":
+            with socket.socket() as probe:
+                assert probe.connect_ex((other, port)) != 0
     assert capsys.readouterr().out == ""
     assert page.server.request_share_url() is None  # no tunnel to the outside
 

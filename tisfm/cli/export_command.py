@@ -142,7 +142,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
         nonlocal begin, before, is_said
         bar.update(task, completed=done, total=total)
         now = time.monotonic()
-        if not before:  # what came until then, such as a first pass, tells nothing of the rest
+        if not before or done <= before:  # a first pass tells nothing of the rest
             begin, before = now, done
         elif not is_said and now - begin > _SOON:
             is_said = True

@@ -1,6 +1,6 @@
 """What `tisfm view` does."""
 
-import threading
+import time
 import webbrowser
 from pathlib import Path
 
@@ -28,7 +28,8 @@ def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, point
         tell(f"{folder} at {page.url}: Ctrl-C ends it")
         if browser:
             webbrowser.open(page.url)
-        threading.Event().wait()
+        while True:  # a wait without an end cannot be interrupted on Windows
+            time.sleep(0.5)
     except KeyboardInterrupt:
         return 0
     finally:
@@ -70,7 +71,7 @@ def _opened(folder: Path) -> Result:
             if not is_told:
                 tell(f"{error}: waiting for it, Ctrl-C ends that")
             is_told = True
-            threading.Event().wait(_WAIT)
+            time.sleep(_WAIT)
 
 
 def _require_frame(result: Result, frame: int) -> None:

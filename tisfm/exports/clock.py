@@ -28,9 +28,8 @@ def frame_times(
     """
     if frames_per_second is not None:
         return np.arange(len(times)) / check_rate(frames_per_second)
-    known = [time for time in times if time is not None]
-    if len(known) == len(times) and (np.diff(known) > 0).all():
-        return np.array(known, np.float64)
+    if do_rise(times):
+        return np.array(times, np.float64)
     return np.arange(len(times), dtype=np.float64)
 
 
@@ -49,13 +48,17 @@ def frame_rate(
     """
     if frames_per_second is not None:
         return check_rate(frames_per_second)
-    known = [time for time in (times[frame] for frame in frames) if time is not None]
-    if len(known) < 2 or len(known) < len(frames):
+    known = [times[frame] for frame in frames]
+    if len(known) < 2 or not do_rise(known):
         return FRAME_RATE
-    apart = float(np.median(np.diff(known)))
-    if not apart > 0:
-        return FRAME_RATE
+    apart = float(np.median(np.diff(np.array(known, float))))
     return float(np.clip(1 / apart, _SLOWEST, _FASTEST))
+
+
+def do_rise(times: Sequence[float | None]) -> bool:
+    """Return whether all times are known, and each is later than the one before."""
+    known = [time for time in times if time is not None]
+    return len(known) == len(times) and bool((np.diff(known) > 0).all())
 
 
 def check_rate(frames_per_second: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import atomic_write
+from tisfm.formats.atomic import BEGINNING, ENDING
 
 _DEFLATE = 8  # of the ways that TIFF compresses in
 
@@ -45,9 +46,14 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.fl
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     arrays = {name: np.ascontiguousarray(values, "<f4") for name, values in channels.items()}
-    with tempfile.TemporaryDirectory() as folder:  # the library takes names of files alone
+    place = Path(path).absolute().parent
+    # The library takes names of files alone, and says what went wrong as a RuntimeError.
+    with tempfile.TemporaryDirectory(prefix=BEGINNING, suffix=ENDING, dir=place) as folder:
         file = Path(folder, "picture.exr")
-        OpenEXR.File(header, arrays).write(str(file))
+        try:
+            OpenEXR.File(header, arrays).write(str(file))
+        except RuntimeError as error:
+            raise OSError(f"cannot write {path}: {error}") from error
         content = file.read_bytes()
     with atomic_write(path) as stream:
         stream.write(content)

@@ -18,6 +18,7 @@ RECORD = "export.json"  # written last, removed first
 IMAGES, MASKS, MODELS = "images", "masks", "sparse"
 TRANSFORMS, POINTS = "transforms.json", "sparse_points.ply"
 PARTS = (RECORD, IMAGES, MASKS, MODELS, TRANSFORMS, POINTS)
+_OF_SYSTEMS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # that looking into a folder leaves
 NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 
 
@@ -48,7 +49,7 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
     """
     path = make_folder(folder)
     with locked_folder(path):
-        _refuse_others(path)
+        refuse_others(path)
         shutil.rmtree(path / NEW, ignore_errors=True)
         (path / NEW).mkdir()
         try:
@@ -96,9 +97,12 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _refuse_others(path: Path) -> None:
+def refuse_others(path: Path) -> None:
     """Raise FileExistsError if a folder holds anything that is not of an export."""
-    there = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {LOCK}
+    there = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {
+        LOCK,
+        *_OF_SYSTEMS,
+    }
     ours = {RECORD, NEW, EARLIER} & there
     others = sorted(there - {NEW, EARLIER} - set(PARTS if ours else ()))
     if others:

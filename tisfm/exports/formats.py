@@ -18,6 +18,7 @@ from tisfm.exports.depths import (
 )
 from tisfm.exports.export import Export, source_camera
 from tisfm.exports.float_pictures import check_exr
+from tisfm.exports.folders import refuse_others
 from tisfm.exports.masks import write_masks
 from tisfm.exports.nerfstudio import write_nerfstudio
 from tisfm.exports.pieces import pieces_of
@@ -168,7 +169,12 @@ def _undistortion(suffix: Literal["exr", "tiff"], about: str) -> Format:
     return Format(about=about, write=write, check=check, notes=notes.of_shutter)
 
 
-def _model(name: str, about: str, write: Callable[..., object]) -> Format:
+def _model(
+    name: str,
+    about: str,
+    write: Callable[..., object],
+    said: Callable[[Export], list[str]] = notes.of_models,
+) -> Format:
     """Return a format that is a folder of its own, made by a function of the reconstruction."""
 
     def written(export: Export, progress: Progress) -> Files:
@@ -177,11 +183,15 @@ def _model(name: str, about: str, write: Callable[..., object]) -> Format:
         return [place]
 
     def check(export: Export) -> None:
-        _has_poses(export)
+        if max(map(len, pieces_of(export.sequence, export.chosen))) < 2:
+            raise ValueError(f"{name} takes pieces of two frames or more, and there is none")
         if len(export.chosen) < len(export.frames):
             raise ValueError(f"{name} takes all frames: leave out --start, --stop and --step")
+        place = export.folder / name
+        if place.exists():
+            refuse_others(place)
 
-    return Format(about=about, write=written, check=check, notes=notes.of_poses)
+    return Format(about=about, write=written, check=check, notes=said, bytes_per_pixel=0.5)
 
 
 def _path(
@@ -231,7 +241,9 @@ FORMATS = {
     ),
     "colmap": _model("colmap", "a model of COLMAP, with images", write_colmap),
     "colmap-text": _model("colmap-text", "the same, as text", partial(write_colmap, form="text")),
-    "nerfstudio": _model("nerfstudio", "transforms.json, with images", write_nerfstudio),
+    "nerfstudio": _model(
+        "nerfstudio", "transforms.json, with images", write_nerfstudio, notes.of_largest
+    ),
     "undistortion": _undistortion("exr", "ST maps that undo distortion, and redo it: EXR"),
     "undistortion-tiff": _undistortion("tiff", "the same as TIFF"),
     "depth-tum": _depth("tum", "depth as 16-bit PNG, 5000 per unit", 2.0),

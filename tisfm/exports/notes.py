@@ -3,10 +3,11 @@
 import numpy as np
 
 from tisfm.exports.camera_axes import is_centered
-from tisfm.exports.clock import FRAME_RATE
+from tisfm.exports.clock import FRAME_RATE, do_rise
 from tisfm.exports.depths import LARGEST, VALUES_PER_UNIT, DepthKind, check_fits, frames_with_depth
 from tisfm.exports.export import Export, source_camera
 from tisfm.exports.pieces import pieces_of
+from tisfm.exports.result_frames import PairFrames
 
 
 def of_poses(export: Export) -> list[str]:
@@ -22,20 +23,40 @@ def of_poses(export: Export) -> list[str]:
     return notes
 
 
+def of_models(export: Export) -> list[str]:
+    """Tell of frames that are in no model: without a pose, or in a piece of their own."""
+    pieces = [piece for piece in pieces_of(export.sequence, export.chosen) if len(piece) > 1]
+    notes = []
+    if without := len(export.chosen) - sum(map(len, pieces)):
+        notes.append(f"{_frames(without)} without a pose, or in a piece of one frame, left out")
+    if len(pieces) > 1:
+        sizes = ", ".join(str(len(piece)) for piece in pieces)
+        notes.append(
+            f"{len(pieces)} pieces ({sizes} frames), each in a scale and a model of its own"
+        )
+    return notes
+
+
+def of_largest(export: Export) -> list[str]:
+    """Tell of frames that are not in the largest piece."""
+    largest = max(map(len, pieces_of(export.sequence, export.chosen)))
+    without = len(export.chosen) - largest
+    return [f"the largest piece; {_frames(without)} not in it left out"] if without else []
+
+
 def of_times(export: Export) -> list[str]:
     """Tell where times are numbers of frames."""
-    known = all(time is not None for time in export.frames.times)
-    if known or export.frames_per_second is not None:
+    if do_rise(export.frames.times) or export.frames_per_second is not None:
         return []
-    return ["frames have no times: their numbers stand for seconds; --fps says how many a second"]
+    return [f"{_without(export)}: their numbers stand for seconds; --fps says how many a second"]
 
 
 def of_rate(export: Export) -> list[str]:
     """Tell where the frame rate is a guess."""
-    known = all(export.frames.times[frame] is not None for frame in export.chosen)
+    known = do_rise([export.frames.times[frame] for frame in export.chosen])
     if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
         return []
-    return [f"frames have no times: {FRAME_RATE:g} a second are assumed; --fps says how many"]
+    return [f"{_without(export)}: {FRAME_RATE:g} a second are assumed; --fps says how many"]
 
 
 def of_lens(export: Export) -> list[str]:
@@ -67,7 +88,9 @@ def of_scale(export: Export, kind: DepthKind) -> list[str]:
     """Tell the scale of 16-bit depth, and what is beyond it."""
     scale = VALUES_PER_UNIT[kind]
     beyond = check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
-    unit = "the unit of the path" if export.result is not None else "each pair's own unit"
+    unit = "the unit of the path"
+    if isinstance(export.frames, PairFrames):
+        unit = "the unit of the poses" if export.frames.is_posed else "each pair's own unit"
     notes = [f"depth is value / {scale:g}, in {unit}"]
     if beyond:
         notes.append(
@@ -75,6 +98,13 @@ def of_scale(export: Export, kind: DepthKind) -> list[str]:
             "in the files"
         )
     return notes
+
+
+def _without(export: Export) -> str:
+    """Return why the times of frames are not taken."""
+    if any(export.frames.times[frame] is None for frame in export.chosen):
+        return "frames have no times"
+    return "frames have no times that rise"
 
 
 def _frames(count: int) -> str:

@@ -150,7 +150,7 @@ class PairFrames:
             self.names = tuple(_checked(name) for name, _ in pairs)
             self.times = tuple((pair.get("times") or (None,))[0] for _, pair in pairs)
             self._statuses = [pair["status"] for _, pair in pairs]
-            self._is_posed = any(_is_posed(pair) for _, pair in pairs)
+            self.is_posed = any(_is_posed(pair) for _, pair in pairs)
             self.camera = _camera_of(record["camera"])
             is_kept = "npz" in record.get("outputs", ("npz",))
         except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
@@ -197,7 +197,7 @@ class PairFrames:
 
     def scale(self, frame: int) -> tuple[int, float]:
         """Return the mean inverse depth: each pair has a scale of its own, without poses."""
-        if self._is_posed:
+        if self.is_posed:
             return 0, 1.0
         mean = np.maximum(self.inverse_depth(frame), 0).mean(dtype=np.float64)
         return 0, float(mean) or 1.0

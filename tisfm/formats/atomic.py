@@ -86,7 +86,7 @@ def is_temporary(name: str) -> bool:
 
 
 def _explained(error: OSError, name: str, folder: str) -> OSError:
-    """Return an error of the same class whose text names the file and says what to do."""
+    """Return an error of the same kind whose text names the file and says what to do."""
     if isinstance(error, FileNotFoundError):
         advice = f"the folder {folder} does not exist; create it first or give another path"
     elif isinstance(error, NotADirectoryError):
@@ -95,6 +95,7 @@ def _explained(error: OSError, name: str, folder: str) -> OSError:
         advice = f"no permission to write in {folder}; give a path in a folder of your own"
     else:
         advice = f"{error.strerror}; give a path in another folder"
-    explained = type(error)(f"cannot write {name}: {advice}")
+    kind = next(one for one in type(error).__mro__ if one.__module__ == "builtins")
+    explained: OSError = kind(f"cannot write {name}: {advice}")  # others may take other arguments
     explained.errno = error.errno
     return explained

@@ -168,6 +168,7 @@ class Page:
         controls = self.controls
         for control in controls.redrawing:
             control.on_update(lambda _: self._change())
+        controls.frame.on_update(self._take_up)
         for control in (controls.path, controls.frusta, controls.things, controls.pictures):
             control.on_update(lambda _: self._change(path=True))
         controls.play.on_click(lambda _: self._toggle_play())
@@ -216,6 +217,11 @@ class Page:
             (time.monotonic(), int(self.controls.frame.value)) if playing else None
         )
         self._wake.set()
+
+    def _take_up(self, event: Any) -> None:
+        """Let playing go on from where somebody moved the slider."""
+        if event.client is not None:
+            self._restart_play()
 
     def _restart_play(self) -> None:
         if self._playing_since is not None:

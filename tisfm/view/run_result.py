@@ -60,8 +60,11 @@ class RunResult:
         """Read the interpretation of a pair."""
         result = Interpretation.load(self.folder / f"{self.names[number]}.npz")
         motions = {}
-        if result.motions is not None:
-            motions = {k: (twist, pose_matrix(twist)) for k, twist in enumerate(result.motions)}
+        for k, twist in enumerate(() if result.motions is None else result.motions):
+            twist = twist * np.repeat(
+                (self._lengths[number] if self.has_one_scale else 1.0, 1.0), 3
+            )
+            motions[k] = twist, pose_matrix(twist)
         inverse = np.where(result.inverse_depth > 0, result.inverse_depth, np.float32(np.nan))
         scale = 1.0
         if not self.has_one_scale and np.isfinite(inverse).any():
@@ -96,10 +99,14 @@ class RunResult:
         self._files = [(name, pair.get("files")) for name, pair in kept]
         self.statuses = [Status(pair["status"], pair["message"]) for _, pair in kept]
         self.times = [(pair.get("times") or [None])[0] for _, pair in kept]
-        twists = [(pair.get("twists") or [None])[0] for _, pair in kept]
+        found = [_motion_of(pair) for _, pair in kept]
         numbers = [int(pair["number"]) for _, pair in kept]
-        self.has_one_scale = motion == "camera" and _have_a_unit(twists)
-        self.poses, self.piece = _chained(numbers, twists if self.has_one_scale else [])
+        self._lengths = [1.0 if one is None else one[1] for one in found]
+        self.has_one_scale = motion == "camera" and any(
+            abs(length - 1) > _UNIT_LENGTH for length in self._lengths
+        )
+        poses = [None if one is None else one[0] for one in found]
+        self.poses, self.piece = _chained(numbers, poses if self.has_one_scale else [])
         self.unit = (
             "the unit of the poses"
             if self.has_one_scale
@@ -114,14 +121,22 @@ def _has_npz(pair: Any) -> bool:
     return pair.get("files") is None or ".npz" in pair["files"]
 
 
-def _have_a_unit(twists: list[Any]) -> bool:
-    """Return whether translations are in a unit that poses gave, rather than of length 1."""
-    lengths = [float(np.linalg.norm(twist[:3])) for twist in twists if twist is not None]
-    return any(length > 0 and abs(length - 1) > _UNIT_LENGTH for length in lengths)
+def _motion_of(pair: Any) -> tuple[NDArray[np.float64], float] | None:
+    """Return the motion of a pair, (4, 4), and its length over that of the twist, which is 1.
+
+    Where poses were given they say the length, which is that of the unit of the depth.
+    """
+    motions, twists = pair.get("motions"), pair.get("twists")
+    if not motions or not twists:
+        return None
+    pose = np.eye(4)
+    pose[:3] = np.reshape(np.array(motions[0], float), (3, 4))
+    length = float(np.linalg.norm(pose_matrix(twists[0])[:3, 3]))
+    return pose, float(np.linalg.norm(pose[:3, 3])) / length if length > 0 else 1.0
 
 
 def _chained(
-    numbers: list[int], twists: list[Any]
+    numbers: list[int], motions: list[NDArray[np.float64] | None]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the poses of frames, camera to world, from the motions between neighbours.
 
@@ -130,9 +145,9 @@ def _chained(
     """
     count = len(numbers)
     poses, piece = np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=np.int32)
-    for k in range(1, count if twists else 0):
-        before = twists[k - 1]
+    for k in range(1, count if motions else 0):
+        before = motions[k - 1]
         if numbers[k] == numbers[k - 1] + 1 and before is not None:
-            poses[k] = poses[k - 1] @ np.linalg.inv(pose_matrix(before))
+            poses[k] = poses[k - 1] @ np.linalg.inv(before)
             piece[k] = piece[k - 1]
     return poses, piece

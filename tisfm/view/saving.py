@@ -50,23 +50,25 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
     numbers = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).astype(int))
     before = page.number
     pictures = []
-    for k, number in enumerate(numbers):
-        page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
-        page.show(int(number))
-        pose = behind(page.scene.pose_of(int(number)), page.scene.depth)
-        if not page.result.has_one_scale:
-            pose = _swung(pose, page.scene.depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
-        pictures.append(
-            client.get_render(
-                *FILM_SIZE,
-                wxyz=quaternion(pose),
-                position=pose[:3, 3],
-                fov=START_FOV,
-                transport_format="jpeg",
-                timeout=_TIMEOUT,
+    try:
+        for k, number in enumerate(numbers):
+            page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
+            page.show(int(number))
+            pose = behind(page.scene.pose_of(int(number)), page.scene.depth)
+            if not page.result.has_one_scale:
+                pose = _swung(pose, page.scene.depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
+            pictures.append(
+                client.get_render(
+                    *FILM_SIZE,
+                    wxyz=quaternion(pose),
+                    position=pose[:3, 3],
+                    fov=START_FOV,
+                    transport_format="jpeg",
+                    timeout=_TIMEOUT,
+                )
             )
-        )
-    page.show(max(before, 0))
+    finally:
+        page.show(max(before, 0))
     film = encoded_film(pictures, frames_per_second=int(page.controls.speed.value))
     client.send_file_download("fly-through.mp4", film, save_immediately=True)
 
