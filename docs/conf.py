@@ -102,9 +102,7 @@ def here(app: Sphinx, docname: str, source: list[str]) -> None:
         text = text.replace("](../bench/results/", "](made/results/")
         text = text.replace("](../CHANGELOG.md", "](made/changelog.md")
     # What lies elsewhere in the project has no page: its name stays.
-    source[0] = re.sub(
-        r"\[([^\]\n]*)\]\((?:\.\./)*(?:\.ci|bench|tests|tisfm)/[^)\n]*\)", r"\1", text
-    )
+    source[0] = ELSEWHERE.sub(r"\1", text)
 
 
 def plain_bars(

@@ -3,6 +3,8 @@
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -113,6 +115,24 @@ def test_what_a_sequence_takes_is_told_before(frames, capsys, monkeypatch):
     usage = SimpleNamespace(free=1e3)
     monkeypatch.setattr(reconstruct_command.shutil, "disk_usage", lambda folder: usage)
     assert announced() == "about 0 MB for 4 frames, but 0 MB are free\n"
+
+
+@pytest.mark.parametrize("shape", [(1000, 1200), (1000, 1200, 3)])
+def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypatch, shape):
+    """And a frame that is damaged, or before the first that is taken, is told where it is read."""
+    (tmp_path / "large").mkdir()
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"large/f{k}.png"), np.zeros(shape, np.uint8))
+    monkeypatch.setattr(reconstruct_command, "MUCH", 1e6)
+    about = (str(tmp_path / "large"), tmp_path / "out", FrameOptions(), "all")
+    reconstruct_command._announce(*about)
+    said = capsys.readouterr().err
+    assert float(said.split()[1]) > reconstruct_command._DEPTH * 3 * 1.2  # MB
+    (tmp_path / "large/f0.png").write_bytes(b"none")
+    reconstruct_command._announce(*about)
+    assert capsys.readouterr().err == ""
+    reconstruct_command._announce(*about[:2], FrameOptions(start=1), "all")
+    assert "for 2 frames" in capsys.readouterr().err
 
 
 def test_durations_and_sizes():

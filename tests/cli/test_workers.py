@@ -204,13 +204,14 @@ def test_a_worker_with_other_vectors(film, place):
     assert isinstance(error, RuntimeError) and "and that of the command 4" in str(error)
 
 
-def test_a_worker_that_sees_other_frames(film, place):
+@pytest.mark.parametrize("first", [1, COUNT - 2])
+def test_a_worker_that_sees_other_frames(film, place, first):
     (place / "alive").touch()
     (film / "f00.png").rename(film / "f0.png")
-    error = interpret_chunk(chunk(place)).error
+    error = interpret_chunk(chunk(place, first=first)).error
     assert isinstance(error, RuntimeError) and "sees other files in film (12)" in str(error)
     (film / "f0.png").unlink()
-    error = interpret_chunk(chunk(place)).error
+    error = interpret_chunk(chunk(place, first=first)).error
     assert isinstance(error, RuntimeError) and "(11) than the process that began (12)" in str(error)
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import time
 from importlib import metadata
+from importlib.util import find_spec
 
 import pytest
 
@@ -77,7 +78,7 @@ def test_what_tisfm_asks_for_is_read_from_its_metadata():
     if not base:
         pytest.skip("tisfm is not installed here")
     assert base["numpy"] == ">=2" and base["taichi"].startswith("==")
-    assert set(extras) >= {"video", "mesh", "cluster"} and not set(extras) & {"test", "dev"}
+    assert set(extras) >= {"video", "mesh", "cluster"} and not set(extras) & {"test", "docs", "dev"}
     assert "av" in extras["video"]
 
 
@@ -147,3 +148,19 @@ def test_text_and_json():
     assert read["ok"] is False
     assert [one["name"] for one in read["findings"]] == ["A", "Long name", "C"]
     assert as_text(findings[:1]).endswith("All is well.")
+
+
+def test_modules_of_what_is_installed_are_found():
+    base, extras = packages.requirements()
+    for name in {*base, *(name for names in extras.values() for name in names)}:
+        try:
+            metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+        assert find_spec(packages.module_of(name)) is not None, name
+
+
+def test_a_module_of_the_working_folder_is_none_of_pythons(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "json.py").write_text("raise SystemExit(3)")
+    assert "error" not in try_out(["numpy"])["numpy"]

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tisfm.machine import heap
+
 ARRAYS = """
 import resource, sys, threading
 import numpy as np
@@ -48,6 +50,26 @@ def test_arrays_of_a_worker_take_no_new_pages():
     )
 
 
-@pytest.mark.parametrize("asked", ["", "many", "-1", "99999999999999999999999"])
-def test_other_thresholds_are_left(asked):
-    page_faults("kept", MALLOC_TRIM_THRESHOLD_=asked)
+@pytest.mark.parametrize(
+    ("asked", "changed"),
+    [("65536", True), ("0", True), ("67108864", False), ("-1", False), ("", False), ("x", False),
+     (None, False)],
+)  # fmt: skip
+def test_only_a_small_threshold_is_changed(asked, changed, monkeypatch):
+    calls = []
+
+    class Library:
+        mallopt = staticmethod(lambda *arguments: calls.append(arguments))
+
+    monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: Library)
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    if asked is not None:
+        monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", asked)
+    heap.keep_freed_memory()
+    assert [parameter for parameter, _ in calls] == ([-3, -1] if changed else [])
+
+
+def test_a_c_library_without_it(monkeypatch):
+    monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: object())
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
+    heap.keep_freed_memory()

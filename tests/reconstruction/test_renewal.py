@@ -160,3 +160,12 @@ def test_bad_input_leaves_the_earlier_result(tmp_path):
             [*frames, frames[0][:10, :10]], camera=camera, settings=FAST, folder=folder
         )
     assert contents(folder) == before
+
+
+def test_a_page_of_somebody_else_is_not_lost(earlier):
+    (earlier / "report.html").write_text("mine")
+    before = contents(earlier)
+    refused = pytest.raises(FileExistsError, match=r"has other files, such as report\.html")
+    with refused, renewed_folder(earlier):
+        raise AssertionError("it is not to begin")
+    assert contents(earlier) == before

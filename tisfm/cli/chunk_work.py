@@ -16,7 +16,7 @@ from tisfm.cli.run_record import is_unchanged
 from tisfm.formats.outputs import InputFiles
 from tisfm.machine.workers import check_worker, stated
 from tisfm.runtime import Arch
-from tisfm.sources import FramePair, Listing, Source
+from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.stated import is_stated
 from tisfm.version import __version__
 
@@ -133,7 +133,7 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     reading: _Reading | None = None
     error: Exception | None = None
     try:
-        here = runtime.cpu_lanes()
+        here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
         check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
         reading = _reading(chunk)
@@ -173,10 +173,11 @@ class _Reading:
 
     def __init__(self, chunk: Chunk) -> None:
         frames = chunk.source.frames
+        seen = FrameSource(chunk.source.source, stop=frames.stop)  # before all that depends on it
+        chunk.listing.check(seen.listing, seen.title)
         begin = frames.start + chunk.first * frames.step
         self._whole = chunk.source
         opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
-        chunk.listing.check(opened.listing, opened.title)
         opened.continue_another()
         self._opened = opened
         self._waiting: FramePair | None = None

@@ -91,6 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__version__)
         return 0
     try:
+        if arguments and arguments[0].startswith("--completion="):
+            arguments = ["--completion", arguments[0].partition("=")[2], *arguments[1:]]
         if arguments[:1] == ["--completion"]:
             return _print_completion(arguments[1:])
         command = _parse_or_explain(arguments)

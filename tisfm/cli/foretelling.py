@@ -26,7 +26,10 @@ class Foretelling:
         self._is_told = False
 
     def done(self, count: int, total: int | None) -> None:
-        """Take down that so many of them are done; say how long it takes when that is known."""
+        """Take down that so many of them are done by this command, of as many as there are to do.
+
+        How long it takes is said when that is known.
+        """
         if self._is_told or total is None or count < _FIRST:
             return
         now = time.monotonic()

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from itertools import takewhile
 
 from tisfm.cli.known_options import OF_TISFM, Help, known_options
 from tisfm.cli.nearest import nearest
@@ -29,11 +30,13 @@ def explained(arguments: Sequence[str], said: str, parse: Help) -> str:
         return f"a command is missing: give one of {listed}; tisfm demo is a good beginning"
     if given.startswith("-"):
         name = given.partition("=")[0]
+        if name in OF_TISFM:
+            return f"{name} stands alone, or with what it takes after a space; see tisfm --help"
         return f"tisfm has no option {name}{_meant(name, OF_TISFM)}; see tisfm --help"
     if given not in known.commands:
         return f"tisfm has no command {given}{_meant(given, known.commands)}; expected {listed}"
     options = known.options[given]
-    for word in arguments[1:]:
+    for word in takewhile(lambda one: one != "--", arguments[1:]):
         name = word.partition("=")[0]
         # The parser takes underscores for dashes.
         if name.startswith("--") and name.replace("_", "-") not in options:

@@ -119,6 +119,7 @@ class PairWriter:
         self._record = RunRecord(self.folder, asked)
         self._with = ExitStack()
         self._resume = self._is_begun = resume
+        self._has_report = True  # as far as is known
 
     def result_of(self, name: str) -> Path:
         """Return the file of a pair's interpretation."""
@@ -144,6 +145,7 @@ class PairWriter:
         The first pair that shows depth sets the ranges of all.
         """
         self.begin()
+        self._remove_report()
         if self.ranges is None:
             self.ranges = Ranges.of(result, posed=pose is not None)
         written = self.files.write(name, result, ranges=self.ranges, pose=pose, **about)
@@ -151,6 +153,7 @@ class PairWriter:
 
     def finish(self, name: str, about: Mapping[str, Any], sums: Sums) -> None:
         """Take down that a pair is finished whose files another process wrote."""
+        self._remove_report()
         self._record.finish(name, about, sums)
 
     def begin(self) -> None:
@@ -159,10 +162,16 @@ class PairWriter:
             return
         self._is_begun = True
         self._inputs.refuse(*self._earlier)
-        report = [path for path in (self.folder / REPORT,) if is_report(path)]
+        self._remove_report()
         records = (self.folder / name for name in (TABLE, TIMINGS, RECORD))
-        for file in (*report, *self._earlier, *records):
+        for file in (*self._earlier, *records):
             file.unlink(missing_ok=True)
+
+    def _remove_report(self) -> None:
+        """Remove the page of an earlier command, once: it has no pair of this one."""
+        report, self._has_report = self._has_report, False
+        if report and is_report(self.folder / REPORT):
+            (self.folder / REPORT).unlink(missing_ok=True)
 
     @property
     def ranges(self) -> Ranges | None:

@@ -1,5 +1,6 @@
 """What `tisfm reconstruct` does."""
 
+import math
 import shutil
 import signal
 import warnings
@@ -192,13 +193,21 @@ def _announce(source: Source, output: Path, frames: FrameOptions, depth_of: Dept
         count = len(frames.open(source)) + 1
     except TypeError:  # only reading tells
         return
-    # The frames before --start would have to be decoded, to see the same size.
-    with closing(replace(frames, start=0, stop=None, step=1).open(source).frames()) as found:
-        first = next(found, None)
-    if first is None:
+    # Before --start a video would have to be decoded, only to see the same size.
+    pairs = frames.open(source)
+    if pairs.names is None:
+        pairs = replace(frames, start=0, stop=None, step=1).open(source)
+    place = output.resolve()
+    folder = next((one for one in (place, *place.parents) if one.exists()), None)
+    try:
+        with closing(pairs.frames()) as found:
+            first = next(found, None)
+    except (OSError, ValueError):  # it is told where it is read
         return
-    each = _PICTURE * first.image.size + _DEPTH * first.image[..., :1].size * (depth_of == "all")
-    folder = next(path for path in (output.resolve(), *output.resolve().parents) if path.exists())
+    if first is None or folder is None:
+        return
+    pixels = math.prod(first.image.shape[:2])
+    each = _PICTURE * first.image.size + _DEPTH * pixels * (depth_of == "all")
     expected, free = each * count, shutil.disk_usage(folder).free
     if expected > free:
         tell(f"about {as_size(expected)} for {count} frames, but {as_size(free)} are free")

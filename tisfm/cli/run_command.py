@@ -148,7 +148,7 @@ def run(
                 whole = replace(whole, threads=max(1, (os.cpu_count() or 1) // workers))
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
-                here.foretelling.done(sum(writer.statuses.values()), total)
+                here.foretell()
                 skipped.update(chunk.skipped)
         else:  # nothing is left to share, unless a video has more frames than it says
             here.interpret(posed, until_ranges=False)
@@ -201,13 +201,20 @@ class _Here:
                     del result, about  # or they would be held while the next is computed
                 progress.finish(name, writer.statuses)
                 self._announce()
-                self.foretelling.done(sum(writer.statuses.values()), self.total)
+                self.foretell()
                 del pair
                 if until_ranges:
                     background.wait()
                     if writer.ranges is not None:
                         break
         return number + 1
+
+    def foretell(self) -> None:
+        """Say how long it takes, by the pairs that were not complete before."""
+        if self.total is not None:
+            made = len(self.seconds)
+            done = sum(self.writer.statuses.values())
+            self.foretelling.done(made, made + self.total - done)
 
     def _announce(self) -> None:
         if not self._is_announced and self.total is not None and self.writer.statuses:
@@ -250,7 +257,8 @@ def _take(chunk: FinishedChunk, writer: PairWriter, progress: RunProgress) -> li
             writer.finish(pair.name, pair.about, pair.sums)
             writer.took(pair.name, pair.seconds)
             seconds.append(pair.seconds)
-        progress.finish(pair.name, writer.statuses)
+    if chunk.pairs:
+        progress.finish(chunk.pairs[-1].name, writer.statuses, count=len(chunk.pairs))
     return seconds
 
 

@@ -35,11 +35,11 @@ class RunProgress:
         self._bar = progress_bar()
         self._task = self._bar.add_task("", total=total)
         self._spent: dict[str, float] = {}
-        self._pairs: deque[tuple[float, dict[str, float]]] = deque(maxlen=RECENT)
+        self._steps: deque[tuple[float, int, dict[str, float]]] = deque(maxlen=RECENT)
 
     def __enter__(self) -> "RunProgress":
         self._bar.start()
-        self._pairs.append((time.perf_counter(), {}))
+        self._steps.append((time.perf_counter(), 0, {}))
         return self
 
     def __exit__(self, *about: object) -> None:
@@ -67,13 +67,17 @@ class RunProgress:
             yield item
             del item  # or it would be held until the next one is there
 
-    def finish(self, name: str, statuses: Mapping[str, int]) -> None:
-        """Show that a pair of this name is done, and how many there are of each status so far."""
-        self._pairs.append((time.perf_counter(), dict(self._spent)))
-        (begin, before), (end, after) = self._pairs[0], self._pairs[-1]
-        speed = (len(self._pairs) - 1) / max(end - begin, 1e-9)
+    def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
+        """Show that a pair of this name is done, and how many there are of each status so far.
+
+        Other processes do several at a time, `count`; which stage limits there is not known.
+        """
+        self._steps.append((time.perf_counter(), count, dict(self._spent)))
+        (begin, _, before), (end, _, after) = self._steps[0], self._steps[-1]
+        speed = sum(step[1] for step in list(self._steps)[1:]) / max(end - begin, 1e-9)
         spent = {stage: after[stage] - before.get(stage, 0.0) for stage in after}
         limit = max(spent, key=lambda stage: spent[stage], default="")
+        limits = f", {limit}" if limit and spent[limit] > 0 else ""
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
-        said = f"{as_text(name)}: {speed:.3g} pairs/s, {limit}" + (f"; {counts}" if counts else "")
-        self._bar.update(self._task, advance=1, description=said)
+        said = f"{as_text(name)}: {speed:.3g} pairs/s{limits}" + (f"; {counts}" if counts else "")
+        self._bar.update(self._task, advance=count, description=said)

@@ -14,6 +14,7 @@ _MODULES = {
     "pillow": "PIL",
     "scikit-image": "skimage",
     "pyyaml": "yaml",
+    "openexr": "OpenEXR",
 }
 _OPENCV = (
     "opencv-python",
@@ -21,11 +22,13 @@ _OPENCV = (
     "opencv-contrib-python",
     "opencv-contrib-python-headless",
 )
-_FOR_DEVELOPERS = ("test", "dev")
+_FOR_DEVELOPERS = ("test", "docs", "dev")
 _USES = {
     "video": "videos, damaged ones too, decoded by PyAV",
     "mesh": "meshes",
     "cluster": "many machines",
+    "view": "the viewer in the browser",
+    "export": "depth and maps as EXR",
 }
 
 

@@ -11,7 +11,9 @@ from typing import Any
 
 _PROBE = Path(__file__).with_name("probe.py")
 _CALL = (
-    "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    # No module of the working folder is one of Python's.
+    "import sys; sys.path[:1] == [''] and sys.path.pop(0); import runpy; "
+    "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
 LIMIT = 60.0  # s
 

@@ -16,7 +16,8 @@ from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.accounts import check_sum, content, differing, said
 from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.text import read_json
-from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD, REPORT
+from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD
+from tisfm.reconstruction.report_file import REPORT
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory

@@ -22,6 +22,7 @@ from tisfm.reconstruction.folder import (
     RECORD,
     write_record,
 )
+from tisfm.reconstruction.report_file import REPORT, is_report
 
 EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
 # The same, while not all of it is there yet, and while not all of it is back.
@@ -114,6 +115,8 @@ def _begin(path: Path) -> None:
 def refuse_others(path: Path) -> None:
     """Raise FileExistsError if a folder holds anything that is not of a reconstruction."""
     known = {*PARTS, *OTHERS, CACHE, BEGUN}
+    if not is_report(path / REPORT):  # somebody else's page would be lost
+        known.discard(REPORT)
     there = sorted(item.name for item in path.iterdir())
     ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
     others = [name for name in there if name not in known | ours]

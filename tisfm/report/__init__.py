@@ -5,7 +5,8 @@ May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the to
 `camera`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
-from tisfm.report.file import REPORT, is_report, refuse_foreign
+from tisfm.reconstruction.report_file import REPORT, is_report
+from tisfm.report.file import refuse_foreign
 from tisfm.report.of_reconstruction import write_reconstruction_report
 from tisfm.report.of_run import write_run_report
 

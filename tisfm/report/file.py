@@ -3,19 +3,7 @@
 from pathlib import Path
 
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.folder import REPORT
-
-MARK = '<meta name="generator" content="tisfm">'
-_HEAD = 400  # bytes, in which the mark is found
-
-
-def is_report(path: Path) -> bool:
-    """Return whether a file is a report that tisfm wrote."""
-    try:
-        with open(path, "rb") as file:
-            return path.is_file() and MARK.encode() in file.read(_HEAD)
-    except OSError:
-        return False
+from tisfm.reconstruction.report_file import REPORT, is_report
 
 
 def refuse_foreign(folder: Path) -> Path:

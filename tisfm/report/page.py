@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
-from tisfm.report.file import MARK
+from tisfm.reconstruction.report_file import MARK
 from tisfm.report.settings_table import SettingRow
 from tisfm.report.statuses import StatusCount, color_of
 from tisfm.report.style import SCRIPT, STYLE

@@ -82,13 +82,14 @@ def chosen(count: int, wanted: list[int], most: int = MOST_SLIDES) -> list[int]:
     count : int
         Frames.
     wanted : list of int
-        Those to be shown for sure, such as the first of each status; at most half of `most` are.
+        Those to be shown for sure, such as the first of each status, the most wanted first; at most
+        half of `most` are.
     most : int
         How many are shown.
     """
     if count <= most:
         return list(range(count))
-    kept = sorted(set(wanted))[: most // 2]
+    kept = list(dict.fromkeys(wanted))[: most // 2]
     others = most - len(kept)
     even = {round(k * (count - 1) / (others - 1)) for k in range(others)}
     return sorted({*kept, *even})

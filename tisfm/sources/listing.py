@@ -8,15 +8,16 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Listing:
-    """How many files there are, and a digest of their names."""
+    """How many files there are, and a digest of their names, and of their sizes if these count."""
 
     count: int
     digest: str
 
     @classmethod
-    def of(cls, files: Sequence[Path]) -> "Listing":
+    def of(cls, files: Sequence[Path], *, with_sizes: bool = False) -> "Listing":
         """Return that of files in their order."""
-        names = "\0".join(path.name for path in files)
+        sizes = [f"/{path.stat().st_size}" if with_sizes else "" for path in files]
+        names = "\0".join(f"{path.name}{size}" for path, size in zip(files, sizes, strict=True))
         return cls(len(files), hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest())
 
     def check(self, other: "Listing", title: str) -> None:

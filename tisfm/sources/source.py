@@ -164,8 +164,11 @@ class FrameSource:
 
     @property
     def listing(self) -> Listing:
-        """What the source is made of, masks included, as it is seen here."""
-        return Listing.of(self.files)
+        """The files of the frames as they are seen here, up to the last one that is taken."""
+        files = self.frame_files
+        if self.names is None:  # a video that is being copied has its name already
+            return Listing.of(files, with_sizes=True)
+        return Listing.of(files[: self.chosen.stop])
 
     def continue_another(self) -> None:
         """Take it for the rest of a source that has pairs: of its own it may have none."""

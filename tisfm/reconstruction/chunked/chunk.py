@@ -56,7 +56,9 @@ class Chunk:
     arch, threads
         As for `tisfm.runtime.start`.
     listing : Listing
-        Of the files of the source and its masks, as that process sees them.
+        Of the files of the frames, as that process sees them.
+    stop : int or None
+        The frame of the source that they end before.
     alive : Path
         A file that is there as long as the process that gives the work waits for it.
     lanes : int
@@ -76,6 +78,7 @@ class Chunk:
     depth_of: DepthOf = "all"
     asked: str
     listing: Listing
+    stop: int | None = None
     arch: Arch | None = None
     threads: int | None = None
     alive: Path = Path()
@@ -118,9 +121,9 @@ class Chunk:
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Make a chunk, unless it is complete; return an error that its user is to be told."""
     try:
-        here = runtime.cpu_lanes()
+        here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
         check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
-        seen = FrameSource(chunk.source, mask=chunk.frames.get("mask"))
+        seen = FrameSource(chunk.source, stop=chunk.stop)
         chunk.listing.check(seen.listing, seen.title)
         with _alone(chunk):
             _make(chunk)

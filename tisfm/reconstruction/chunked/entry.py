@@ -162,6 +162,7 @@ class ChunkedRun:
                 depth_of=depth_of,
                 asked=digest_of(self.asked),
                 listing=sources.listing,
+                stop=stop,
                 arch=arch,
                 threads=threads,
             )
