@@ -391,7 +391,7 @@ def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
 def test_demo_compares_readings_of_motion(tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
     assert code == 0
-    assert err.endswith("and at camera/demo_figure.png and objects/demo_figure.png.\n")
+    assert "then out/camera/demo_figure.png and out/objects/demo_figure.png.\n" in err
     rows = {
         cells[0]: cells[1:]
         for line in out.splitlines()

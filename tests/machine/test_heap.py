@@ -16,7 +16,7 @@ from tisfm.machine.heap import keep_freed_memory
 
 def make():
     for _ in range(100):
-        np.ones(1 << 22, np.uint8)
+        np.ones(1 << 20, np.uint8)  # less than a huge page
 
 if sys.argv[1] == "kept":
     keep_freed_memory()
@@ -45,9 +45,10 @@ def page_faults(kind, **environment):
     platform.libc_ver()[0] != "glibc", reason="the C library has no such thresholds"
 )
 def test_arrays_of_a_worker_take_no_new_pages():
-    assert page_faults("kept", MALLOC_TRIM_THRESHOLD_="65536") * 5 < page_faults(
-        "as it is", MALLOC_TRIM_THRESHOLD_="65536"
-    )
+    given_back = page_faults("as it is", MALLOC_TRIM_THRESHOLD_="65536")
+    if given_back < 10_000:
+        pytest.skip("the system counts no page faults, or has larger pages")
+    assert page_faults("kept", MALLOC_TRIM_THRESHOLD_="65536") * 5 < given_back
 
 
 @pytest.mark.parametrize(
