@@ -3,6 +3,7 @@
 import re
 import signal
 import sys
+import threading
 import warnings
 
 import cv2
@@ -12,7 +13,9 @@ import pytest
 import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
+from tisfm import Reconstruction
 from tisfm.camera_file import read_camera, write_camera
+from tisfm.formats.folder_lock import FolderInUseError, locked_folder
 from tisfm.trajectory import read_kitti, read_tum, write_kitti, write_tum
 
 COUNT = 9
@@ -327,3 +330,26 @@ def test_without_a_source_it_says_what_to_give(tisfm_run):
     code, _, err = tisfm_run("reconstruct", "-o", "out")
     assert code == 1
     assert_one_line(code, err, "SOURCE is missing")
+
+
+def test_another_command_is_refused_while_points_are_fused(tisfm_run, film, place, monkeypatch):
+    """The other one would put aside what is being fused."""
+    seen = []
+
+    def points(result):
+        def other():
+            with pytest.raises(FolderInUseError), locked_folder(place / "out"):
+                seen.append("entered")
+            seen.append("refused")
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+        return original(result)
+
+    original = Reconstruction.points
+    monkeypatch.setattr(Reconstruction, "points", points)
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--ply"))
+    assert code == 0, err
+    assert seen == ["refused"]
+    assert not (place / "out" / ".tisfm.lock").exists()

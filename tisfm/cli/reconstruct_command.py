@@ -24,6 +24,7 @@ from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report_command import report_reconstruction
 from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats.folder_lock import locked_folder
 from tisfm.fusion.meshing import check_library
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
@@ -155,17 +156,18 @@ def reconstruct(
         result = run.result(resume=resume, progress=tell_progress)
         stages.end()
     # What was found is written and told before anything that may not be possible with it.
-    write_trajectories(result, output)
-    _tell(result, output)
-    if scale is not None:
-        result = result.rescaled(*scale)
-        result.save(output)
+    with locked_folder(output, with_inner=True):  # fusing takes long
         write_trajectories(result, output)
-    if ply:
-        result.points().save(output / POINTS)
-    if mesh is not None:
-        result.mesh().save(output / f"mesh.{mesh}")
-    run.finish()
+        _tell(result, output)
+        if scale is not None:
+            result = result.rescaled(*scale)
+            result.save(output)
+            write_trajectories(result, output)
+        if ply:
+            result.points().save(output / POINTS)
+        if mesh is not None:
+            result.mesh().save(output / f"mesh.{mesh}")
+        run.finish()
     if report:
         report_reconstruction(result, output, timings=stages.seconds, source=source)
     return 0

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import secrets
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from filelock import FileLock, Timeout
 from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
 
 LOCK = ".tisfm.lock"
+_of_thread = threading.local()  # the folders that it has locked
 
 
 class FolderInUseError(OSError):
@@ -18,7 +20,7 @@ class FolderInUseError(OSError):
 
 
 @contextlib.contextmanager
-def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+def locked_folder(folder: str | os.PathLike[str], *, with_inner: bool = False) -> Iterator[None]:
     """Let nobody else write to a folder within the block, and remove what killed runs left half.
 
     The lock belongs to the process: it ends with it, however that ends.
@@ -27,6 +29,8 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     ----------
     folder : path
         There is one.
+    with_inner : bool
+        Whether blocks of the same thread within this one are part of it, rather than another run.
 
     Raises
     ------
@@ -34,6 +38,11 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         An OSError: if another run is in such a block with it.
     """
     path = Path(folder)
+    held: set[Path] = _of_thread.__dict__.setdefault("held", set())
+    name = path.resolve()
+    if name in held:
+        yield
+        return
     lock = FileLock(path / LOCK)
     try:
         lock.acquire(timeout=0)
@@ -44,11 +53,14 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     except NotImplementedError:  # a file system without locks
         yield
         return
+    if with_inner:
+        held.add(name)
     try:
         remove_temporaries(path)
         yield
         remove_temporaries(path)  # of processes of this run that were killed
     finally:
+        held.discard(name)
         with contextlib.suppress(OSError):  # Windows removes no open file
             os.unlink(path / LOCK)
         lock.release()
