@@ -82,7 +82,7 @@ def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place)
             assert b"<html" in answer.read()
         time.sleep(0.2)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=100)
     finally:
         process.kill()
     assert process.returncode == 0 and out == "" and err == ""

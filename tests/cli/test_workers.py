@@ -318,6 +318,8 @@ def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
 
 @on_linux
 def test_ctrl_c_ends_all(tisfm_run, film):
+    for k in range(COUNT, 20 * COUNT):  # so many that it cannot end before
+        (film / f"g{k:03d}.png").hardlink_to(film / f"f{k % COUNT:02d}.png")
     process = started(*RUN, "-o", "many", "--workers", "2")
     assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 2, process)
     workers = children_of(process)
