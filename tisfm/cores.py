@@ -1,4 +1,4 @@
-"""Threads bound to cores of their own.
+"""Cores, and threads bound to one each.
 
 Left to itself, Linux may wake both of two threads on one core, and not move one of them to the
 other, idle core for as long as a kernel on a small image takes.
@@ -6,6 +6,13 @@ other, idle core for as long as a kernel on a small image takes.
 
 import contextlib
 import os
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def thread_ids() -> list[int]:

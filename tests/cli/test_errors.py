@@ -150,7 +150,7 @@ def test_an_output_that_is_no_folder_is_one_line(
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(pairs, "interpret", forbid)
-    monkeypatch.setattr(demo, "interpret", forbid)
+    monkeypatch.setattr(demo, "crew", forbid)
     source = {
         "run": ["frames"],
         "demo": [],

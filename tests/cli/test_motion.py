@@ -8,7 +8,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
-from tisfm.cli import demo, outputs, pair_files, paper_figures
+from tisfm.cli import demo_parts, outputs, pair_files, paper_figures
 from tisfm.cli.motion_text import motion_rows
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.outcome import Status
@@ -412,16 +412,23 @@ def test_demo_compares_readings_of_motion(tisfm_run):
     assert result.settings == tisfm.Settings(motion="camera")
 
 
-def test_demo_interprets_no_pair_twice(tisfm_run, monkeypatch):
+def test_demo_interprets_no_pair_twice(place, monkeypatch):
+    height, width = 150, 100  # more than what compiles
     seen = []
-    original = demo.interpret
+    original = demo_parts.interpret
 
     def interpret(frame0, frame1, *, camera, settings):
         seen.append((frame0.tobytes(), settings))
         return original(frame0, frame1, camera=camera, settings=settings)
 
-    monkeypatch.setattr(demo, "interpret", interpret)
+    monkeypatch.setattr(demo_parts, "interpret", interpret)
     monkeypatch.setattr(paper_figures, "interpret", interpret)
-    assert tisfm_run("demo", "--height", "24", "--width", "32", "-o", "out")[0] == 0
-    whole = [key for key in seen if len(key[0]) == 24 * 32][3:]  # what compiles is as large here
+    for work in ("blocks", "camera", "objects"):
+        rows = demo_parts.done(
+            demo_parts.Part(
+                work=work, folder=place / work, height=height, width=width, seed=0, threads=1
+            )
+        )
+        assert isinstance(rows, dict)
+    whole = [key for key in seen if len(key[0]) == height * width]
     assert len(set(whole)) == len(whole) == 8

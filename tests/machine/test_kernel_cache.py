@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from tisfm.machine.kernel_cache import remove_stale_lock
+from tisfm.machine.kernel_cache import _take_turn, remove_stale_lock
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Taichi keeps its cache elsewhere there")
 UNDISTORT = """
@@ -95,3 +95,51 @@ def test_no_lock_is_nothing_to_do(cache):
     leave(cache / "Tone.tic", age=600)
     remove_stale_lock(cache)
     assert (cache / "Tone.tic").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such locks")
+def test_processes_that_end_together_write_one_after_the_other(cache):
+    turns = f"""
+import pathlib, sys, time
+from tisfm.machine.kernel_cache import _take_turn
+print("ready", flush=True)
+sys.stdin.readline()
+_take_turn(pathlib.Path({str(cache)!r}))
+print(time.time(), flush=True)
+sys.stdin.readline()
+print(time.time(), flush=True)
+"""
+    first, second = (
+        subprocess.Popen(
+            [sys.executable, "-c", turns],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )
+        for _ in range(2)
+    )  # fmt: skip
+    with first, second:
+        for process in (first, second):
+            assert process.stdout.readline() == "ready\n"
+        first.stdin.write("\n")
+        first.stdin.flush()
+        first.stdout.readline()  # it has its turn
+        second.stdin.write("\n")
+        second.stdin.flush()
+        time.sleep(0.3)
+        first.stdin.write("\n")
+        first.stdin.flush()
+        ended = float(first.stdout.readline())
+        assert float(second.stdout.readline()) >= ended
+        second.stdin.write("\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such locks")
+def test_a_turn_that_never_comes_is_not_waited_for(cache, monkeypatch):
+    import fcntl
+
+    monkeypatch.setattr("tisfm.machine.kernel_cache._PATIENCE", 0.1)
+    with open(cache / "tisfm.turn", "w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        begin = time.monotonic()
+        _take_turn(cache)
+        assert 0.1 <= time.monotonic() - begin < 5
+    _take_turn(cache / "gone")

@@ -4,6 +4,7 @@ Taichi's lock on that folder is a file, which lasts when a process is killed tha
 it. From then on Taichi would neither read nor write there, and every process would compile anew.
 """
 
+import atexit
 import contextlib
 import os
 import tempfile
@@ -13,6 +14,7 @@ from typing import Any
 
 LOCK, _LIST = "ticache.lock", "ticache.tcb"
 STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
+_TURN, _PATIENCE, _PAUSE = "tisfm.turn", 5.0, 0.02  # a file; s
 
 
 def cache_options() -> dict[str, Any]:
@@ -32,7 +34,32 @@ def cache_options() -> dict[str, Any]:
         return {"offline_cache": False, "offline_cache_file_path": tempfile.gettempdir()}
     with contextlib.suppress(OSError):  # another process may do the same
         remove_stale_lock(folder)
+    atexit.unregister(_take_turn)
+    atexit.register(_take_turn, folder)
     return {}
+
+
+def _take_turn(folder: Path) -> None:
+    """Wait until no other process is writing kernels, as they do when they end.
+
+    Taichi does not wait for its lock for long: of workers that end together, all but one would
+    complain, and not keep what they have compiled. The file stays locked until this process is
+    gone, after Taichi has written.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    with contextlib.suppress(OSError):  # the folder is gone, or has no locks
+        file = os.open(folder / _TURN, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        end = time.monotonic() + _PATIENCE
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_PAUSE)
+            else:
+                break
 
 
 def cache_folder() -> Path | None:

@@ -1,0 +1,242 @@
+"""The parts of the demonstration: a scene interpreted, compared with its truth, and drawn."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tisfm import runtime
+from tisfm.cli.outputs import USUAL, PairWriter
+from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.horn_schunck import horn_schunck
+from tisfm.interpretation import Interpretation
+from tisfm.machine.workers import stated
+from tisfm.metrics import (
+    PoseErrors,
+    angular_error,
+    depth_errors,
+    endpoint_error,
+    pose_errors,
+    std_coverage,
+)
+from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
+from tisfm.pair import interpret
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import SyntheticPair, static_scene, two_blocks
+from tisfm.settings import Settings
+from tisfm.stated import is_stated
+
+NAME = "demo"  # of its pairs
+NONE = "–"
+PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
+FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
+_CROP = 144, 96  # px: small, and yet it makes use of the kernels that the whole frame does
+
+Rows = dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """What one process does at a time.
+
+    Attributes
+    ----------
+    work : {"blocks", "camera", "objects"}
+    folder : Path
+        Receives what is written.
+    height, width, seed, threads
+        As for `tisfm.cli.demo.demo`.
+    """
+
+    work: str
+    folder: Path
+    height: int
+    width: int
+    seed: int
+    threads: int
+
+
+def done(part: Part) -> Rows | Exception:
+    """Interpret a scene and write everything.
+
+    Returns
+    -------
+    dict or Exception
+        Rows of the tables by their names, or the error that is to be told.
+    """
+    try:
+        runtime.start_worker(threads=part.threads)
+        return {"blocks": _blocks, "camera": _camera, "objects": _objects}[part.work](part)
+    except Exception as error:
+        if is_stated(error):
+            return stated(error)
+        raise
+
+
+def _blocks(part: Part) -> Rows:
+    """Interpret moving blocks by a field of motion, and by Horn and Schunck."""
+    moving = two_blocks(part.height, part.width, seed=part.seed)
+    paper, settings = Settings.preset("paper"), Settings()
+    writer = _writer(part, moving, settings)
+    horn_schunck(*_crops(moving))
+    known: dict[Settings, Interpretation] = {}
+    rows: Rows = {}
+    for label, changed in ((PAPER, paper), (BALANCED, settings)):
+        known[changed], seconds = _interpreted(moving, changed)
+        depth = _by_part(moving, moving.labels, _relative_error(known[changed]))
+        cells = _flow_cells(known[changed].flow, moving)
+        rows[label] = (*cells, _cell(depth, 3), known[changed].status, seconds)
+    baseline, seconds = _timed(lambda: horn_schunck(moving.frame0, moving.frame1))
+    rows[BASELINE] = (*_flow_cells(baseline, moving), NONE, NONE, seconds)
+    _write(writer, moving, known[settings], baseline)
+    write_paper_figures(
+        part.folder,
+        moving.frame0,
+        moving.frame1,
+        camera=moving.camera,
+        known={changed: result.inverse_depth for changed, result in known.items()},
+    )
+    return rows
+
+
+def _camera(part: Part) -> Rows:
+    """Interpret blocks at rest under ``motion="camera"``, and by a field."""
+    still = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
+    settings = Settings(motion="camera")
+    writer = _writer(part, still, settings)
+    result, seconds = _interpreted(still, settings)
+    _write(writer, still, result)
+    field, field_seconds = _interpreted(still, Settings())
+    return {
+        FIELD: (*_model_cells(field, still), field.status, field_seconds),
+        CAMERA: (*_model_cells(result, still), result.status, seconds),
+    }
+
+
+def _objects(part: Part) -> Rows:
+    """Interpret moving blocks under ``motion="objects"``."""
+    moving = two_blocks(part.height, part.width, seed=part.seed)
+    settings = Settings(motion="objects")
+    writer = _writer(part, moving, settings)
+    result, seconds = _interpreted(moving, settings)
+    _write(writer, moving, result)
+    return {OBJECTS: (*_model_cells(result, moving), result.status, seconds)}
+
+
+def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
+    writer = PairWriter(
+        part.folder, camera=scene.camera, settings=settings, outputs=(*USUAL, "flow")
+    )
+    writer.write_record()
+    return writer
+
+
+def _interpreted(scene: SyntheticPair, settings: Settings) -> tuple[Interpretation, str]:
+    """Return an interpretation, and the seconds it took once its kernels are compiled."""
+    interpret(*_crops(scene), camera=scene.camera, settings=settings)
+    return _timed(
+        lambda: interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    )
+
+
+def _crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
+    height, width = _CROP
+    return scene.frame0[:height, :width], scene.frame1[:height, :width]
+
+
+def _timed(work: Callable) -> tuple:
+    """Return what a function returns, and the seconds it took, as text."""
+    begin = time.perf_counter()
+    result = work()
+    return result, f"{time.perf_counter() - begin:.2f}"
+
+
+def _write(
+    writer: PairWriter,
+    scene: SyntheticPair,
+    result: Interpretation,
+    baseline: np.ndarray | None = None,
+) -> None:
+    with writer:
+        writer.write(
+            NAME,
+            result,
+            baseline_flow=baseline,
+            truth_flow=scene.flow,
+            truth_inverse_depth=scene.inverse_depth,
+        )
+
+
+def _flow_cells(flow: np.ndarray, scene: SyntheticPair) -> tuple[str, str]:
+    return (
+        f"{endpoint_error(flow, scene.flow, mask=scene.visible):.3f}",
+        f"{angular_error(flow, scene.flow, mask=scene.visible):.2f}",
+    )
+
+
+def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
+    """Return errors of depth, flow and motion; what moves alike shares one scale of depth."""
+    _, part = np.unique(scene.motions, axis=0, return_inverse=True)
+    parts = part.reshape(-1)[scene.labels]
+    covered = None
+    if result.inverse_depth_std is not None:
+        covered = _by_part(scene, parts, _coverage(result, result.inverse_depth_std))
+    pose = _pose_errors(result, scene)
+    return (
+        _cell(_by_part(scene, parts, _relative_error(result)), 3),
+        NONE if covered is None else f"{100 * covered:.0f} %",
+        f"{endpoint_error(result.flow, scene.flow, mask=scene.visible):.3f}",
+        _cell(None if pose is None else pose.direction, 3),
+        _cell(None if pose is None else pose.rotation, 4),
+    )
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return NONE if value is None else f"{value:.{digits}f}"
+
+
+Measure = Callable[[np.ndarray, np.ndarray], float]  # of the true depth, where a mask is set
+
+
+def _relative_error(result: Interpretation) -> Measure:
+    return lambda truth, mask: depth_errors(result.depth, truth, mask).abs_rel
+
+
+def _coverage(result: Interpretation, deviation: np.ndarray) -> Measure:
+    return lambda truth, mask: std_coverage(result.inverse_depth, deviation, truth, mask)
+
+
+def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float | None:
+    """Return the mean over all visible pixels of what is measured in each part of the scene.
+
+    None if there is no depth to be measured in one of them.
+    """
+    total, pixels = 0.0, 0
+    for part in np.unique(parts):
+        mask = (parts == part) & scene.visible
+        count = int(mask.sum())
+        if count:
+            try:
+                total += measure(scene.depth, mask) * count
+            except ValueError as error:
+                if not is_stated(error):
+                    raise
+                return None
+            pixels += count
+    return total / pixels if pixels else None
+
+
+def _pose_errors(result: Interpretation, scene: SyntheticPair) -> PoseErrors | None:
+    """Compare the motion of the background; None if a flow field does not tell it."""
+    if result.motions is not None:
+        pose = pose_matrix(result.motions[0])
+    else:
+        try:
+            motion = camera_motion(result.flow, result.confidence, result.camera)
+        except TooFewPixelsError:  # too little of it is trusted
+            return None
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation
+    return pose_errors(pose, pose_matrix(scene.motions[0]))
