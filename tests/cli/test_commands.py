@@ -1,6 +1,10 @@
 """`tisfm demo` and `tisfm figures`."""
 
 import os
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -8,6 +12,7 @@ import tisfm
 from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
 from tisfm.camera_file import write_camera
 from tisfm.cli import commands
+from tisfm.cli.run_record import RECORD
 from tisfm.formats import read_image
 from tisfm.settings import Settings
 
@@ -39,6 +44,29 @@ def test_demo(tisfm_run):
 def test_demo_has_an_output_of_its_own(tisfm_run, place):
     assert tisfm_run("demo", "--height", "24", "--width", "32")[0] == 0
     assert set(files("tisfm-demo")) == DEMO_FILES
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_ctrl_c_ends_the_demo_before_it_is_done(place):
+    code = """
+import signal, sys
+from tisfm.cli.command_line import main
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main(["demo", "--height", "1000", "--width", "1400", "-o", "out"]))
+"""
+    (place / "script.py").write_text(code)
+    begun = place / "out" / "objects" / RECORD
+    with subprocess.Popen(
+        [sys.executable, "script.py"], stderr=subprocess.PIPE, text=True
+    ) as process:
+        while not begun.exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        err = process.communicate(timeout=100)[1]
+    assert process.returncode == 130 and err == "tisfm: interrupted\n"
+    assert [path.name for path in begun.parent.iterdir()] == [RECORD]
 
 
 @pytest.mark.parametrize(

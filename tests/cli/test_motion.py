@@ -426,7 +426,13 @@ def test_demo_interprets_no_pair_twice(place, monkeypatch):
     for work in ("blocks", "camera", "objects"):
         rows = demo_parts.done(
             demo_parts.Part(
-                work=work, folder=place / work, height=height, width=width, seed=0, threads=1
+                work=work,
+                folder=place / work,
+                height=height,
+                width=width,
+                seed=0,
+                threads=1,
+                alive=place,
             )
         )
         assert isinstance(rows, dict)

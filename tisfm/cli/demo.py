@@ -23,6 +23,7 @@ from tisfm.cli.paper_figures import PAPER_FIGURES
 from tisfm.cli.run_record import ENDINGS, RECORD
 from tisfm.cores import usable_cores
 from tisfm.formats.flo import require_writable_flow
+from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import make_folder
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
@@ -60,13 +61,21 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     for folder in folders:
         make_folder(folder)
     workers, each = _shares(threads)
-    parts = [
-        Part(work=work, folder=folder, height=height, width=width, seed=seed, threads=each)
-        for work, folder in zip(("blocks", "camera", "objects"), folders, strict=True)
-    ]
-    parts.reverse()  # what takes longest comes first
     rows: Rows = {}
-    with progress_bar() as progress, crew(workers) as processes:
+    with progress_bar() as progress, crew(workers) as processes, alive_in(output) as alive:
+        parts = [
+            Part(
+                work=work,
+                folder=folder,
+                height=height,
+                width=width,
+                seed=seed,
+                threads=each,
+                alive=alive,
+            )
+            for work, folder in zip(("blocks", "camera", "objects"), folders, strict=True)
+        ]
+        parts.reverse()  # what takes longest comes first
         task = progress.add_task("interpreting", total=len(parts))
         for _, found in processes.finished(done, parts):
             if isinstance(found, Exception):

@@ -1,7 +1,10 @@
 """The parts of the demonstration: a scene interpreted, compared with its truth, and drawn."""
 
+import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +36,7 @@ NONE = "–"
 PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
 FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
 _CROP = 144, 96  # px: small, and yet it makes use of the kernels that the whole frame does
+_LOOK = 0.1  # s, from one look at whether the command goes on to the next
 
 Rows = dict[str, tuple[str, ...]]
 
@@ -48,6 +52,8 @@ class Part:
         Receives what is written.
     height, width, seed, threads
         As for `tisfm.cli.demo.demo`.
+    alive : Path
+        A file that is there as long as the command.
     """
 
     work: str
@@ -56,6 +62,7 @@ class Part:
     width: int
     seed: int
     threads: int
+    alive: Path
 
 
 def done(part: Part) -> Rows | Exception:
@@ -84,7 +91,7 @@ def _blocks(part: Part) -> Rows:
     known: dict[Settings, Interpretation] = {}
     rows: Rows = {}
     for label, changed in ((PAPER, paper), (BALANCED, settings)):
-        known[changed], seconds = _interpreted(moving, changed)
+        known[changed], seconds = _interpreted(part, moving, changed)
         depth = _by_part(moving, moving.labels, _relative_error(known[changed]))
         cells = _flow_cells(known[changed].flow, moving)
         rows[label] = (*cells, _cell(depth, 3), known[changed].status, seconds)
@@ -106,9 +113,9 @@ def _camera(part: Part) -> Rows:
     still = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
     settings = Settings(motion="camera")
     writer = _writer(part, still, settings)
-    result, seconds = _interpreted(still, settings)
+    result, seconds = _interpreted(part, still, settings)
     _write(writer, still, result)
-    field, field_seconds = _interpreted(still, Settings())
+    field, field_seconds = _interpreted(part, still, Settings())
     return {
         FIELD: (*_model_cells(field, still), field.status, field_seconds),
         CAMERA: (*_model_cells(result, still), result.status, seconds),
@@ -120,7 +127,7 @@ def _objects(part: Part) -> Rows:
     moving = two_blocks(part.height, part.width, seed=part.seed)
     settings = Settings(motion="objects")
     writer = _writer(part, moving, settings)
-    result, seconds = _interpreted(moving, settings)
+    result, seconds = _interpreted(part, moving, settings)
     _write(writer, moving, result)
     return {OBJECTS: (*_model_cells(result, moving), result.status, seconds)}
 
@@ -133,12 +140,34 @@ def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
     return writer
 
 
-def _interpreted(scene: SyntheticPair, settings: Settings) -> tuple[Interpretation, str]:
+def _interpreted(
+    part: Part, scene: SyntheticPair, settings: Settings
+) -> tuple[Interpretation, str]:
     """Return an interpretation, and the seconds it took once its kernels are compiled."""
-    interpret(*_crops(scene), camera=scene.camera, settings=settings)
-    return _timed(
-        lambda: interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
-    )
+    with _ended_without(part.alive):
+        interpret(*_crops(scene), camera=scene.camera, settings=settings)
+        return _timed(
+            lambda: interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+        )
+
+
+@contextmanager
+def _ended_without(alive: Path) -> Iterator[None]:
+    """End this process where the command is gone, as after Ctrl-C, while it writes nothing."""
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(_LOOK):
+            if not alive.exists():
+                os._exit(1)
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watching.join()
 
 
 def _crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
