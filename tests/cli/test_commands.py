@@ -12,7 +12,6 @@ import tisfm
 from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
 from tisfm.camera_file import write_camera
 from tisfm.cli import commands
-from tisfm.cli.run_record import RECORD
 from tisfm.formats import read_image
 from tisfm.settings import Settings
 
@@ -56,17 +55,18 @@ if __name__ == "__main__":
     sys.exit(main(["demo", "--height", "1000", "--width", "1400", "-o", "out"]))
 """
     (place / "script.py").write_text(code)
-    begun = place / "out" / "objects" / RECORD
+    out = place / "out"
     with subprocess.Popen(
         [sys.executable, "script.py"], stderr=subprocess.PIPE, text=True
     ) as process:
-        while not begun.exists():
+        while not list(out.glob("*.tmp")):  # it tells the processes that it goes on
             assert process.poll() is None
             time.sleep(0.05)
+        time.sleep(5)  # they have begun
         process.send_signal(signal.SIGINT)
         err = process.communicate(timeout=100)[1]
     assert process.returncode == 130 and err == "tisfm: interrupted\n"
-    assert [path.name for path in begun.parent.iterdir()] == [RECORD]
+    assert set(out.rglob("*")) == {out / "camera", out / "objects"}
 
 
 @pytest.mark.parametrize(

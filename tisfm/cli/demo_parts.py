@@ -133,11 +133,7 @@ def _objects(part: Part) -> Rows:
 
 
 def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
-    writer = PairWriter(
-        part.folder, camera=scene.camera, settings=settings, outputs=(*USUAL, "flow")
-    )
-    writer.write_record()
-    return writer
+    return PairWriter(part.folder, camera=scene.camera, settings=settings, outputs=(*USUAL, "flow"))
 
 
 def _interpreted(
