@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.cli.command_line import TISFM, assert_one_line
 from tisfm.cli import foretelling, reconstruct_command
 from tisfm.cli.command_line import _parse
-from tisfm.cli.foretelling import Foretelling, as_duration, as_size
+from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.known_options import known_options
 from tisfm.cli.nearest import hint, nearest
@@ -188,13 +188,3 @@ def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypa
     assert capsys.readouterr().err == ""
     reconstruct_command._announce(*about[:2], FrameOptions(start=1), "all")
     assert "for 2 frames" in capsys.readouterr().err
-
-
-def test_durations_and_sizes():
-    assert [as_duration(s) for s in (61, 600, 7200, 7500)] == [
-        "1 min",
-        "10 min",
-        "2 h",
-        "2 h 5 min",
-    ]
-    assert [as_size(s) for s in (2.5e6, 3.21e9)] == ["2 MB", "3.2 GB"]

@@ -9,16 +9,17 @@ from pathlib import Path
 from rich.progress import Progress
 
 from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.foretelling import MUCH
 from tisfm.exports.clock import check_rate
 from tisfm.exports.export import Export
 from tisfm.exports.formats import FORMATS, Format
 from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
 from tisfm.exports.videos import check_disparity
 from tisfm.formats.outputs import make_folder
+from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction
 
-_MUCH = 2e8  # bytes: what writes more says so beforehand
 _LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
 
 
@@ -126,10 +127,10 @@ def _announce(wanted: dict[str, Format], asked: Export) -> None:
     pixels = len(asked.chosen) * height * width
     expected = sum(form.bytes_per_pixel for form in wanted.values()) * pixels
     free = shutil.disk_usage(asked.folder).free
-    about = f"up to {_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
+    about = f"up to {as_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
     if expected > free:
-        tell(f"{about}, but {_size(free)} are free: --start, --stop and --step choose")
-    elif expected > _MUCH:
+        tell(f"{about}, but {as_size(free)} are free: --start, --stop and --step choose")
+    elif expected > MUCH:
         tell(f"{about} in {asked.folder}")
 
 
@@ -148,7 +149,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
             is_said = True
             left = (now - begin) / (done - before) * (total - done)
             if left > _LONG:
-                tell(f"{name}: about {_duration(left)} for {total - done} more frames")
+                tell(f"{name}: about {as_duration(left)} for {total - done} more frames")
 
     return tell_progress
 
@@ -159,13 +160,3 @@ def _named(files: Sequence[Path]) -> str:
     if len(files) <= 4:
         return ", ".join(map(str, files))
     return ", ".join(f"{count} files in {folder}" for folder, count in folders.items())
-
-
-def _size(count: float) -> str:
-    """Return a number of bytes as it is read."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
-
-
-def _duration(seconds: float) -> str:
-    """Return a time as it is read."""
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

@@ -18,7 +18,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.crew import check_workers
-from tisfm.cli.foretelling import MUCH, Foretelling, as_size
+from tisfm.cli.foretelling import MUCH, Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report_command import report_reconstruction
@@ -26,6 +26,7 @@ from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.fusion.meshing import check_library
+from tisfm.machine.amounts import as_size
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage

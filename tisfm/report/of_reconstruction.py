@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.machine.amounts import as_duration
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.file import refuse_foreign, write_page
 from tisfm.report.page import Page, Slide, View, html
 from tisfm.report.pictures import Pictures, chosen, depth_colors
 from tisfm.report.settings_table import nearest_preset, setting_rows
-from tisfm.report.shared import depth_legend, deviation_legend, duration, flow_legend
+from tisfm.report.shared import depth_legend, deviation_legend, flow_legend
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.show import (
     flow_radius,
@@ -146,7 +147,7 @@ def _page(
         ],
         preset=nearest_preset(result.settings),
         settings=setting_rows(result.settings),
-        timings=[(name, duration(seconds)) for name, seconds in timings.items()],
+        timings=[(name, as_duration(seconds)) for name, seconds in timings.items()],
     )
 
 

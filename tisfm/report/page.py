@@ -15,11 +15,10 @@ _LONG = 60  # characters: a value of more has a line of its own
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A picture of a slide: its title, its address, None where there is none, and a legend."""
+    """A picture of a slide: its title, and its address, None where there is none."""
 
     title: str
     url: str | None
-    legend: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
