@@ -83,6 +83,19 @@ def test_frames_and_unit_are_chosen(tisfm_run, place):
     assert len(names(place / "walk")) == 6 + 6 + 2  # depth, frames; nothing is written there
 
 
+def test_a_unit_is_that_of_a_piece(tisfm_run, place):
+    result = made(place / "walk", piece=[0, 0, 1, 1, 1, 1], count=6)
+    arguments = ("export", "walk", "--to", "tum", "-o", "out")
+    code, _, err = tisfm_run(*arguments, "--scale", "2", "3", "7")
+    assert code == 0
+    assert "--scale: the unit of the piece of 4 frames that these two are of; other pieces" in err
+    found = read_tum(place / "out" / "trajectory.tum").poses
+    assert np.linalg.norm(found[1, :3, 3] - found[0, :3, 3]) == pytest.approx(7)
+    other = read_tum(place / "out" / "trajectory-piece2.tum").poses
+    np.testing.assert_allclose(other, result.poses[:2], atol=1e-12)
+    assert "--scale" not in tisfm_run(*arguments)[2]
+
+
 def test_all_that_a_sequence_has(tisfm_run, place):
     for package in ("av", "OpenEXR"):
         pytest.importorskip(package)
@@ -144,6 +157,7 @@ def test_pairs_have_no_path(tisfm_run, place, name):
     ("arguments", "words"),
     [
         (["--to", "obj"], ["--to: 'obj' is no format", "video-wiggle"]),
+        (["--to", "tum,colmap-txt"], ["'colmap-txt' is no format, did you mean 'colmap-text'?"]),
         ([], ["--to: no format is given"]),
         (["--to", "tum", "--start", "6"], ["leave no frame of 6"]),
         (["--to", "tum", "--step", "0"], ["--step 0"]),
@@ -205,14 +219,14 @@ def test_an_earlier_export_is_replaced(tisfm_run, place):
 
 def test_long_work_is_announced(tisfm_run, place, monkeypatch):
     made(place / "walk")
-    monkeypatch.setattr(export_command, "_MUCH", 1000)
+    monkeypatch.setattr(export_command, "MUCH", 1000)
     monkeypatch.setattr(export_command, "_LONG", 0)
     monkeypatch.setattr(export_command, "_SOON", 0)
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
     assert code == 0
     told = err.splitlines()
     assert told[0] == "up to 0 MB for 6 frames of 45×31 px in out"
-    assert re.fullmatch(r"depth-tiff: about \d+ s for 4 more frames", told[1])
+    assert re.fullmatch(r"depth-tiff: about [\d.]+ s for 4 more frames", told[1])
     assert len(told) == 3
     usage = shutil.disk_usage(place)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))

@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.foretelling import MUCH
+from tisfm.cli.nearest import hint
 from tisfm.exports.clock import check_rate
 from tisfm.exports.export import Export
 from tisfm.exports.formats import FORMATS, Format
@@ -57,6 +58,13 @@ def export(
         form.check(asked)
     make_folder(output)
     _announce(wanted, asked)
+    if result is not None and scale is not None and len(result.unit) > 1:
+        piece = int(result.piece[scale[0]])
+        sizes = [int((result.piece == k).sum()) for k in range(len(result.unit))]
+        tell(
+            f"--scale: the unit of the piece of {sizes[piece]} frames that these two are of; other "
+            "pieces keep their own"
+        )
     said: set[str] = set()
     for name, form in wanted.items():
         with progress_bar() as bar:
@@ -73,7 +81,8 @@ def _formats(names: Sequence[str]) -> dict[str, Format]:
     """Return formats by their names, each once, or raise ValueError."""
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
-        what = f"{unknown[0]!r} is no format" if unknown else "no format is given"
+        meant = hint(unknown[0], FORMATS) if unknown else ""
+        what = f"{unknown[0]!r} is no format{meant}" if unknown else "no format is given"
         raise ValueError(f"--to: {what}: expected some of {', '.join(FORMATS)}")
     return {name: FORMATS[name] for name in names}
 
