@@ -112,7 +112,9 @@ class Drawn:
     inverse_depth=arrays(
         np.float32,
         SIZES,
-        elements=st.one_of(st.floats(0.125, 16, width=32), st.sampled_from([np.nan, 0, -1, np.inf])),
+        elements=st.one_of(
+            st.floats(0.125, 16, width=32), st.sampled_from([np.nan, 0, -1, np.inf])
+        ),
     )
 )
 def test_any_depth_comes_back(tmp_path_factory, kind, inverse_depth):

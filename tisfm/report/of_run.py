@@ -20,6 +20,7 @@ from tisfm.report.statuses import counted, shortened, spans
 from tisfm.settings import Settings
 from tisfm.show import flow_radius, flow_to_color, inverse_depth_limit, label_overlay
 
+_DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
 _VIEWS = 4  # pictures of a pair; one more for labels
 
 
@@ -132,9 +133,9 @@ def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None)
         told = f"{len(slides)} of {len(names)} pairs" if len(slides) < len(names) else "All pairs"
         told += ", each by its first frame."
     legends = [
-        ("Depth", depth_legend("in multiples of each pair's mean inverse depth")),
-        ("Image motion", flow_legend(flow_limit)),
-        ("Confidence", share_legend()),
+        (_DEPTH, "Depth", depth_legend("in multiples of each pair's mean inverse depth")),
+        (_MOTION, _MOTION, flow_legend(flow_limit)),
+        (_CONFIDENCE, _CONFIDENCE, share_legend()),
     ]
     return Page(
         title=source or folder.resolve().name,
@@ -206,16 +207,16 @@ def _slides(
         views = [
             View(title="Frame", url=pictures.url(result.frame)),
             View(
-                title="Depth, near is bright",
+                title=_DEPTH,
                 url=pictures.url(depth_colors(result.inverse_depth, depth_limit * level))
                 if level > 0
                 else None,
             ),
             View(
-                title="Image motion",
+                title=_MOTION,
                 url=pictures.url(flow_to_color(result.flow, limit=flow_limit)),
             ),
-            View(title="Confidence", url=pictures.url(share_colors(result.confidence))),
+            View(title=_CONFIDENCE, url=pictures.url(share_colors(result.confidence))),
         ]
         if result.labels is not None and result.labels.max() > 0:
             overlay = label_overlay(result.frame, result.labels)
@@ -225,6 +226,7 @@ def _slides(
                 name=pair.name,
                 number=pair.number,
                 status=str(pair.status),
+                shape=result.flow.shape[:2],
                 message="" if pair.status == "converged" else shortened(pair.status.message),
                 views=views,
             )
