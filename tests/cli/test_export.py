@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tests.exports.made import made
 from tests.exports.runs import run_of
 from tisfm.cli import export_command
 from tisfm.exports.formats import FORMATS
+from tisfm.reconstruction.folder import write_record
 from tisfm.trajectory import read_tum
 
 LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))
@@ -184,6 +186,13 @@ def test_a_path_alone_has_no_depth(tisfm_run, place, name):
     made(place / "walk", with_depth=())
     code, _, err = tisfm_run("export", "walk", "--to", name, "-o", "out")
     assert_one_line(code, err, "has depth: reconstruct with --depth-of all")
+
+
+def test_without_a_pose_there_is_no_depth_to_ask_for(tisfm_run, place):
+    result = made(place / "walk", count=2, with_depth=())
+    write_record(place / "walk", replace(result, piece=np.full(2, -1, np.int32), unit=()))
+    code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
+    assert_one_line(code, err, "none has a pose either")
 
 
 def test_folders_that_are_none(tisfm_run, place):
