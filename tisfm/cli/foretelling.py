@@ -4,7 +4,10 @@ import time
 
 from tisfm.cli.console import tell
 from tisfm.machine.amounts import as_duration
+from tisfm.reconstruction.progress import Stage
 
+STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
+"""The stages of a reconstruction in words."""
 MUCH = 2e8  # bytes: work that writes more says so beforehand
 _LONG = 60.0  # s: work that takes less is not worth a line
 _WATCHED = 5.0  # s, after which its speed is known
