@@ -7,28 +7,25 @@ from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
+from tisfm.doctor.answering import answer, is_asked
 from tisfm.machine.address_space import require_for_import
 
+if is_asked():  # where the libraries below crash or hang, the doctor says so
+    answer()
 if "cv2" not in sys.modules:  # OpenCV crashes below this, with one thread and with several
     require_for_import(0.28e9, more_with_threads=0.19e9)
 
-try:
-    from tisfm.camera import Camera
-    from tisfm.interpretation import Interpretation
-    from tisfm.pair import interpret
-    from tisfm.reconstruction.entry import reconstruct
-    from tisfm.reconstruction.moving_object import MovingObject
-    from tisfm.reconstruction.result import Reconstruction
-    from tisfm.reconstruction.streamed_frame import StreamedFrame
-    from tisfm.reconstruction.streaming import reconstruct_stream
-    from tisfm.sequence import interpret_sequence
-    from tisfm.settings import Settings
-    from tisfm.version import __version__
-except Exception as error:
-    from tisfm.doctor.examination import answer_instead
-
-    answer_instead(error)  # `tisfm doctor` says what is broken
-    raise
+from tisfm.camera import Camera
+from tisfm.interpretation import Interpretation
+from tisfm.pair import interpret
+from tisfm.reconstruction.entry import reconstruct
+from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.streamed_frame import StreamedFrame
+from tisfm.reconstruction.streaming import reconstruct_stream
+from tisfm.sequence import interpret_sequence
+from tisfm.settings import Settings
+from tisfm.version import __version__
 
 __all__ = [
     "Camera",

@@ -1,11 +1,18 @@
 """What shells complete by, in a shell."""
 
+import os
+import re
+import select
 import shutil
 import subprocess
+import time
 
 import pytest
 
 from tests.cli.command_line import assert_one_line
+from tisfm.cli.command_line import _parse
+from tisfm.cli.completion import completion_script
+from tisfm.cli.known_options import known_options
 
 # Asks bash as a user does who presses TAB after the words.
 ASK = """
@@ -77,8 +84,93 @@ def test_tcsh_has_a_line_of_its_own(tisfm_run, place):
         assert done.returncode == 0 and done.stderr == ""
 
 
-@pytest.mark.parametrize("shells", [[], ["fsh"], ["bash", "zsh"]])
+@pytest.fixture(scope="module")
+def fish_script(tmp_path_factory):
+    """A file with what fish reads."""
+    path = tmp_path_factory.mktemp("fish") / "tisfm.fish"
+    path.write_text(completion_script("fish", known_options(_parse)))
+    return path
+
+
+def test_fish_has_a_line_for_every_option(fish_script):
+    lines = fish_script.read_text().splitlines()
+    of_run = "complete -c tisfm -n '__fish_seen_subcommand_from run'"
+    assert f"{of_run} -l preset -x -a 'paper fast balanced accurate'" in lines
+    assert f"{of_run} -l threads -x" in lines  # a number, and no file
+    assert f"{of_run} -s o -r" in lines and f"{of_run} -l no-figures" in lines
+    assert all(line.startswith("complete -c tisfm -n ") for line in lines)
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="there is no fish")
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        ("tisfm rec", ["reconstruct"]),
+        ("tisfm --comp", ["--completion"]),
+        ("tisfm --completion z", ["zsh"]),
+        ("tisfm run --pre", ["--preset", "--presmoothing"]),
+        ("tisfm run --preset f", ["fast"]),
+        ("tisfm run x -o y --no-fig", ["--no-figures"]),
+        ("tisfm reconstruct --motion ", ["camera", "objects"]),
+        ("tisfm demo --pre", []),
+    ],
+)
+def test_fish_completes_commands_options_and_values(fish_script, place, words, expected):
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", f"source '{fish_script}'; complete -C '{words}'"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "HOME": str(place)},
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    assert sorted(line.split("\t")[0] for line in done.stdout.splitlines()) == expected
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh")
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        ("tisfm rec", "tisfm reconstruct"),
+        ("tisfm run --preset f", "tisfm run --preset fast"),
+        ("tisfm run x -o y --no-fig", "tisfm run x -o y --no-figures"),
+    ],
+)
+def test_zsh_completes_as_somebody_types(tisfm_run, place, words, expected):
+    pty = pytest.importorskip("pty")
+    (place / "script").write_text(tisfm_run("--completion", "zsh")[1])
+    keyboard, terminal = pty.openpty()
+    shell = subprocess.Popen(
+        ["zsh", "-f", "-i"],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
+        env={**os.environ, "HOME": str(place), "TERM": "dumb", "PS1": "", "PROMPT": ""},
+    )
+    os.close(terminal)
+    try:
+        os.write(keyboard, b"unsetopt zle_bracketed_paste; source ./script; print rea''dy\n")
+        assert "ready" in _read_until(keyboard, "ready")
+        os.write(keyboard, f"{words}\t".encode())
+        assert expected in _read_until(keyboard, expected)
+    finally:
+        shell.kill()
+        shell.wait()
+        os.close(keyboard)
+
+
+def _read_until(terminal, text, *, seconds=20.0):
+    """Return what comes from a terminal, without codes, up to where a text is in it."""
+    said, end = "", time.monotonic() + seconds
+    while text not in said and time.monotonic() < end:
+        if select.select([terminal], [], [], 0.2)[0]:
+            said += os.read(terminal, 4096).decode("utf-8", "replace")
+            said = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r|.\x08", "", said)
+    return said
+
+
+@pytest.mark.parametrize("shells", [[], ["fsih"], ["bash", "zsh"]])
 def test_other_shells_are_one_line(tisfm_run, shells):
     code, out, err = tisfm_run("--completion", *shells)
     assert out == ""
-    assert_one_line(code, err, "--completion", "bash, zsh, tcsh")
+    assert_one_line(code, err, "--completion", "bash, zsh, fish, tcsh")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import pytest
 
 from tests.cli.command_line import TISFM
 from tisfm.doctor import examination
+from tisfm.doctor.trying import Trial
 
 # As the installed script does it.
 SCRIPT = "import sys; sys.argv[0] = 'tisfm'; from tisfm.cli import main; sys.exit(main())"
@@ -39,16 +41,65 @@ def test_an_installation_that_works():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["cv2", "tyro", "numpy"])
+@pytest.mark.parametrize("module", ["cv2", "tyro", "numpy", "taichi"])
 def test_a_library_that_cannot_be_imported(tmp_path, module):
     """Not even `import tisfm` works then."""
     (tmp_path / f"{module}.py").write_text("raise ImportError('libGL.so.1 is not there')")
     done = doctor(PYTHONPATH=str(tmp_path))
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 1 and done.stderr == ""
     assert "WRONG" in done.stdout and "libGL.so.1 is not there" in done.stdout
     name = "opencv-python-headless" if module == "cv2" else module
     assert f"pip install --force-reinstall '{name}" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
+    (tmp_path / "cv2.py").write_text("import os; os.abort()")
+    done = doctor("--json", PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1 and done.stderr == ""
+    found = {one["name"]: one for one in json.loads(done.stdout)["findings"]}
+    assert found["opencv-python-headless"]["verdict"] == found["tisfm"]["verdict"] == "wrong"
+    if os.name != "nt":
+        assert "crashed (signal 6)" in found["opencv-python-headless"]["text"]
+    for name in ("numpy", "scipy", "matplotlib", "tyro"):
+        assert found[name]["verdict"] == "ok", found[name]
+
+
+@pytest.mark.slow
+def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
+    (tmp_path / "cv2.py").write_text("import time; time.sleep(1000)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(examination, "Trial", lambda names, limit=0: Trial(names, limit=6.0))
+    found = {one.name: one for one in examination.examine()}
+    assert "did not end within" in found["opencv-python-headless"].text
+    assert found["tisfm"].verdict == "wrong" and found["numpy"].verdict == "ok"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems hold no one to ulimit -v")
+@pytest.mark.parametrize("kilobytes", [120_000, 700_000])
+def test_an_address_space_that_is_too_small(kilobytes):
+    call = shlex.join([sys.executable, "-c", SCRIPT, "doctor", "--json"])
+    done = subprocess.run(
+        ["sh", "-c", f"ulimit -v {kilobytes}; {call}"], capture_output=True, text=True
+    )
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    found = {one["name"]: one for one in json.loads(done.stdout)["findings"]}
+    assert found["Address space"]["verdict"] == "warning"
+    assert "ulimit -v" in found["Kernels"]["advice"]
+    assert "force-reinstall" not in done.stdout
+
+
+@pytest.mark.slow
+def test_what_reads_it_may_have_had_enough():
+    call = shlex.join([sys.executable, "-c", SCRIPT, "doctor"])
+    done = subprocess.run(["sh", "-c", f"{call} | true"], capture_output=True, text=True)
+    assert done.stderr == ""
+
+
+def test_wrong_options_are_left_to_the_parser(tisfm_run):
+    code, _, err = tisfm_run("doctor", "--jsn")
+    assert code == 2 and "did you mean --json?" in err
 
 
 @pytest.mark.slow
@@ -73,26 +124,19 @@ def test_a_look_that_fails_is_a_line(monkeypatch):
     def fail():
         raise RuntimeError("unforeseen")
 
-    monkeypatch.setattr(examination.packages, "requirements", lambda: ({}, {}))
+    monkeypatch.setattr(examination.packages, "requirements", lambda: ({}, {}, ""))
     monkeypatch.setattr(examination.machine, "about_cores", fail)
-    monkeypatch.setattr(examination, "Trials", NoTrials)
+    monkeypatch.setattr(examination, "Trial", NoTrial)
     found = examination.examine()
     assert [one.text for one in found if one.name == "doctor"] == ["RuntimeError: unforeseen"]
     assert any(one.name == "Working folder" for one in found)
 
 
-class NoTrials:
-    """Trials of which each fails at once."""
+class NoTrial:
+    """A trial of things of which each fails at once."""
 
-    def begin(self, names, *, limit=0):
-        return self._Told({name: {"error": "not tried"} for name in names})
+    def __init__(self, names, *, limit=0):
+        self._names = names
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *about):
-        pass
-
-    class _Told(dict):
-        def result(self):
-            return self
+    def go_on(self):
+        return {name: {"error": "not tried"} for name in self._names}

@@ -9,6 +9,7 @@ import pytest
 import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.evaluation.reconstructed import PATH, N, Result, make_sequence
+from tisfm.cli import foretelling
 from tisfm.settings import Settings
 from tisfm.trajectory import read_tum, write_kitti, write_tum
 
@@ -52,6 +53,23 @@ def test_a_sequence_is_reconstructed_and_compared(tisfm_run, wall, reconstruct):
     written = read_tum("out/wall.tum")
     np.testing.assert_array_equal(written.times, [0, 1, 3, 4, 5])
     np.testing.assert_allclose(written.poses[:, :3, 3], 0.5 * PATH[[0, 1, 3, 4, 5], :3, 3])
+
+
+def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(foretelling.time, "monotonic", lambda: now[0])
+    finds = tisfm.reconstruct
+
+    def slow(source, *, progress, **options):
+        for done in range(1, 60):
+            progress("path", done, 100)
+            now[0] += 4.0
+        return finds(source, **options)
+
+    monkeypatch.setattr(tisfm, "reconstruct", slow)
+    code, _, err = tisfm_run("eval", "wall", "--sequence", "--give-poses")
+    assert code == 0
+    assert err.splitlines()[0] == "100 frames of wall, path: about 6 min to go, 0.25 a second"
 
 
 def test_poses_are_given_and_not_compared(tisfm_run, wall, reconstruct):

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tests.exports.made import made
 from tests.exports.runs import run_of
 from tisfm.cli import export_command
 from tisfm.exports.formats import FORMATS
+from tisfm.reconstruction.folder import write_record
 from tisfm.trajectory import read_tum
 
 LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))
@@ -83,6 +85,19 @@ def test_frames_and_unit_are_chosen(tisfm_run, place):
     assert len(names(place / "walk")) == 6 + 6 + 2  # depth, frames; nothing is written there
 
 
+def test_a_unit_is_that_of_a_piece(tisfm_run, place):
+    result = made(place / "walk", piece=[0, 0, 1, 1, 1, 1], count=6)
+    arguments = ("export", "walk", "--to", "tum", "-o", "out")
+    code, _, err = tisfm_run(*arguments, "--scale", "2", "3", "7")
+    assert code == 0
+    assert "--scale: the unit of the piece of 4 frames that these two are of; other pieces" in err
+    found = read_tum(place / "out" / "trajectory.tum").poses
+    assert np.linalg.norm(found[1, :3, 3] - found[0, :3, 3]) == pytest.approx(7)
+    other = read_tum(place / "out" / "trajectory-piece2.tum").poses
+    np.testing.assert_allclose(other, result.poses[:2], atol=1e-12)
+    assert "--scale" not in tisfm_run(*arguments)[2]
+
+
 def test_all_that_a_sequence_has(tisfm_run, place):
     for package in ("av", "OpenEXR"):
         pytest.importorskip(package)
@@ -144,6 +159,7 @@ def test_pairs_have_no_path(tisfm_run, place, name):
     ("arguments", "words"),
     [
         (["--to", "obj"], ["--to: 'obj' is no format", "video-wiggle"]),
+        (["--to", "tum,colmap-txt"], ["'colmap-txt' is no format, did you mean 'colmap-text'?"]),
         ([], ["--to: no format is given"]),
         (["--to", "tum", "--start", "6"], ["leave no frame of 6"]),
         (["--to", "tum", "--step", "0"], ["--step 0"]),
@@ -170,6 +186,13 @@ def test_a_path_alone_has_no_depth(tisfm_run, place, name):
     made(place / "walk", with_depth=())
     code, _, err = tisfm_run("export", "walk", "--to", name, "-o", "out")
     assert_one_line(code, err, "has depth: reconstruct with --depth-of all")
+
+
+def test_without_a_pose_there_is_no_depth_to_ask_for(tisfm_run, place):
+    result = made(place / "walk", count=2, with_depth=())
+    write_record(place / "walk", replace(result, piece=np.full(2, -1, np.int32), unit=()))
+    code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
+    assert_one_line(code, err, "none has a pose either")
 
 
 def test_folders_that_are_none(tisfm_run, place):
@@ -205,14 +228,14 @@ def test_an_earlier_export_is_replaced(tisfm_run, place):
 
 def test_long_work_is_announced(tisfm_run, place, monkeypatch):
     made(place / "walk")
-    monkeypatch.setattr(export_command, "_MUCH", 1000)
+    monkeypatch.setattr(export_command, "MUCH", 1000)
     monkeypatch.setattr(export_command, "_LONG", 0)
     monkeypatch.setattr(export_command, "_SOON", 0)
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
     assert code == 0
     told = err.splitlines()
     assert told[0] == "up to 0 MB for 6 frames of 45×31 px in out"
-    assert re.fullmatch(r"depth-tiff: about \d+ s for 4 more frames", told[1])
+    assert re.fullmatch(r"depth-tiff: about [\d.]+ s for 4 more frames", told[1])
     assert len(told) == 3
     usage = shutil.disk_usage(place)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))

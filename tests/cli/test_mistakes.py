@@ -1,5 +1,8 @@
 """Mistakes in commands, options and values: one line, with what was meant."""
 
+import os
+import re
+import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.cli.command_line import assert_one_line
+from tests.cli.command_line import TISFM, assert_one_line
 from tisfm.cli import foretelling, reconstruct_command
 from tisfm.cli.command_line import _parse
-from tisfm.cli.foretelling import Foretelling, as_duration, as_size
+from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.known_options import known_options
 from tisfm.cli.nearest import hint, nearest
@@ -28,9 +31,16 @@ WRONG = {
     "run frames -o out --motion camra": ("did you mean camera?", "field, camera, objects"),
     "run frames -o out --bad_framez skip": ("did you mean --bad-frames?",),
     "run frames -o out --Preset fast": ("did you mean --preset?",),
-    "run frames -o out --threads two": ("--threads", "two"),
+    "run frames -o out --threads two": ("--threads is 'two'", "expected a whole number"),
+    "run frames -o out --threads=": ("--threads is ''", "expected a whole number"),
+    "run frames -o out --start 1 --start two": ("--start is 'two'",),
+    "run frames -o out --focal gues": ("did you mean guess?", "a number or guess"),
+    "run frames -o out --center 1": ("--center is '1'", "expected 2 numbers"),
+    "export walk -o out --to tum --scale 0 b 2": ("--scale is '0 b 2'", "expected 3 numbers"),
+    "run frames -o out --report yes": ("no place for yes",),
+    "figures a -o out": ("takes 2 frames",),
     "run frames": ("needs -o DIR",),
-    "run frames -o": ("-o",),
+    "run frames -o": ("-o/--output stands without its value: expected DIR",),
     "eval flows --layout midlebury": ("did you mean middlebury?",),
     "demo more": ("more", "tisfm demo --help"),
     "reconstruct frames -o out --mesh stl": ("'stl'", "ply, glb"),
@@ -38,17 +48,62 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 @pytest.mark.parametrize("line", WRONG)
-def test_a_mistake_is_one_line(tisfm_run, monkeypatch, capsys, line, encoding):
-    """The parser draws frames of other characters where a terminal has no others."""
-    import sys
-
-    monkeypatch.setattr(sys.stdout, "reconfigure", lambda **options: None, raising=False)
-    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+def test_a_mistake_is_one_line(tisfm_run, line):
     code, out, err = tisfm_run(*line.split())
     assert out == "" and code == 2
     assert_one_line(code, err, *WRONG[line])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
+@pytest.mark.parametrize(
+    "line", ["run frames -o out --threads two", "run frames -o out --motion camra", "run frames"]
+)
+def test_a_mistake_is_the_same_line_in_a_terminal_of_few_characters(place, line, encoding):
+    """The parser draws frames of other characters there."""
+    done = subprocess.run(
+        [*TISFM, *line.split()],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0", "LC_ALL": "C"},
+    )
+    assert done.returncode == 2 and done.stdout == b""
+    assert_one_line(done.returncode, done.stderr.decode("ascii"), *WRONG[line])
+
+
+NUMBERS = {"INT", "FLOAT", "FRAME"}
+
+
+@pytest.mark.parametrize("command", known_options(_parse).commands)
+def test_a_word_for_a_number_is_told_in_words(tisfm_run, command):
+    """Of every option that takes numbers."""
+    shapes = known_options(_parse, command=command).shapes[command]
+    numeric = {name: shape for name, shape in shapes.items() if _takes_numbers(shape)}
+    needed = {"figures": ["a", "b", "-o", "y"], "demo": [], "doctor": [], "batch": ["x"]}
+    words = needed.get(command, ["x", "-o", "y"] if "-o" in shapes else ["x"])
+    for name, shape in numeric.items():
+        code, out, err = tisfm_run(command, *words, name, *["two"] * _count(shape))
+        assert out == "" and code == 2, name
+        assert_one_line(code, err, f"{name} is 'two", "expected ", "number")
+        assert not any(word in err for word in ("INT", "FLOAT", "None", "literal", "type"))
+    for name in [*numeric][:2]:
+        code, out, err = tisfm_run(command, *words, name)
+        assert out == "" and code == 2, name
+        assert_one_line(code, err, f"{name} stands without its value: expected ", "number")
+
+
+def test_options_that_take_numbers_are_found():
+    shapes = known_options(_parse).shapes
+    assert sum(_takes_numbers(shape) for taken in shapes.values() for shape in taken.values()) > 90
+    assert _count(shapes["run"]["--stiffness"]) == 6 and _count(shapes["export"]["--scale"]) == 3
+
+
+def _takes_numbers(shape):
+    return bool(NUMBERS & set(re.findall(r"\w+", shape)))
+
+
+def _count(shape):
+    return len([word for word in re.findall(r"\w+", shape) if word in {*NUMBERS, "DISTANCE"}])
 
 
 def test_outputs_are_told_the_nearest(tisfm_run, frames):
@@ -133,13 +188,3 @@ def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypa
     assert capsys.readouterr().err == ""
     reconstruct_command._announce(*about[:2], FrameOptions(start=1), "all")
     assert "for 2 frames" in capsys.readouterr().err
-
-
-def test_durations_and_sizes():
-    assert [as_duration(s) for s in (61, 600, 7200, 7500)] == [
-        "1 min",
-        "10 min",
-        "2 h",
-        "2 h 5 min",
-    ]
-    assert [as_size(s) for s in (2.5e6, 3.21e9)] == ["2 MB", "3.2 GB"]

@@ -2,15 +2,18 @@
 
 import json
 import os
+import sys
 import time
 from importlib import metadata
 from importlib.util import find_spec
 
 import pytest
 
-from tisfm.doctor import machine, packages
+from tisfm.doctor import machine, packages, trying
+from tisfm.doctor.control_groups import GroupLimits, group_limits
+from tisfm.doctor.examination import COMMANDS
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trying import try_out
+from tisfm.doctor.trying import Trial, results, try_out
 from tisfm.machine.kernel_cache import LOCK
 
 
@@ -26,8 +29,34 @@ def test_what_cannot_be_imported_is_told(tmp_path, monkeypatch):
     assert "No module named 'gone'" in tried["gone"]["error"]
     if os.name != "nt":
         assert tried["crashes"]["error"] == "the process crashed (signal 9)"
-        assert tried["csv"]["error"] == "the process crashed (signal 9)"
-    assert "within 2 s" in try_out(["hangs"], limit=2.0)["hangs"]["error"]
+    assert "error" not in tried["csv"]  # what comes after is tried in another process
+    tried = try_out(["json", "hangs", "csv"], limit=2.0)
+    assert "within 2 s" in tried["hangs"]["error"]
+    assert "error" not in tried["json"] and "error" not in tried["csv"]
+    monkeypatch.setattr(trying, "IN_ALL", 3.0)
+    tried = try_out(["hangs", "csv"], limit=20.0)
+    assert "within 3 s" in tried["hangs"]["error"] and "not tried" in tried["csv"]["error"]
+
+
+def test_several_are_tried_at_the_same_time(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.py").write_text("import time; time.sleep(2)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    begin = time.monotonic()
+    tried = results(Trial(["one"]), Trial(["two"]), Trial([]))
+    assert set(tried) == {"one", "two"} and not any("error" in about for about in tried.values())
+    assert time.monotonic() - begin < 3.9
+
+
+def test_no_process_can_be_started(monkeypatch):
+    def refuse(*arguments, **options):
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr(trying.subprocess, "Popen", refuse)
+    found = try_out(["json", "csv"])
+    assert {about["error"] for about in found.values()} == {
+        "no process can be started (Cannot allocate memory)"
+    }
 
 
 def installed(monkeypatch, **versions):
@@ -74,12 +103,37 @@ def test_versions_and_what_is_missing(monkeypatch):
 
 
 def test_what_tisfm_asks_for_is_read_from_its_metadata():
-    base, extras = packages.requirements()
+    base, extras, unread = packages.requirements()
+    assert unread == ""
     if not base:
         pytest.skip("tisfm is not installed here")
     assert base["numpy"] == ">=2" and base["taichi"].startswith("==")
     assert set(extras) >= {"video", "mesh", "cluster"} and not set(extras) & {"test", "docs", "dev"}
     assert "av" in extras["video"]
+
+
+def test_what_cannot_be_read_is_told(monkeypatch):
+    installed(monkeypatch, tisfm="0.1.0")
+    monkeypatch.setitem(sys.modules, "packaging.requirements", None)
+    base, extras, unread = packages.requirements()
+    assert base == extras == {} and "packaging" in unread
+    found = list(packages.about_tisfm({}, unread))
+    assert [one.verdict for one in found] == ["ok", "wrong"]
+    assert "pip install --force-reinstall packaging" in found[1].advice
+
+
+def test_what_it_asks_for_is_declared():
+    base, _, _ = packages.requirements()
+    if not base:
+        pytest.skip("tisfm is not installed here")
+    assert "packaging" in base
+
+
+def test_a_tisfm_that_cannot_be_imported():
+    found, *_ = packages.about_tisfm({COMMANDS: {"error": "ImportError: broken"}})
+    if found.text.startswith("not installed"):
+        pytest.skip("tisfm is not installed here")
+    assert found.verdict == "wrong" and "ImportError: broken" in found.text
 
 
 def test_a_cache_that_cannot_be_used_and_a_lock_that_was_left(tmp_path, monkeypatch):
@@ -100,25 +154,95 @@ def test_a_cache_that_cannot_be_used_and_a_lock_that_was_left(tmp_path, monkeypa
     assert found.verdict == "warning" and "compiled anew" in found.text
 
 
-def test_limits_of_control_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
+def process_in(folder, groups, mounts):
+    """Return a folder as that of a process in ``/proc``, with these groups and mounts."""
+    process = folder / "proc"
+    process.mkdir(exist_ok=True)
+    (process / "cgroup").write_text("".join(f"{line}\n" for line in groups))
+    lines = ["1 0 0:1 / / rw - ext4 /dev/sda rw", "nonsense", *mounts]
+    (process / "mountinfo").write_text("".join(f"{line}\n" for line in lines))
+    return process
+
+
+def written(folder, **files):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name.replace("__", ".")).write_text(f"{text}\n")
+
+
+def test_groups_of_version_2_and_those_around_them(tmp_path):
+    mount = tmp_path / "with space"
+    escaped = str(mount).replace(" ", "\\040")
+    process = process_in(
+        tmp_path, ["0::/user/app/inner"], [f"31 23 0:28 / {escaped} rw shared:4 - cgroup2 none rw"]
+    )
+    assert group_limits(process) == GroupLimits(cores=None, memory=None)
+    written(mount / "user/app/inner", cpu__max="max 100000", memory__max="max")
+    assert group_limits(process) == GroupLimits(cores=None, memory=None)
+    written(mount / "user/app", cpu__max="250000 100000", memory__max="3000000000")
+    written(mount / "user", cpu__max="400000 100000", memory__max="2000000000")
+    written(mount / "elsewhere", cpu__max="1000 100000", memory__max="1000")
+    assert group_limits(process) == GroupLimits(cores=2.5, memory=2e9)
+
+
+def test_groups_of_version_1_have_a_tree_for_each_controller(tmp_path):
+    mounts = [
+        f"33 31 0:30 / {tmp_path}/cpu rw - cgroup cgroup rw,cpu,cpuacct",
+        f"36 31 0:32 / {tmp_path}/memory rw - cgroup cgroup rw,memory",
+        f"41 31 0:38 / {tmp_path}/unified rw - cgroup2 cgroup2 rw",
+    ]
+    groups = ["9:name=systemd:/", "4:memory:/jobs/7", "2:cpu,cpuacct:/slice", "0::/"]
+    process = process_in(tmp_path, groups, mounts)
+    written(tmp_path / "cpu/slice", cpu__cfs_quota_us=-1, cpu__cfs_period_us=100000)
+    written(tmp_path / "memory", memory__limit_in_bytes=9223372036854771712)
+    written(tmp_path / "memory/jobs", memory__limit_in_bytes=5000000000)
+    written(tmp_path / "memory/jobs/7", memory__limit_in_bytes=9223372036854771712)
+    assert group_limits(process) == GroupLimits(cores=None, memory=5e9)
+    written(tmp_path / "cpu/slice", cpu__cfs_quota_us=150000)
+    assert group_limits(process).cores == 1.5
+
+
+def test_groups_of_a_container_begin_at_what_is_mounted(tmp_path):
+    """Without a namespace, a process has the name of its group as the host knows it."""
+    mounts = [f"36 31 0:32 /docker/ab /{tmp_path} rw - cgroup cgroup rw,memory"]
+    written(tmp_path, memory__limit_in_bytes=4000000000)
+    written(tmp_path / "inner", memory__limit_in_bytes=3000000000)
+    for group, expected in (
+        ("/docker/ab", 4e9),
+        ("/docker/ab/inner", 3e9),
+        ("/docker/other", 4e9),
+        ("/../outside", 4e9),
+    ):
+        process = process_in(tmp_path, [f"4:memory:{group}"], mounts)
+        assert group_limits(process).memory == expected, group
+
+
+def test_a_machine_without_groups(tmp_path):
+    assert group_limits(tmp_path) == GroupLimits(cores=None, memory=None)
+    assert group_limits(process_in(tmp_path, ["", "x", "0::"], ["", "1 2 3 - cgroup"])) is not None
+
+
+def test_limits_of_control_groups(monkeypatch):
+    def limited(cores=None, memory=None):
+        found = GroupLimits(cores=cores, memory=memory)
+        monkeypatch.setattr(machine, "group_limits", lambda: found)
+
+    limited()
     monkeypatch.setattr(machine.os, "cpu_count", lambda: 8)
     usable = [6]
     monkeypatch.setattr(
         machine.os, "sched_getaffinity", lambda process: set(range(usable[0])), raising=False
     )
-    (tmp_path / "cpu.max").write_text("max 100000\n")
     assert machine.about_cores().text == "8 cores, bound to 6 of them"
-    (tmp_path / "cpu.max").write_text("250000 100000\n")
+    limited(cores=2.5, memory=1e8)
     found = machine.about_cores()
     assert "time of 2.5" in found.text and "--threads 2" in found.advice
-    usable[0] = 8
-    (tmp_path / "cpu.max").write_text("nonsense")
-    assert machine.about_cores().verdict == "ok"
-    (tmp_path / "memory.max").write_text("100000000\n")
     if machine._memory()[0] is not None:
         found = machine.about_memory()
         assert found.verdict == "warning" and "allows 0.1 GB" in found.text
+    usable[0] = 8
+    limited()
+    assert machine.about_cores().verdict == "ok"
 
 
 def test_kernels_and_gpus():
@@ -151,7 +275,7 @@ def test_text_and_json():
 
 
 def test_modules_of_what_is_installed_are_found():
-    base, extras = packages.requirements()
+    base, extras, _ = packages.requirements()
     for name in {*base, *(name for names in extras.values() for name in names)}:
         try:
             metadata.version(name)

@@ -156,7 +156,7 @@ def test_steps_and_wrong_sizes(sequence):
 def test_reconstructions_are_asked_for_what_is_known(sequence, monkeypatch):
     asked = []
 
-    def reconstruct(source, *, camera, settings, poses):
+    def reconstruct(source, *, camera, settings, poses, progress):
         asked.append((source, camera, settings, poses))
         return Result(unit=1)
 

@@ -159,3 +159,8 @@ def test_the_lens_in_millimetres():
     assert 2 * math.degrees(math.atan(nuke["vaperture"] / 2 / nuke["focal"])) == pytest.approx(
         lens["vertical_angle"]
     )
+    # What Nuke does (nukescripts.snap3d): its film is 2 wide, and moves by the window translate.
+    right = 2 * nuke["focal"] / nuke["haperture"] * x / z - nuke["win_translate"][0]
+    above = 2 * nuke["focal"] / nuke["haperture"] * -y / z - nuke["win_translate"][1]
+    found = ((1 + right) * W / 2 - 0.5, (H - W * above) / 2 - 0.5)
+    assert found == pytest.approx(seen_at(camera, np.eye(4), np.array([x, y, z])))

@@ -226,7 +226,9 @@ def test_without_depth_points_are_carried_along_the_image_motion(film, copied, t
     for frame in range(len(copied)):
         depth_path(copied.folder, frame).unlink(missing_ok=True)
     path = replace(copied, keyframes=())
-    (written,) = write_colmap(path, tmp_path / "out")
+    told = []
+    (written,) = write_colmap(path, tmp_path / "out", progress=lambda *count: told.append(count))
+    assert told == [(k + 1, len(copied)) for k in range(len(copied))]  # each frame once
     model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
     assert len(model.images) == len(copied) and written.points > 100
     assert min(tracks_per_image(model).values()) > 20

@@ -88,6 +88,46 @@ def read(path, kind):
     return np.where(missing, np.nan, found), 0.0
 
 
+class Drawn:
+    """A result of one frame, of some inverse depth."""
+
+    folder, names, advice, unit_advice = "drawn", ("f0",), "none", "none"
+
+    def __init__(self, inverse_depth):
+        self._inverse_depth = inverse_depth
+
+    def __len__(self):
+        return 1
+
+    def has_depth(self, frame):
+        return True
+
+    def inverse_depth(self, frame):
+        return self._inverse_depth
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@PATIENT
+@given(
+    inverse_depth=arrays(
+        np.float32,
+        SIZES,
+        elements=st.one_of(
+            st.floats(0.125, 16, width=32), st.sampled_from([np.nan, 0, -1, np.inf])
+        ),
+    )
+)
+def test_any_depth_comes_back(tmp_path_factory, kind, inverse_depth):
+    if kind == "exr":
+        pytest.importorskip("OpenEXR")
+    (file,) = write_depths(Drawn(inverse_depth), tmp_path_factory.mktemp("depth"), kind)
+    found, rounding = read(file, kind)
+    known = (inverse_depth > 0) & np.isfinite(inverse_depth)
+    np.testing.assert_array_equal(np.isnan(found), ~known)
+    expected = 1 / inverse_depth[known].astype(float)
+    np.testing.assert_allclose(found[known], expected, rtol=2e-7, atol=1.0001 * rounding)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_depth_is_what_it_was(tmp_path, kind):
     if kind == "exr":

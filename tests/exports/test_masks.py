@@ -3,9 +3,14 @@
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from tests.exports.made import SHAPE, made
+from tests.trajectory.paths import PATIENT
 from tisfm.exports import SequenceFrames, write_masks
+from tisfm.reconstruction.folder import write_labels
 
 
 def test_what_moves_is_black_and_its_own_mask_white(tmp_path):
@@ -20,6 +25,19 @@ def test_what_moves_is_black_and_its_own_mask_white(tmp_path):
     np.testing.assert_array_equal(masks["object-2/f1.png"], thing)
     np.testing.assert_array_equal(masks["at-rest/f1.png"], 255 - thing)
     assert (masks["at-rest/f3.png"] == 255).all() and not masks["object-2/f3.png"].any()
+
+
+@PATIENT
+@given(labels=arrays(np.uint8, SHAPE, elements=st.integers(0, 2)))
+def test_any_labels_come_back(tmp_path_factory, labels):
+    place = tmp_path_factory.mktemp("masks")
+    result = made(place / "walk", count=2, labelled=True, with_depth=())
+    write_labels(result.folder, 1, np.where(labels == 1, np.uint8(0), labels))  # thing 2 alone
+    (place / "out").mkdir()
+    for file in write_masks(SequenceFrames(result), place / "out", chosen=(1,)):
+        found = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        is_thing = file.parent.name == "object-2"
+        np.testing.assert_array_equal(found, np.where((labels == 2) == is_thing, 255, 0))
 
 
 def test_none_are_made_up(tmp_path):

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 import tisfm
 from tests.exports.made import made
 from tests.reconstruction.films import walk
+from tests.trajectory.paths import PATIENT
 from tisfm.exports import write_meshes, write_points
 from tisfm.exports.surfaces import save_points
 from tisfm.point_cloud import PointCloud
@@ -30,6 +34,28 @@ def test_a_glb_of_points_has_y_up(tmp_path):
     save_points(points, tmp_path / "a.ply")
     found = trimesh.load(tmp_path / "a.ply")
     np.testing.assert_array_equal(found.vertices, points.positions)
+
+
+@PATIENT
+@given(data=st.data())
+def test_any_points_come_back(tmp_path_factory, data):
+    count = data.draw(st.integers(1, 30))
+    finite = st.floats(-1e6, 1e6, width=32)
+    points = PointCloud(
+        positions=data.draw(arrays(np.float32, (count, 3), elements=finite)),
+        colors=data.draw(arrays(np.uint8, (count, 3))),
+        confidence=data.draw(arrays(np.float32, count, elements=st.floats(0, 1, width=32))),
+    )
+    place = tmp_path_factory.mktemp("points")
+    for name, signs in (("a.ply", (1, 1, 1)), ("a.glb", (1, -1, -1))):
+        save_points(points, place / name)
+        found = trimesh.load(place / name)
+        if isinstance(found, trimesh.Scene):
+            (found,) = found.geometry.values()
+        np.testing.assert_array_equal(found.vertices, points.positions * np.float32(signs))
+        np.testing.assert_array_equal(found.colors[:, :3], points.colors)
+    raw = trimesh.load(place / "a.ply").metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(np.ravel(raw["confidence"]), points.confidence)
 
 
 @pytest.mark.parametrize(("name", "count"), [("a.glb", 0), ("a.obj", 3)])

@@ -3,9 +3,12 @@
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import tisfm
 from tests.exports.test_depths import exr_channels
+from tests.trajectory.paths import PATIENT
 from tisfm.exports import write_undistortion
 from tisfm.exports.undistortion import st_maps
 from tisfm.lens import undistort
@@ -68,6 +71,36 @@ def test_no_distortion_would_map_each_pixel_to_itself():
     for places in st_maps(nearly, (2, 4)):
         np.testing.assert_allclose(places[0, 0], [0.5 / 4, 1 - 0.5 / 2, 1], atol=1e-6)
         np.testing.assert_allclose(places[1, 3], [3.5 / 4, 0.5 / 2, 1], atol=1e-6)
+
+
+@PATIENT
+@given(
+    focal=st.floats(60, 200),
+    bend=st.one_of(st.floats(-0.25, -0.01), st.floats(0.01, 0.2)),
+    tangential=st.tuples(st.floats(-0.005, 0.005), st.floats(-0.005, 0.005)),
+    off=st.tuples(st.floats(-4, 4), st.floats(-4, 4)),
+    shape=st.tuples(st.integers(20, 41), st.integers(20, 41)),
+)
+def test_any_map_comes_back_and_the_other_undoes_it(
+    tmp_path_factory, focal, bend, tangential, off, shape
+):
+    height, width = shape
+    center = (width - 1) / 2 + off[0], (height - 1) / 2 + off[1]
+    camera = tisfm.Camera(focal, center=center, distortion=(bend, 0.0, *tangential))
+    place = tmp_path_factory.mktemp("maps")
+    files = write_undistortion(camera, shape, place, suffix="tiff")
+    undo, redo = (cv2.imread(str(file), cv2.IMREAD_UNCHANGED)[..., ::-1] for file in files)
+    for found, places in zip((undo, redo), st_maps(camera, shape), strict=True):
+        np.testing.assert_array_equal(found, places)
+    # Where a pixel without distortion is taken from, the other map leads back to that pixel.
+    # OpenCV looks up to a 32nd of a pixel.
+    valid = undo[..., 2] > 0
+    column, row = undo[..., 0] * width - 0.5, (1 - undo[..., 1]) * height - 0.5
+    back = [cv2.remap(redo[..., k], column, row, cv2.INTER_LINEAR) for k in range(3)]
+    valid &= back[2] > 0.999
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    assert np.abs(back[0] * width - 0.5 - x)[valid].max(initial=0) < 0.12
+    assert np.abs((1 - back[1]) * height - 0.5 - y)[valid].max(initial=0) < 0.12
 
 
 def test_a_strong_lens_leaves_out_what_folds():

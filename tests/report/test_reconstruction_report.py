@@ -33,7 +33,7 @@ def test_it_says_what_became_of_the_frames(tmp_path):
         "it shows too little: film on",
         "piece 0, 3 frames, from above",
         "piece 1, 2 frames, from the side",
-        "Each piece has a scale of its own.",
+        "unit of the path, and each piece has one of its own.",
         "cut off",
         "3.25 s",
         "Those of the preset fast",
@@ -44,12 +44,16 @@ def test_it_says_what_became_of_the_frames(tmp_path):
     assert (slider["min"], slider["max"]) == ("0", "5")
     # Frames without a pose have no depth; the last one of a piece has no motion to the next.
     assert page.text.count("none here") == 3 + 1 + 1
+    assert {one["style"] for one in page.all("div", _class="none")} == {"aspect-ratio:44/30"}
     assert sum("hidden" in slide for slide in page.all("div", _class="slide")) == 5
 
 
 def test_no_frame_has_a_pose(tmp_path):
     page = written(reconstruction(tmp_path / "r", pieces=[-1, -1]), tmp_path)
     assert "0 of 2" in page.text and not page.all("svg")
+    # No place is held for pictures that no frame has, and nothing explains their colours.
+    assert "none here" not in page.text and not page.all("p", _class="legend")
+    assert len(page.all("figure")) == 2
 
 
 def test_names_and_messages_do_not_run(tmp_path):

@@ -1,18 +1,21 @@
 """The report of a run, and of a reconstruction, by the command line."""
 
+import json
 import os
 import shutil
+import subprocess
 
 import cv2
 import pytest
 
 import tisfm
-from tests.cli.command_line import FRAMES, assert_one_line, files, record
+from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, record
 from tests.cli.conftest import frames, place, tisfm_run  # noqa: F401
 from tests.reconstruction.films import walk
 from tests.report.made import Read, assert_self_contained
+from tisfm.cli.command_line import main
 from tisfm.formats import write_png
-from tisfm.report import REPORT
+from tisfm.report import REPORT, of_run, write_run_report
 
 
 def read(folder):
@@ -91,6 +94,66 @@ def test_folders_without_results_are_one_line(tisfm_run, place):  # noqa: F811
     (place / "bad" / "run.json").write_text('{"version": "0", "pairs": {"a": {"status": 3}}}')
     code, _, err = tisfm_run("report", "bad")
     assert_one_line(code, err, "bad")
+
+
+@pytest.mark.parametrize(
+    "path, value",
+    [
+        (["pairs"], None),
+        (["pairs"], ["f0"]),
+        (["pairs", "f0", "number"], "one"),
+        (["pairs", "f0", "speed"], [1]),
+        (["camera"], {}),
+        (["camera", "focal"], "long"),
+        (["settings", "preset"], "x"),
+        (["settings", "warps"], "many"),
+        (["start"], None),
+    ],
+)
+def test_a_record_that_is_none_is_one_line(a_run, tmp_path, tisfm_run, path, value):  # noqa: F811
+    folder = shutil.copytree(a_run, tmp_path / "changed")
+    changed = record(folder)
+    part = changed
+    for name in path[:-1]:
+        part = part[name]
+    part[path[-1]] = value
+    (folder / "run.json").write_text(json.dumps(changed))
+    code, _, err = tisfm_run("report", folder)
+    assert_one_line(code, err, "changed")
+
+
+def test_a_mistake_of_ours_is_not_taken_for_one_of_the_record(a_run, monkeypatch):
+    def broken(curves):
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(of_run, "curves_drawing", broken)
+    with pytest.raises(KeyError, match="a bug"):
+        write_run_report(a_run, record(a_run))
+
+
+@pytest.fixture(scope="module")
+def a_run(tmp_path_factory):
+    """A folder of a run of three pairs."""
+    folder = tmp_path_factory.mktemp("a_run")
+    (folder / "frames").mkdir()
+    for k, frame in enumerate(FRAMES):
+        write_png(folder / "frames" / f"f{k}.png", frame)
+    call = ["run", folder / "frames", "-o", folder / "out", "--preset", "fast", "--no-figures"]
+    assert main([*map(str, call)]) == 0
+    return folder / "out"
+
+
+@pytest.mark.slow
+def test_the_same_results_give_the_same_bytes(tisfm_run, frames, place):  # noqa: F811
+    """In other processes and folders, but for the timings."""
+    pages = []
+    for parent in ("one", "two"):
+        call = ["run", "frames", "-o", f"{parent}/out", "--report", "--preset", "fast"]
+        subprocess.run([*TISFM, *call], check=True, capture_output=True)
+        text = (place / parent / "out" / REPORT).read_text(encoding="utf-8")
+        begin, end = text.index("<section><h2>Timings"), text.index("<section><h2>Settings")
+        pages.append(text[:begin] + text[end:])
+    assert pages[0] == pages[1] and len(pages[0]) > 5000
 
 
 def test_pairs_without_their_data_have_no_pictures(tisfm_run, frames, place):  # noqa: F811

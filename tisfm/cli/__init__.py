@@ -11,12 +11,7 @@ require_for_import(0.25e9)  # SciPy hangs where there is less
 
 
 def main() -> int:
-    """Run the command line; ``tisfm doctor`` even where it cannot be imported."""
-    try:
-        from tisfm.cli.command_line import main as run
-    except Exception as error:
-        from tisfm.doctor.examination import answer_instead
+    """Run the command line."""
+    from tisfm.cli.command_line import main as run
 
-        answer_instead(error)
-        raise
     return run()

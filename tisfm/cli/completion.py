@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from tisfm.cli.known_options import OF_TISFM, SHELLS, Known
+from tisfm.cli.known_options import OF_TISFM, SHELLS, Known, takes_numbers, values_in
 from tisfm.cli.nearest import hint
 
 _BASH = """\
@@ -34,6 +34,7 @@ _tisfm() {{
 }}
 complete -o default -F _tisfm tisfm
 """
+_FIRST = "complete -c tisfm -n __fish_use_subcommand"
 _ZSH = """\
 autoload -U +X compinit && compinit -u
 autoload -U +X bashcompinit && bashcompinit
@@ -45,7 +46,7 @@ def completion_script(shell: str, known: Known) -> str:
 
     Parameters
     ----------
-    shell : {"bash", "zsh", "tcsh"}
+    shell : {"bash", "zsh", "fish", "tcsh"}
     known : Known
 
     Raises
@@ -59,6 +60,8 @@ def completion_script(shell: str, known: Known) -> str:
         )
     if shell == "tcsh":
         return _tcsh(known)
+    if shell == "fish":
+        return _fish(known)
     return (_ZSH if shell == "zsh" else "") + _bash(known)
 
 
@@ -79,6 +82,30 @@ def _bash(known: Known) -> str:
         values="\n".join(values),
         options="\n".join(options),
     )
+
+
+def _fish(known: Known) -> str:
+    """Return a line for the commands and for every option: fish asks of each whether it fits."""
+    first = {**dict.fromkeys(OF_TISFM, ""), "--completion": f"{{{','.join(SHELLS)}}}"}
+    lines = [f"{_FIRST} -f -a '{' '.join(known.commands)}'"]
+    lines += [f"{_FIRST} {_fish_option(name, shape)}" for name, shape in first.items()]
+    lines += [
+        f"complete -c tisfm -n '__fish_seen_subcommand_from {command}' {_fish_option(name, shape)}"
+        for command, options in known.shapes.items()
+        for name, shape in options.items()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _fish_option(name: str, shape: str) -> str:
+    """Return an option as fish has it: alone, or with some words, a number or a file after it."""
+    told = f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}"
+    values = values_in(shape)
+    if values:
+        return f"{told} -x -a '{' '.join(values)}'"
+    if not shape:
+        return told
+    return f"{told} -x" if takes_numbers(shape) else f"{told} -r"
 
 
 def _tcsh(known: Known) -> str:

@@ -9,16 +9,18 @@ from pathlib import Path
 from rich.progress import Progress
 
 from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.foretelling import MUCH
+from tisfm.cli.nearest import hint
 from tisfm.exports.clock import check_rate
 from tisfm.exports.export import Export
 from tisfm.exports.formats import FORMATS, Format
 from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
 from tisfm.exports.videos import check_disparity
 from tisfm.formats.outputs import make_folder
+from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction
 
-_MUCH = 2e8  # bytes: what writes more says so beforehand
 _LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
 
 
@@ -56,6 +58,13 @@ def export(
         form.check(asked)
     make_folder(output)
     _announce(wanted, asked)
+    if result is not None and scale is not None and len(result.unit) > 1:
+        piece = int(result.piece[scale[0]])
+        sizes = [int((result.piece == k).sum()) for k in range(len(result.unit))]
+        tell(
+            f"--scale: the unit of the piece of {sizes[piece]} frames that these two are of; other "
+            "pieces keep their own"
+        )
     said: set[str] = set()
     for name, form in wanted.items():
         with progress_bar() as bar:
@@ -72,7 +81,8 @@ def _formats(names: Sequence[str]) -> dict[str, Format]:
     """Return formats by their names, each once, or raise ValueError."""
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
-        what = f"{unknown[0]!r} is no format" if unknown else "no format is given"
+        meant = hint(unknown[0], FORMATS) if unknown else ""
+        what = f"{unknown[0]!r} is no format{meant}" if unknown else "no format is given"
         raise ValueError(f"--to: {what}: expected some of {', '.join(FORMATS)}")
     return {name: FORMATS[name] for name in names}
 
@@ -126,10 +136,10 @@ def _announce(wanted: dict[str, Format], asked: Export) -> None:
     pixels = len(asked.chosen) * height * width
     expected = sum(form.bytes_per_pixel for form in wanted.values()) * pixels
     free = shutil.disk_usage(asked.folder).free
-    about = f"up to {_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
+    about = f"up to {as_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
     if expected > free:
-        tell(f"{about}, but {_size(free)} are free: --start, --stop and --step choose")
-    elif expected > _MUCH:
+        tell(f"{about}, but {as_size(free)} are free: --start, --stop and --step choose")
+    elif expected > MUCH:
         tell(f"{about} in {asked.folder}")
 
 
@@ -148,7 +158,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
             is_said = True
             left = (now - begin) / (done - before) * (total - done)
             if left > _LONG:
-                tell(f"{name}: about {_duration(left)} for {total - done} more frames")
+                tell(f"{name}: about {as_duration(left)} for {total - done} more frames")
 
     return tell_progress
 
@@ -159,13 +169,3 @@ def _named(files: Sequence[Path]) -> str:
     if len(files) <= 4:
         return ", ".join(map(str, files))
     return ", ".join(f"{count} files in {folder}" for folder, count in folders.items())
-
-
-def _size(count: float) -> str:
-    """Return a number of bytes as it is read."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
-
-
-def _duration(seconds: float) -> str:
-    """Return a time as it is read."""
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

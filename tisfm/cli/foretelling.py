@@ -3,7 +3,11 @@
 import time
 
 from tisfm.cli.console import tell
+from tisfm.machine.amounts import as_duration
+from tisfm.reconstruction.progress import Stage
 
+STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
+"""The stages of a reconstruction in words."""
 MUCH = 2e8  # bytes: work that writes more says so beforehand
 _LONG = 60.0  # s: work that takes less is not worth a line
 _WATCHED = 5.0  # s, after which its speed is known
@@ -44,16 +48,3 @@ class Foretelling:
         if left > _LONG:
             speed = f"{made / spent:.2g} a second"
             tell(f"{total} {self._what}: about {as_duration(left)} to go, {speed}")
-
-
-def as_duration(seconds: float) -> str:
-    """Return a time as it is read."""
-    minutes = max(1, round(seconds / 60))
-    if minutes < 100:
-        return f"{minutes} min"
-    return f"{minutes // 60} h {minutes % 60} min" if minutes % 60 else f"{minutes // 60} h"
-
-
-def as_size(count: float) -> str:
-    """Return a number of bytes as it is read."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

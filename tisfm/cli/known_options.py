@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 OF_TISFM = ("--help", "--version", "--completion")
-SHELLS = ("bash", "zsh", "tcsh")
+SHELLS = ("bash", "zsh", "fish", "tcsh")
 _WIDE = "400"  # columns: no option is broken over two lines
 _BRACES = re.compile(r"\{([^{} ]+)\}")
 _LINE = re.compile(r"[│| ] (-{1,2}[a-z].*)")  # in a frame of lines, or of ASCII
@@ -27,9 +27,12 @@ class Known:
     ----------
     options : mapping of str to (mapping of str to tuple of str)
         Of every command, its options and the values that each takes; none where any will do.
+    shapes : mapping of str to (mapping of str to str)
+        Of every command, what each option takes, as the help has it, such as ``{None}|INT``.
     """
 
     options: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+    shapes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def commands(self) -> tuple[str, ...]:
@@ -49,24 +52,36 @@ def known_options(parse: Help, *, command: str | None = None) -> Known:
     usage = _printed(parse, ["--help"])
     found = _BRACES.search(usage)
     commands = found[1].split(",") if found else []
-    return Known(
-        options={
-            name: dict(_read(_printed(parse, [name, "--help"]))) if command in (None, name) else {}
-            for name in commands
-        }
-    )
+    shapes = {
+        name: dict(_read(_printed(parse, [name, "--help"]))) if command in (None, name) else {}
+        for name in commands
+    }
+    options = {
+        name: {option: values_in(shape) for option, shape in taken.items()}
+        for name, taken in shapes.items()
+    }
+    return Known(options=options, shapes=shapes)
 
 
-def _read(text: str) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield options and their values of the help of a command."""
+def values_in(shape: str) -> tuple[str, ...]:
+    """Return the values that an option takes; none where any will do."""
+    values = [value for part in _BRACES.findall(shape) for value in part.split(",")]
+    return tuple(value for value in dict.fromkeys(values) if value not in _ANY)
+
+
+def takes_numbers(shape: str) -> bool:
+    """Return whether an option takes numbers."""
+    return re.search(r"\b(?:INT|FLOAT)\b", shape) is not None
+
+
+def _read(text: str) -> Iterator[tuple[str, str]]:
+    """Yield options and what they take, from the help of a command."""
     for line in text.splitlines():
         found = _LINE.match(line)
         if found is None:
             continue
         head = found[1].rstrip(" │|").split("  ")[0]
-        for name, shape in _OPTION.findall(head):
-            values = [value for part in _BRACES.findall(shape) for value in part.split(",")]
-            yield name, tuple(value for value in dict.fromkeys(values) if value not in _ANY)
+        yield from _OPTION.findall(head)
 
 
 def _printed(parse: Help, arguments: list[str]) -> str:

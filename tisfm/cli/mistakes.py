@@ -8,6 +8,11 @@ from tisfm.cli.known_options import OF_TISFM, Help, known_options
 from tisfm.cli.nearest import nearest
 
 _FRAME = " │|╭╰─╮╯"
+_NUMBERS = re.compile(r"\b(?:INT|FLOAT)\b")
+_REFUSED = re.compile(r"Error parsing (-\S+):")
+_SHAPE = re.compile(r"no type matching (.*?) could be instantiated")
+_NO_VALUE = re.compile(r"Missing value for argument '(.*?)'\. Expected (\d+)")
+_NO_PLACE = re.compile(r"Unrecognized options: (.*)")
 _CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*?)\)")
 
 
@@ -47,10 +52,52 @@ def explained(arguments: Sequence[str], said: str, parse: Help) -> str:
         word, name = choice[1], choice[2]
         values = options.get(name.partition("/")[0]) or re.findall(r"'(.*?)'", choice[3])
         return f"{name} is {word!r}{_meant(word, values)}; expected one of {', '.join(values)}"
+    refused = _REFUSED.match(text) or _NO_VALUE.match(text)
+    if refused is not None and refused[1].startswith("-"):
+        names = refused[1].split("/")
+        found = _SHAPE.search(text)
+        shapes = [known.shapes[given].get(name, "") for name in names]
+        expected = _expected(found[1] if found else max(shapes, key=len))
+        words = _after(names, arguments)
+        if not words:
+            return f"{refused[1]} stands without its value: expected {expected}; {_see(given)}"
+        told, values = " ".join(words), known.options[given].get(names[0], ())
+        return f"{refused[1]} is {told!r}{_meant(told, values)}; expected {expected}"
+    if refused is not None and refused.re is _NO_VALUE:
+        return f"tisfm {given} takes {refused[2]} {refused[1]}; {_see(given)}"
+    extra = _NO_PLACE.match(text)
+    if extra is not None:
+        return f"tisfm {given} has no place for {extra[1]}; {_see(given)}"
     missing = re.match(r"Missing from tisfm (\w+): (.*?) (?:[A-Z][a-z]|A ).*", text)
     if missing is not None:
         return f"tisfm {given} needs {missing[2]}; {_see(given)}"
     return f"{text or 'these options are wrong'}; {_see(given)}"
+
+
+def _expected(shape: str) -> str:
+    """Return in words what an option takes, by its shape in the help, such as ``{None}|INT``."""
+    numbers = _NUMBERS.findall(shape)
+    if not numbers:
+        return shape or "a value"
+    kind = "whole number" if set(numbers) == {"INT"} else "number"
+    told = f"a {kind}" if len(numbers) == 1 else f"{len(numbers)} {kind}s"
+    words = [word for part in re.findall(r"\{([^{} ]+)\}", shape) for word in part.split(",")]
+    return " or ".join([told, *(word for word in words if word not in ("None", *numbers))])
+
+
+def _after(names: Sequence[str], arguments: Sequence[str]) -> list[str]:
+    """Return the words that are given to an option, where it is given last."""
+    words: list[str] = []
+    is_taken = False
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        if name.replace("_", "-") in names:
+            words, is_taken = [value] if equals else [], not equals
+        elif re.match(r"-{1,2}[A-Za-z]", argument):
+            is_taken = False
+        elif is_taken:
+            words.append(argument)
+    return words
 
 
 def _see(command: str) -> str:

@@ -18,7 +18,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.crew import check_workers
-from tisfm.cli.foretelling import MUCH, Foretelling, as_size
+from tisfm.cli.foretelling import MUCH, STAGES, Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report_command import report_reconstruction
@@ -26,6 +26,7 @@ from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.fusion.meshing import check_library
+from tisfm.machine.amounts import as_size
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
@@ -39,7 +40,6 @@ from tisfm.trajectory import read_trajectory, write_kitti, write_tum
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
 _PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth
-_STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
 
 
 def reconstruct(
@@ -137,7 +137,7 @@ def reconstruct(
     if not endless:
         _announce(source, output, frames, depth_of)
     stages = StageTimes()
-    foretold = {stage: Foretelling(f"frames, {text}") for stage, text in _STAGES.items()}
+    foretold = {stage: Foretelling(f"frames, {text}") for stage, text in STAGES.items()}
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
@@ -151,7 +151,7 @@ def reconstruct(
             foretold[stage].done(done, total)
             if stage == "reading" and is_interrupted():
                 raise Enough
-            bar.update(task, description=_STAGES[stage], completed=done, total=total)
+            bar.update(task, description=STAGES[stage], completed=done, total=total)
 
         result = run.result(resume=resume, progress=tell_progress)
         stages.end()

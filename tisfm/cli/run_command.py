@@ -18,7 +18,7 @@ from tisfm.cli.background import Background
 from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
 from tisfm.cli.console import tell
 from tisfm.cli.crew import Crew, check_workers, crew
-from tisfm.cli.foretelling import MUCH, Foretelling, as_size
+from tisfm.cli.foretelling import MUCH, Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
@@ -31,6 +31,7 @@ from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
+from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings

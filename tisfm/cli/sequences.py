@@ -12,6 +12,7 @@ import tisfm
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.foretelling import STAGES, Foretelling
 from tisfm.datasets import (
     SEQUENCE_LAYOUTS,
     DatasetSequence,
@@ -30,6 +31,7 @@ from tisfm.evaluation.sequences import (
 from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.formats import atomic_write
 from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.reconstruction.progress import Progress
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.stated import is_stated
@@ -152,6 +154,7 @@ def _evaluate(
             step=step,
             give_poses=give_poses,
             max_depth=max_depth,
+            progress=_foretelling(sequence.name),
         )
     else:
         found, with_depth = _read(result, loaded)
@@ -168,6 +171,12 @@ def _evaluate(
     if path is not None:
         _write_paths(path, loaded, found)
     return evaluation
+
+
+def _foretelling(name: str) -> Progress:
+    """Return what says how long a sequence takes, where that is long."""
+    foretold = {stage: Foretelling(f"frames of {name}, {text}") for stage, text in STAGES.items()}
+    return lambda stage, done, total: foretold[stage].done(done, total)
 
 
 def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:

@@ -6,32 +6,32 @@ from pathlib import Path
 
 from tisfm.doctor import machine, packages
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trying import Trials, Tried
+from tisfm.doctor.trying import Trial, Tried, results, try_out
 
+COMMANDS = "tisfm.cli.command_line"  # what a command imports first
+_KERNEL_LIMIT = 45.0  # s: a slow machine compiles
 _GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
 
 
 def examine() -> list[Finding]:
     """Look at everything; return what was found. It raises nothing."""
-    base, extras = packages.requirements()
+    base, extras, unread = packages.requirements()
     modules = [packages.module_of(name) for name in base if name != "taichi"]
     optional = [packages.module_of(name) for found in extras.values() for name in found]
-    with Trials() as trials:
-        kernel = trials.begin(["kernel:default"])
-        imports = trials.begin([*modules, *optional])
-        archs = trials.begin(["archs"], limit=_GPU_LIMIT)
-        able = archs.result().get("archs", {}).get("archs", [])
-        started: Tried = {}
-        for arch in able:
-            started |= trials.begin([f"kernel:{arch}"], limit=_GPU_LIMIT).result()
-        tried = {**imports.result(), **kernel.result(), **archs.result()}
+    kernel = Trial([COMMANDS, "kernel:default"], limit=_KERNEL_LIMIT)
+    imports = Trial([*modules, *optional])
+    archs = Trial(["archs"], limit=_GPU_LIMIT)
+    tried = results(imports, kernel, archs)
+    started: Tried = {}
+    for arch in tried["archs"].get("archs", []):
+        started |= try_out([f"kernel:{arch}"], limit=_GPU_LIMIT)
     # Importing Taichi takes longest: it is done no third time. A kernel that ran has imported it;
     # where none did, another library may be why.
     about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]
     tried["taichi"] = {key: value for key, value in about_archs.items() if key == "error"}
     looks: list[Callable[[], Finding | Iterable[Finding]]] = [
         packages.about_python,
-        packages.about_tisfm,
+        lambda: packages.about_tisfm(tried, unread),
         lambda: packages.about_base(base, tried),
         packages.about_opencv,
         lambda: machine.about_kernel(tried),
@@ -62,20 +62,5 @@ def doctor(*, json: bool = False) -> int:
     findings = examine()
     text = as_json(findings) if json else as_text(findings)
     encoding = sys.stdout.encoding or "utf-8"
-    print(text.encode(encoding, "replace").decode(encoding))
+    print(text.encode(encoding, "replace").decode(encoding), flush=True)
     return 0 if is_well(findings) else 1
-
-
-def answer_instead(error: BaseException) -> None:
-    """Answer ``tisfm doctor`` where tisfm itself cannot be imported; else do nothing.
-
-    Raises
-    ------
-    SystemExit
-        After the answer.
-    """
-    if Path(sys.argv[0]).stem != "tisfm" or sys.argv[1:2] != ["doctor"]:
-        return
-    code = doctor(json="--json" in sys.argv[2:])
-    print(f"tisfm: it cannot be imported: {type(error).__name__}: {error}", file=sys.stderr)
-    raise SystemExit(code or 1)

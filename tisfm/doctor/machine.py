@@ -6,13 +6,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from tisfm.doctor.control_groups import group_limits
 from tisfm.doctor.finding import Finding
 from tisfm.doctor.trying import Tried
 from tisfm.machine.address_space import limit
 from tisfm.machine.kernel_cache import LOCK, STALE, cache_folder
 
+RAISE_LIMIT = "raise the limit of the address space (ulimit -v) first"
 _LEAST_ADDRESSES, _LEAST_MEMORY = 3.0e9, 2.0e9  # bytes: of a pair of 1920 × 1080 px
-_GROUPS = Path("/sys/fs/cgroup")
 
 
 def about_cores() -> Finding:
@@ -23,7 +24,7 @@ def about_cores() -> Finding:
         usable = len(os.sched_getaffinity(0))
         if usable < there:
             reasons.append(f"bound to {usable} of them")
-    share = _cores_of_group()
+    share = group_limits().cores
     if share is not None and share < usable:
         reasons.append(f"the control group gives the time of {share:g}")
     text = f"{there} core{'s' * (there != 1)}" + "".join(f", {reason}" for reason in reasons)
@@ -41,7 +42,7 @@ def about_cores() -> Finding:
 def about_memory() -> Finding:
     """Tell how much memory there is, and how much of it is free."""
     total, free = _memory()
-    group = _number(_GROUPS / "memory.max") or _number(_GROUPS / "memory/memory.limit_in_bytes")
+    group = group_limits().memory
     if total is None:
         return Finding(name="Memory", verdict="ok", text="not known on this system")
     text = f"{total / 1e9:.1f} GB"
@@ -60,13 +61,19 @@ def about_memory() -> Finding:
     return Finding(name="Memory", verdict="ok", text=text)
 
 
+def is_limited() -> bool:
+    """Return whether the limit of the address space may be why libraries fail."""
+    bound = limit()
+    return bound is not None and bound < _LEAST_ADDRESSES
+
+
 def about_addresses() -> Finding:
     """Tell whether the address space is limited too much."""
     bound = limit()
     if bound is None:
         return Finding(name="Address space", verdict="ok", text="not limited (ulimit -v)")
     text = f"limited to {bound / 1e9:.2f} GB (ulimit -v)"
-    if bound < _LEAST_ADDRESSES:
+    if is_limited():
         return Finding(
             name="Address space",
             verdict="warning",
@@ -191,6 +198,8 @@ def about_gpus(tried: Tried, started: Tried) -> Finding:
 
 
 def _advice_of_taichi() -> str:
+    if is_limited():
+        return RAISE_LIMIT
     arch = os.environ.get("TI_ARCH")
     if arch is not None:
         return f"the variable TI_ARCH is {arch!r}: unset it, or give --arch cpu"
@@ -207,18 +216,6 @@ def _is_writable(folder: Path, *, make: bool = True) -> bool:
     return True
 
 
-def _cores_of_group() -> float | None:
-    """Return the time of how many cores the control group gives, None where it sets no limit."""
-    try:
-        quota, period = (_GROUPS / "cpu.max").read_text(encoding="ascii").split()
-    except (OSError, ValueError):
-        found = [_number(_GROUPS / f"cpu/cpu.cfs_{name}_us") for name in ("quota", "period")]
-        if found[0] is None or not found[1] or found[0] < 0:
-            return None
-        return found[0] / found[1]
-    return None if quota == "max" else float(quota) / float(period)
-
-
 def _memory() -> tuple[float | None, float | None]:
     """Return all memory and what is free of it, bytes, as far as the system says."""
     known = {}
@@ -229,10 +226,3 @@ def _memory() -> tuple[float | None, float | None]:
     except (OSError, ValueError, IndexError):
         pass
     return known.get("MemTotal"), known.get("MemAvailable")
-
-
-def _number(path: Path) -> float | None:
-    try:
-        return float(path.read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return None

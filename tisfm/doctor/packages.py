@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from importlib import metadata
 
 from tisfm.doctor.finding import Finding
+from tisfm.doctor.machine import RAISE_LIMIT, is_limited
 from tisfm.doctor.trying import Tried
 
 # Distributions whose modules are called otherwise.
@@ -32,10 +33,11 @@ _USES = {
 }
 
 
-def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]]]:
-    """Return what tisfm asks for, and what each extra does: versions by distributions.
+def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]], str]:
+    """Return what tisfm asks for, what each extra does, and why nobody knows where that is so.
 
-    Both are empty where tisfm is not installed, or nobody can read what it asks for.
+    Packages are versions by distributions. They are empty where tisfm is not installed, or its
+    metadata cannot be read.
     """
     base: dict[str, str] = {}
     extras: dict[str, dict[str, str]] = {}
@@ -51,9 +53,11 @@ def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]]]:
             for extra in metadata.metadata("tisfm").get_all("Provides-Extra") or ():
                 if asked.marker.evaluate({"extra": extra}) and name != "tisfm":
                     extras.setdefault(extra, {})[name] = versions
-    except Exception:  # whatever is broken here is told by what is missing
-        pass
-    return base, {k: v for k, v in extras.items() if k not in _FOR_DEVELOPERS}
+    except metadata.PackageNotFoundError:
+        return {}, {}, ""
+    except Exception as error:  # packaging, or the metadata, is broken
+        return {}, {}, f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return base, {k: v for k, v in extras.items() if k not in _FOR_DEVELOPERS}, ""
 
 
 def module_of(distribution: str) -> str:
@@ -75,16 +79,40 @@ def about_python() -> Finding:
     return Finding(name="Python", verdict="ok", text=text)
 
 
-def about_tisfm() -> Finding:
-    """Tell the version of tisfm."""
+def about_tisfm(tried: Tried, unread: str = "") -> Iterator[Finding]:
+    """Tell the version of tisfm, and whether it can be imported.
+
+    `unread` is why nobody knows what it asks for.
+    """
     try:
-        return Finding(name="tisfm", verdict="ok", text=metadata.version("tisfm"))
+        version = metadata.version("tisfm")
     except metadata.PackageNotFoundError:
-        return Finding(
+        yield Finding(
             name="tisfm",
             verdict="warning",
             text="not installed; what it asks for is not known",
             advice="in the checkout: pip install -e .",
+        )
+        return
+    error = tried.get("tisfm.cli.command_line", {}).get("error")
+    if error:
+        yield Finding(
+            name="tisfm",
+            verdict="wrong",
+            text=f"{version} cannot be imported: {error}",
+            advice=RAISE_LIMIT
+            if is_limited()
+            else "first do what the lines below say; if nothing: pip install --force-reinstall "
+            "tisfm",
+        )
+    else:
+        yield Finding(name="tisfm", verdict="ok", text=version)
+    if unread:
+        yield Finding(
+            name="Packages",
+            verdict="wrong",
+            text=f"what tisfm asks for cannot be read, so that none is looked at: {unread}",
+            advice="pip install --force-reinstall packaging",
         )
 
 
@@ -145,7 +173,9 @@ def _about(name: str, versions: str, tried: Tried, *, missing: str, command: str
             name=name,
             verdict="wrong" if missing == "wrong" else "warning",
             text=f"{version} cannot be imported: {error}",
-            advice=f"pip install --force-reinstall '{name}{versions}'",
+            advice=RAISE_LIMIT
+            if is_limited()
+            else f"pip install --force-reinstall '{name}{versions}'",
         )
     if version is None:
         return Finding(name=name, verdict="ok", text="version unknown")

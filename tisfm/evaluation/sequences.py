@@ -22,6 +22,7 @@ from tisfm.metrics import (
     path_length,
     relative_errors,
 )
+from tisfm.reconstruction.progress import Progress
 from tisfm.settings import Settings
 
 STEP = 10  # frames: of the second relative error
@@ -206,6 +207,7 @@ def reconstruct_and_compare(
     step: int = 1,
     give_poses: bool = False,
     max_depth: float | None = None,
+    progress: Progress | None = None,
 ) -> tuple[SequenceEvaluation, Reconstructed]:
     """Reconstruct a sequence by `tisfm.reconstruct`, and compare it with the truth.
 
@@ -216,6 +218,8 @@ def reconstruct_and_compare(
     settings : Settings
     give_poses : bool
         Whether it is told the true poses, and depth alone is compared.
+    progress : callable, optional
+        As for `tisfm.reconstruct`.
 
     Raises
     ------
@@ -233,6 +237,7 @@ def reconstruct_and_compare(
         camera=camera,
         settings=settings,
         poses=loaded.poses if give_poses else None,
+        progress=progress,
     )
     seconds = time.perf_counter() - begin
     evaluation = compare_sequence(

@@ -56,11 +56,13 @@ def lens_record(camera: Camera, shape: tuple[int, int]) -> dict[str, Any]:
         ``width``, ``height``, ``focal`` and ``center``, px, in the coordinates of array indices;
         ``vertical_angle`` and ``horizontal_angle``, degrees; ``blender``: ``sensor_width`` and
         ``lens``, mm, for the sensor fit HORIZONTAL, with ``shift_x`` and ``shift_y``, in widths;
-        ``nuke``: ``focal``, ``haperture`` and ``vaperture``, mm.
+        ``nuke``: ``focal``, ``haperture`` and ``vaperture``, mm, and ``win_translate``, right and
+        up, in halves of the width.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)
     length = SENSOR * camera.focal / width
+    shift = ((width - 1) / 2 - cx) / width, (cy - (height - 1) / 2) / width
     return {
         "width": width,
         "height": height,
@@ -72,8 +74,13 @@ def lens_record(camera: Camera, shape: tuple[int, int]) -> dict[str, Any]:
             "sensor_fit": "HORIZONTAL",
             "sensor_width": SENSOR,
             "lens": length,
-            "shift_x": ((width - 1) / 2 - cx) / width,
-            "shift_y": (cy - (height - 1) / 2) / width,
+            "shift_x": shift[0],
+            "shift_y": shift[1],
         },
-        "nuke": {"focal": length, "haperture": SENSOR, "vaperture": SENSOR * height / width},
+        "nuke": {
+            "focal": length,
+            "haperture": SENSOR,
+            "vaperture": SENSOR * height / width,
+            "win_translate": [2 * part for part in shift],
+        },
     }

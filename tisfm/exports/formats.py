@@ -1,4 +1,4 @@
-"""The formats of `tisfm export`, by name: a line for each."""
+"""The formats of `tisfm export`, by name: how each is written, and what is checked before."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,8 +44,6 @@ class Format:
 
     Attributes
     ----------
-    about : str
-        A few words, for help.
     write : callable
         Takes an `Export` and what is told of progress; returns the files.
     check : callable
@@ -57,7 +55,6 @@ class Format:
         At most, of every frame; 0 where it does not grow with them.
     """
 
-    about: str
     write: Callable[[Export, Progress], Files]
     check: Callable[[Export], object]
     notes: Callable[[Export], list[str]] = _nothing
@@ -74,7 +71,7 @@ def _has_depth(export: Export) -> None:
         frames_with_depth(frames, export.chosen)
 
 
-def _depth(kind: DepthKind, about: str, bytes_per_pixel: float) -> Format:
+def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
     def write(export: Export, progress: Progress) -> Files:
         place = export.subfolder(f"depth-{kind}")
         return write_depths(export.frames, place, kind, chosen=export.chosen, progress=progress)
@@ -90,12 +87,10 @@ def _depth(kind: DepthKind, about: str, bytes_per_pixel: float) -> Format:
         scale = notes.of_scale(export, kind) if kind in VALUES_PER_UNIT else []
         return [*scale, *notes.of_depth(export)]
 
-    return Format(
-        about=about, write=write, check=check, notes=said, bytes_per_pixel=bytes_per_pixel
-    )
+    return Format(write=write, check=check, notes=said, bytes_per_pixel=bytes_per_pixel)
 
 
-def _video(kind: VideoKind, about: str) -> Format:
+def _video(kind: VideoKind) -> Format:
     def write(export: Export, progress: Progress) -> Files:
         file = write_video(
             export.frames,
@@ -119,10 +114,10 @@ def _video(kind: VideoKind, about: str) -> Format:
         without = [] if kind == "flow" else notes.of_depth(export)
         return [*notes.of_rate(export), *without]
 
-    return Format(about=about, write=write, check=check, notes=said, bytes_per_pixel=0.4)
+    return Format(write=write, check=check, notes=said, bytes_per_pixel=0.4)
 
 
-def _points(suffix: Suffix, about: str) -> Format:
+def _points(suffix: Suffix) -> Format:
     def write(export: Export, progress: Progress) -> Files:
         if isinstance(export.frames, SequenceFrames):
             return write_points(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
@@ -142,10 +137,10 @@ def _points(suffix: Suffix, about: str) -> Format:
     def said(export: Export) -> list[str]:
         return notes.of_poses(export) if isinstance(export.frames, SequenceFrames) else []
 
-    return Format(about=about, write=write, check=_has_depth, notes=said)
+    return Format(write=write, check=_has_depth, notes=said)
 
 
-def _mesh(suffix: Suffix, about: str) -> Format:
+def _mesh(suffix: Suffix) -> Format:
     def write(export: Export, progress: Progress) -> Files:
         return write_meshes(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
 
@@ -154,10 +149,10 @@ def _mesh(suffix: Suffix, about: str) -> Format:
         check_library()
         _has_depth(export)
 
-    return Format(about=about, write=write, check=check, notes=notes.of_poses)
+    return Format(write=write, check=check, notes=notes.of_poses)
 
 
-def _undistortion(suffix: Literal["exr", "tiff"], about: str) -> Format:
+def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
     def write(export: Export, progress: Progress) -> Files:
         return write_undistortion(*source_camera(export), export.folder, suffix=suffix)
 
@@ -166,12 +161,11 @@ def _undistortion(suffix: Literal["exr", "tiff"], about: str) -> Format:
             check_exr()
         check_distorts(source_camera(export)[0])
 
-    return Format(about=about, write=write, check=check, notes=notes.of_shutter)
+    return Format(write=write, check=check, notes=notes.of_shutter)
 
 
 def _model(
     name: str,
-    about: str,
     write: Callable[..., object],
     said: Callable[[Export], list[str]] = notes.of_models,
 ) -> Format:
@@ -191,11 +185,10 @@ def _model(
         if place.exists():
             refuse_others(place)
 
-    return Format(about=about, write=written, check=check, notes=said, bytes_per_pixel=0.5)
+    return Format(write=written, check=check, notes=said, bytes_per_pixel=0.5)
 
 
 def _path(
-    about: str,
     write: Callable[..., Files],
     said: Callable[[Export], list[str]],
 ) -> Format:
@@ -208,7 +201,6 @@ def _path(
         )
 
     return Format(
-        about=about,
         write=written,
         check=_has_poses,
         notes=lambda export: [*notes.of_poses(export), *said(export)],
@@ -216,54 +208,44 @@ def _path(
 
 
 FORMATS = {
-    "tum": _path(
-        "the path as TUM has it, for evo: trajectory.tum", write_tum_paths, notes.of_times
-    ),
-    "kitti": _path(
-        "the path as KITTI has it: poses.kitti, with poses.times", write_kitti_paths, notes.of_times
-    ),
-    "ply": _points("ply", "coloured points: points.ply"),
-    "glb": _points("glb", "coloured points, Y up: points.glb"),
-    "mesh-ply": _mesh("ply", "a coloured surface: mesh.ply"),
-    "mesh-glb": _mesh("glb", "a coloured surface, Y up: mesh.glb"),
+    "tum": _path(write_tum_paths, notes.of_times),
+    "kitti": _path(write_kitti_paths, notes.of_times),
+    "ply": _points("ply"),
+    "glb": _points("glb"),
+    "mesh-ply": _mesh("ply"),
+    "mesh-glb": _mesh("glb"),
     "gltf-camera": _path(
-        "the moving camera for Blender: camera.gltf, with lens.json",
-        write_gltf_cameras,
-        lambda export: [*notes.of_rate(export), *notes.of_lens(export)],
+        write_gltf_cameras, lambda export: [*notes.of_rate(export), *notes.of_lens(export)]
     ),
     "chan": Format(
-        about="the moving camera for Nuke: camera.chan, with lens.json",
         write=lambda export, progress: write_chan(
             export.sequence, export.folder, frames=export.chosen
         ),
         check=_has_poses,
         notes=lambda export: [*notes.of_poses(export), *notes.of_lens(export)],
     ),
-    "colmap": _model("colmap", "a model of COLMAP, with images", write_colmap),
-    "colmap-text": _model("colmap-text", "the same, as text", partial(write_colmap, form="text")),
-    "nerfstudio": _model(
-        "nerfstudio", "transforms.json, with images", write_nerfstudio, notes.of_largest
-    ),
-    "undistortion": _undistortion("exr", "ST maps that undo distortion, and redo it: EXR"),
-    "undistortion-tiff": _undistortion("tiff", "the same as TIFF"),
-    "depth-tum": _depth("tum", "depth as 16-bit PNG, 5000 per unit", 2.0),
-    "depth-kitti": _depth("kitti", "depth as 16-bit PNG, 256 per unit", 2.0),
-    "depth-exr": _depth("exr", "depth as EXR of float32, channel Z", 4.0),
-    "depth-tiff": _depth("tiff", "depth as TIFF of float32", 4.0),
-    "depth-pfm": _depth("pfm", "depth as PFM", 4.0),
-    "depth-dpt": _depth("dpt", "depth as Sintel has it", 4.0),
+    "colmap": _model("colmap", write_colmap),
+    "colmap-text": _model("colmap-text", partial(write_colmap, form="text")),
+    "nerfstudio": _model("nerfstudio", write_nerfstudio, notes.of_largest),
+    "undistortion": _undistortion("exr"),
+    "undistortion-tiff": _undistortion("tiff"),
+    "depth-tum": _depth("tum", 2.0),
+    "depth-kitti": _depth("kitti", 2.0),
+    "depth-exr": _depth("exr", 4.0),
+    "depth-tiff": _depth("tiff", 4.0),
+    "depth-pfm": _depth("pfm", 4.0),
+    "depth-dpt": _depth("dpt", 4.0),
     "masks": Format(
-        about="what moves, or is visible, as black and white PNG",
         write=lambda export, progress: write_masks(
             export.frames, export.subfolder("masks"), chosen=export.chosen, progress=progress
         ),
         check=lambda export: export.frames.masks(export.chosen[0]),
         bytes_per_pixel=0.2,
     ),
-    "video-depth": _video("depth", "depth in colours, one range: depth.mp4"),
-    "video-flow": _video("flow", "image motion in colours, of tisfm run: flow.mp4"),
-    "video-side-by-side": _video("side-by-side", "the frame, and depth: side-by-side.mp4"),
-    "video-anaglyph": _video("anaglyph", "for red-cyan glasses: anaglyph.mp4"),
-    "video-wiggle": _video("wiggle", "a camera that swings from side to side: wiggle.mp4"),
+    "video-depth": _video("depth"),
+    "video-flow": _video("flow"),
+    "video-side-by-side": _video("side-by-side"),
+    "video-anaglyph": _video("anaglyph"),
+    "video-wiggle": _video("wiggle"),
 }
-"""All formats by name."""
+"""All formats by name; docs/exports.md says what is in each."""

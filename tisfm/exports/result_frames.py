@@ -71,13 +71,15 @@ class ResultFrames(Protocol):
 class SequenceFrames:
     """The frames of a reconstruction."""
 
-    advice = "reconstruct with --depth-of all"
     unit_advice = "give another unit by --scale"
 
     def __init__(self, result: Reconstruction) -> None:
         self._result = result
         self.folder, self.times, self.shape = result.folder, result.times, result.shape
         self.names = distinct(result.names)
+        self.advice = "reconstruct with --depth-of all"
+        if not (result.piece >= 0).any():
+            self.advice = "none has a pose either; the statuses of the reconstruction say why"
 
     def __len__(self) -> int:
         return len(self._result)

@@ -77,12 +77,18 @@ def measured_tracks(
     """
     if not 0 <= piece < len(result.unit):
         raise ValueError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
-    told = progress or (lambda done, count: None)
+    told = progress or _untold
     frames, cells = PieceFrames(result, piece), cells_of(result.shape, spacing)
+    if not any(map(frames.has_depth, frames.numbers)):
+        return _joined(along_motion(frames, cells, told))
     found = DepthTracks(frames, cells).found(told)
-    if not any(len(one.positions) for one in found):  # no frame has depth
-        found = along_motion(frames, cells, told)
+    if not any(len(one.positions) for one in found):  # there is depth, but none that leads on
+        found = along_motion(frames, cells, _untold)  # all frames are said to be done
     return _joined(found)
+
+
+def _untold(done: int, count: int) -> None:
+    """Tell nobody how far it is."""
 
 
 def cells_of(shape: tuple[int, int], spacing: float | None) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.checks import Floats
 from tisfm.exports.frame_files import picture_of
 from tisfm.exports.tracks_measuring import Pose
+from tisfm.reconstruction.folder import depth_path
 from tisfm.reconstruction.result import Reconstruction
 
 FEWEST = 3  # frames that see a point; 2 where a piece has no more
@@ -59,6 +60,10 @@ class PieceFrames:
         self.fewest = min(FEWEST, max(2, len(self.numbers)))
         self.grey = lru_cache(HELD)(self._read_grey)
         self.usable = lru_cache(HELD)(self._read_usable)
+
+    def has_depth(self, frame: int) -> bool:
+        """Return whether there is depth of a frame."""
+        return depth_path(self.result.folder, frame).exists()
 
     def pose(self, frame: int) -> Pose:
         """Return where the camera of a frame stood."""

@@ -65,7 +65,7 @@ _VIEWS = (
 
 
 def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
-    """Draw numbers over the pairs of a run, below one another.
+    """Draw numbers over the pairs of a run.
 
     Parameters
     ----------
@@ -75,29 +75,30 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
     Returns
     -------
     str
-        An ``svg`` element; empty if nothing has more than one number.
+        An ``svg`` element for each; empty if nothing has more than one number.
     """
     known = [
         (name, np.array([np.nan if value is None else value for value in values], np.float64))
         for name, values in curves
     ]
     known = [(name, values) for name, values in known if np.isfinite(values).sum() > 1]
-    if not known:
-        return ""
-    figure = _figure(6.4, 1.4 * len(known))
-    for row, (name, values) in enumerate(known):
-        axes = figure.add_subplot(len(known), 1, row + 1)
+    drawings = []
+    for name, values in known:
+        figure = _figure(4.0, 2.0)
+        axes = figure.add_subplot()
         edges = np.linspace(0, len(values), min(len(values), _MOST_POINTS) + 1).astype(int)
         middles = (edges[:-1] + edges[1:] - 1) / 2
         means = [_mean(values[a:b]) for a, b in pairwise(edges)]
         dot = "." if len(means) <= 60 else ""
         axes.plot(middles, means, color=_BLUE, linewidth=1.4, marker=dot)
-        axes.set_ylabel(name, color=_INK, fontsize=9)
+        axes.set_title(name, color=_INK, fontsize=10)
         axes.set_xlim(-0.02 * len(values), 1.02 * len(values) - 1)
         axes.set_ylim(0, 1.08 * max(np.nanmax(means), 1e-6))
-        if row == len(known) - 1:
-            axes.set_xlabel("pair", color=_INK, fontsize=9)
-    return _svg(figure)
+        axes.set_xlabel("pair", color=_INK, fontsize=9)
+        axes.locator_params(axis="x", nbins=6, integer=True)
+        axes.locator_params(axis="y", nbins=4)
+        drawings.append(_svg(figure))
+    return "".join(drawings)
 
 
 def _draw_path(

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.machine.amounts import as_duration
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.file import refuse_foreign, write_page
 from tisfm.report.page import Page, Slide, View, html
 from tisfm.report.pictures import Pictures, chosen, depth_colors
 from tisfm.report.settings_table import nearest_preset, setting_rows
-from tisfm.report.shared import depth_legend, deviation_legend, duration, flow_legend
+from tisfm.report.shared import depth_legend, deviation_legend, flow_legend
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.show import (
     flow_radius,
@@ -23,6 +24,8 @@ from tisfm.show import (
     uncertainty_to_color,
 )
 
+_DEPTH, _MOTION = "Depth, near is bright", "Image motion to the next frame"
+_DEVIATION = "Relative deviation of depth"
 _VIEWS = 5  # pictures of a frame, with labels
 _CONVERGED = "The frame has a pose, and depth if that was asked for."
 _MOST_ROWS = 40  # of a table of things, or of frames that could not be read
@@ -102,9 +105,11 @@ def _page(
     slides, flow_limit = _slides(result, numbers)
     whole = len(slides) == len(result)
     pieces = _pieces(result)
-    drawn = "The camera begins at the circle and ends at the square, early dark and late light."
-    if len(pieces) > 1:
-        drawn += " Each piece has a scale of its own."
+    drawn = (
+        "The camera begins at the circle and ends at the square, early dark and late light. "
+        "Numbers are in the unit of the path"
+        f"{', and each piece has one of its own' if len(pieces) > 1 else ''}."
+    )
     if len(pieces) > MOST_PIECES:
         drawn += f" Shown are the {MOST_PIECES} largest of {len(pieces)} pieces."
     return Page(
@@ -120,9 +125,9 @@ def _page(
         slides=slides,
         slides_text="All frames." if whole else f"{len(slides)} of {len(result)} frames.",
         legends=[
-            ("Depth", depth_legend("of a piece")),
-            ("Image motion to the next frame, of what is at rest", flow_legend(flow_limit)),
-            ("Deviation of depth", deviation_legend()),
+            (_DEPTH, "Depth", depth_legend("of a piece")),
+            (_MOTION, f"{_MOTION}, of what is at rest", flow_legend(flow_limit)),
+            (_DEVIATION, "Deviation of depth", deviation_legend()),
         ],
         tables=[
             (
@@ -146,7 +151,7 @@ def _page(
         ],
         preset=nearest_preset(result.settings),
         settings=setting_rows(result.settings),
-        timings=[(name, duration(seconds)) for name, seconds in timings.items()],
+        timings=[(name, as_duration(seconds)) for name, seconds in timings.items()],
     )
 
 
@@ -154,9 +159,9 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
     placed = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     about = result.calibration
-    focal = f"{result.camera.focal:.5g} px"
+    focal = f"{result.camera.focal:.4g} px"
     if 0 < about.focal_std < np.inf:
-        focal += f" ± {about.focal_std:.3g}"
+        focal = f"{result.camera.focal:.4g} ± {float(f'{about.focal_std:.1g}'):g} px"
     height, width = result.shape
     rows = [
         *([("Source", source)] if source else []),
@@ -170,7 +175,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         ("Focal length", f"{focal}, {about.origin}"),
         ("Version", result.version),
     ]
-    if about.message:
+    if about.message and about.message != f"{focal}, found from the sequence":
         rows.append(("What is known of the camera", shortened(about.message)))
     if about.readout:
         rows.append(("Rolling shutter", f"{about.readout:.2f} of the time to the next frame"))
@@ -222,9 +227,9 @@ def _slide(
             motion = pictures.url(flow_to_color(flow, limit=flow_limit))
     views = [
         View(title="Frame", url=pictures.url(frame)),
-        View(title="Depth, near is bright", url=depth),
-        View(title="Image motion to the next frame", url=motion),
-        View(title="Relative deviation of depth", url=deviation),
+        View(title=_DEPTH, url=depth),
+        View(title=_MOTION, url=motion),
+        View(title=_DEVIATION, url=deviation),
     ]
     labels = result.labels(number) if result.objects else None
     if labels is not None and labels.any():
@@ -238,6 +243,7 @@ def _slide(
         name=result.names[number],
         number=number,
         status=str(status),
+        shape=result.shape,
         message=f"{where}. {told}".strip(),
         views=views,
     )

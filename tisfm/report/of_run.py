@@ -1,23 +1,26 @@
 """The report of a run: what its record says of every pair, and pictures of some."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tisfm.interpretation import Interpretation
+from tisfm.machine.amounts import as_duration
 from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.file import refuse_foreign, write_page
 from tisfm.report.page import Page, Slide, View, html
 from tisfm.report.pictures import Pictures, chosen, depth_colors, share_colors
 from tisfm.report.settings_table import nearest_preset, setting_rows
-from tisfm.report.shared import depth_legend, duration, flow_legend, share_legend
+from tisfm.report.shared import depth_legend, flow_legend, share_legend
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.settings import Settings
 from tisfm.show import flow_radius, flow_to_color, inverse_depth_limit, label_overlay
 
+_DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
 _VIEWS = 4  # pictures of a pair; one more for labels
 
 
@@ -47,33 +50,80 @@ def write_run_report(
         If a file cannot be read or written, or the record is not that of a run.
     """
     path = refuse_foreign(folder)
-    try:
-        page = _page(folder, record, seconds, source)
-    except (LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
-    write_page(path, html(page))
+    run = _read(folder, record)
+    write_page(path, html(_page(folder, run, seconds, source)))
     return path
 
 
-def _page(
-    folder: Path, record: Mapping[str, Any], seconds: Sequence[float], source: str | None
-) -> Page:
-    names = list(record["pairs"])
-    pairs = list(record["pairs"].values())
-    statuses = [Status(pair["status"], pair["message"]) for pair in pairs]
-    settings = Settings(**_as_tuples(record["settings"]))
+@dataclass(frozen=True, kw_only=True)
+class _Pair:
+    """What the record says of a pair; of the numbers, None where it says none."""
+
+    name: str
+    number: int
+    status: Status
+    speed: float | None
+    confidence: float | None
+    occluded: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """What the record says."""
+
+    pairs: Sequence[_Pair]
+    settings: Settings
+    focal: float
+    start: int
+    step: int
+    arch: str
+    version: str
+    flow_limit: float | None
+
+
+def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
+    """Read a record, or raise ValueError where it is not that of a run."""
+    try:
+        pairs = [
+            _Pair(
+                name=str(name),
+                number=int(pair["number"]),
+                status=Status(pair["status"], pair["message"]),
+                speed=_number(pair.get("speed")),
+                confidence=_number(pair.get("confidence")),
+                occluded=_number(pair.get("occluded")),
+            )
+            for name, pair in record["pairs"].items()
+        ]
+        return _Run(
+            pairs=pairs,
+            settings=Settings(**_as_tuples(record["settings"])),
+            focal=float(record["camera"]["focal"]),
+            start=int(record["start"]),
+            step=int(record["step"]),
+            arch=str(record["arch"]),
+            version=str(record["version"]),
+            flow_limit=_number(record.get("flow_limit")),
+        )
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
+
+
+def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None) -> Page:
+    names = [pair.name for pair in run.pairs]
+    statuses = [pair.status for pair in run.pairs]
     counts = counted(statuses, names)
     codes = [str(status) for status in statuses]
     numbers = chosen(len(names), [codes.index(status.code) for status in counts])
-    shown = [k for k in numbers if (folder / f"{names[k]}.npz").is_file()]
-    slides, shape, flow_limit = _slides(folder, names, pairs, statuses, shown, record)
+    shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
+    slides, shape, flow_limit = _slides(folder, shown, run.flow_limit)
     known = [float(value) for value in seconds]
     timings = []
     if known:
         timings = [
-            ("Interpreting, the last command", duration(sum(known))),
-            ("A pair, median", duration(float(np.median(known)))),
-            ("The slowest pair", duration(max(known))),
+            ("Interpreting, the last command", as_duration(sum(known))),
+            ("A pair, median", as_duration(float(np.median(known)))),
+            ("The slowest pair", as_duration(max(known))),
         ]
     if not names:
         told = "There is no pair."
@@ -83,22 +133,22 @@ def _page(
         told = f"{len(slides)} of {len(names)} pairs" if len(slides) < len(names) else "All pairs"
         told += ", each by its first frame."
     legends = [
-        ("Depth", depth_legend("in multiples of each pair's mean inverse depth")),
-        ("Image motion", flow_legend(flow_limit)),
-        ("Confidence", share_legend()),
+        (_DEPTH, "Depth", depth_legend("in multiples of each pair's mean inverse depth")),
+        (_MOTION, _MOTION, flow_legend(flow_limit)),
+        (_CONFIDENCE, _CONFIDENCE, share_legend()),
     ]
     return Page(
         title=source or folder.resolve().name,
         kind="Pairs of frames, interpreted by tisfm run",
-        summary=_summary(folder, record, settings, shape, source),
+        summary=_summary(folder, run, shape, source),
         statuses=counts,
         spans=spans(codes),
         unit="pair",
         drawing=curves_drawing(
             [
-                ("motion, px", [pair.get("speed") for pair in pairs]),
-                ("confidence", [pair.get("confidence") for pair in pairs]),
-                ("occluded", [pair.get("occluded") for pair in pairs]),
+                ("motion, px", [pair.speed for pair in run.pairs]),
+                ("confidence", [pair.confidence for pair in run.pairs]),
+                ("occluded", [pair.occluded for pair in run.pairs]),
             ]
         ),
         drawing_title="Over the pairs",
@@ -107,49 +157,39 @@ def _page(
         slides=slides,
         slides_text=told,
         legends=legends if slides else (),
-        preset=nearest_preset(settings),
-        settings=setting_rows(settings),
+        preset=nearest_preset(run.settings),
+        settings=setting_rows(run.settings),
         timings=timings,
     )
 
 
 def _summary(
-    folder: Path,
-    record: Mapping[str, Any],
-    settings: Settings,
-    shape: tuple[int, int] | None,
-    source: str | None,
+    folder: Path, run: _Run, shape: tuple[int, int] | None, source: str | None
 ) -> list[tuple[str, str]]:
-    camera = record["camera"]
-    converged = sum(pair["status"] == "converged" for pair in record["pairs"].values())
-    count = len(record["pairs"])
+    converged = sum(pair.status == "converged" for pair in run.pairs)
+    count = len(run.pairs)
     return [
         *([("Source", source)] if source else []),
         ("Folder", folder.resolve().name),
         ("Pairs", str(count)),
         ("Converged", f"{converged} of {count}"),
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
-        ("Preset", nearest_preset(settings)),
-        ("Motion", settings.motion),
-        ("Focal length", f"{camera['focal']:.5g} px"),
-        ("First frame, step", f"{record['start']}, {record['step']}"),
-        ("Kernels ran on", str(record["arch"])),
-        ("Version", str(record["version"])),
+        ("Preset", nearest_preset(run.settings)),
+        ("Motion", run.settings.motion),
+        ("Focal length", f"{run.focal:.5g} px"),
+        ("First frame, step", f"{run.start}, {run.step}"),
+        ("Kernels ran on", run.arch),
+        ("Version", run.version),
     ]
 
 
 def _slides(
-    folder: Path,
-    names: Sequence[str],
-    pairs: Sequence[Mapping[str, Any]],
-    statuses: Sequence[Status],
-    shown: Sequence[int],
-    record: Mapping[str, Any],
+    folder: Path, shown: Sequence[_Pair], recorded: float | None
 ) -> tuple[list[Slide], tuple[int, int] | None, float]:
     """Return slides of some pairs, the shape of the frames, and the range of image motion, px."""
     levels, speeds, shape = [], [], None
-    for k in shown:  # ranges first, so that one holds for all of them
-        result = Interpretation.load(folder / f"{names[k]}.npz")
+    for pair in shown:  # ranges first, so that one holds for all of them
+        result = Interpretation.load(folder / f"{pair.name}.npz")
         shape = result.flow.shape[:2]
         level = _mean_inverse_depth(result)
         if level > 0 and str(result.status) not in ("diverged", "pose_mismatch"):
@@ -158,36 +198,36 @@ def _slides(
         radius = radius[np.isfinite(radius)]
         speeds.append(float(np.percentile(radius, 99)) if radius.size else 0.0)
     depth_limit = float(np.median(levels)) if levels else 1.0
-    flow_limit = float(record.get("flow_limit") or (np.median(speeds) if speeds else 0.0))
+    flow_limit = float(recorded or (np.median(speeds) if speeds else 0.0))
     pictures = Pictures((_VIEWS + 1) * len(shown))
     slides = []
-    for k in shown:
-        result = Interpretation.load(folder / f"{names[k]}.npz")
+    for pair in shown:
+        result = Interpretation.load(folder / f"{pair.name}.npz")
         level = _mean_inverse_depth(result)
         views = [
             View(title="Frame", url=pictures.url(result.frame)),
             View(
-                title="Depth, near is bright",
+                title=_DEPTH,
                 url=pictures.url(depth_colors(result.inverse_depth, depth_limit * level))
                 if level > 0
                 else None,
             ),
             View(
-                title="Image motion",
+                title=_MOTION,
                 url=pictures.url(flow_to_color(result.flow, limit=flow_limit)),
             ),
-            View(title="Confidence", url=pictures.url(share_colors(result.confidence))),
+            View(title=_CONFIDENCE, url=pictures.url(share_colors(result.confidence))),
         ]
         if result.labels is not None and result.labels.max() > 0:
             overlay = label_overlay(result.frame, result.labels)
             views.append(View(title="What moves on its own", url=pictures.url(overlay)))
-        message = "" if statuses[k] == "converged" else shortened(statuses[k].message)
         slides.append(
             Slide(
-                name=names[k],
-                number=int(pairs[k]["number"]),
-                status=str(statuses[k]),
-                message=message,
+                name=pair.name,
+                number=pair.number,
+                status=str(pair.status),
+                shape=result.flow.shape[:2],
+                message="" if pair.status == "converged" else shortened(pair.status.message),
                 views=views,
             )
         )
@@ -203,3 +243,7 @@ def _mean_inverse_depth(result: Interpretation) -> float:
 def _as_tuples(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings as they were before JSON made lists of them."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)

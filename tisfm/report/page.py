@@ -1,6 +1,6 @@
 """The page: one HTML text with its styles, its script and its pictures inside."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -15,21 +15,21 @@ _LONG = 60  # characters: a value of more has a line of its own
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A picture of a slide: its title, its address, None where there is none, and a legend."""
+    """A picture of a slide: its title, and its address, None where there is none."""
 
     title: str
     url: str | None
-    legend: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """What is shown of one frame."""
+    """What is shown of one frame, whose height and width are `shape`, px."""
 
     name: str
     number: int
     status: str
     message: str
+    shape: tuple[int, int]
     views: Sequence[View]
 
 
@@ -54,8 +54,8 @@ class Page:
     slides : sequence of Slide
     slides_text : str
         What is said of them.
-    legends : sequence of (str, str)
-        Titles, and HTML that this package made.
+    legends : sequence of (str, str, str)
+        Titles of views, titles of their legends, and HTML that this package made.
     tables : sequence of (str, sequence of str, sequence of sequences of str)
         Titles, headings and rows of further tables.
     preset : str
@@ -74,7 +74,7 @@ class Page:
     drawing_text: str = ""
     slides: Sequence[Slide] = ()
     slides_text: str = ""
-    legends: Sequence[tuple[str, str]] = ()
+    legends: Sequence[tuple[str, str, str]] = ()
     tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]] = ()
     preset: str = ""
     settings: Sequence[SettingRow] = ()
@@ -186,9 +186,13 @@ def _drawing_part(page: Page) -> str:
 def _slides_part(page: Page) -> str:
     if not page.slides:
         return f"<p>{escape(page.slides_text)}</p>"
-    slides = "".join(_slide(slide, index) for index, slide in enumerate(page.slides))
+    # What no slide has is left out, and its legend.
+    there = {view.title for slide in page.slides for view in slide.views if view.url is not None}
+    slides = "".join(_slide(slide, index, there) for index, slide in enumerate(page.slides))
     legends = "".join(
-        f'<p class="legend"><b>{escape(title)}</b>{content}</p>' for title, content in page.legends
+        f'<p class="legend"><b>{escape(title)}</b>{content}</p>'
+        for view, title, content in page.legends
+        if view in there
     )
     return (
         f"<p>{escape(page.slides_text)}</p>"
@@ -199,10 +203,11 @@ def _slides_part(page: Page) -> str:
     )
 
 
-def _slide(slide: Slide, index: int) -> str:
+def _slide(slide: Slide, index: int, there: Container[str]) -> str:
     views = "".join(
         f"<figure>{_picture(view, slide)}<figcaption>{escape(view.title)}</figcaption></figure>"
         for view in slide.views
+        if view.title in there
     )
     return (
         f'<div class="slide"{" hidden" if index else ""}>'
@@ -214,7 +219,8 @@ def _slide(slide: Slide, index: int) -> str:
 
 def _picture(view: View, slide: Slide) -> str:
     if view.url is None:
-        return '<div class="none">none here</div>'
+        height, width = slide.shape
+        return f'<div class="none" style="aspect-ratio:{width}/{height}">none here</div>'
     alt = escape(f"{view.title} of {slide.name}")
     return f'<img src="{view.url}" alt="{alt}" decoding="async">'
 

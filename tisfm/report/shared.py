@@ -1,4 +1,4 @@
-"""What both reports say alike: legends and durations."""
+"""What both reports say alike: legends."""
 
 from tisfm.report.page import color_bar
 from tisfm.report.pictures import png_url, ramp
@@ -34,16 +34,6 @@ def flow_legend(limit: float) -> str:
         f'<img src="{wheel}" alt="wheel of colours"><span>direction as hue; rim: '
         f"{limit:.2g} px a frame</span>"
     )
-
-
-def duration(seconds: float) -> str:
-    """Return a time as it is read."""
-    if seconds < 10:
-        return f"{seconds:.2f} s"
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def _stops(name: str) -> list[list[int]]:

@@ -39,7 +39,7 @@ background:var(--hold);color:inherit;font:inherit;cursor:pointer}
 figure{margin:0;min-width:0}
 figure img{width:100%;display:block;border-radius:6px;background:var(--hold)}
 figcaption{color:var(--soft);font-size:.85rem}
-.none{display:grid;place-items:center;aspect-ratio:4/3;border-radius:6px;background:var(--hold);
+.none{display:grid;place-items:center;border-radius:6px;background:var(--hold);
 color:var(--soft)}
 .legend{display:flex;flex-wrap:wrap;gap:4px 10px;align-items:center;margin:8px 0 0;
 font-size:.85rem;color:var(--soft)}
