@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_image, as_map, as_rgb, as_uint8, check_limit, require_same_size
-from tisfm.show.grey import inverse_depth_limit
+from tisfm.show.depth import inverse_depth_limit
 
 _DEFAULT_DISPARITY = 0.03  # of the width
 

@@ -85,7 +85,7 @@ def draw_panels(
         heading=heading,
         legend=legend,
     )
-    figure = _new_figure(layout.size)
+    figure = new_figure(layout.size)
     pictures = [image for row in rows for _, image in row]
     axes = []
     for box, title, image in zip(layout.panels, layout.titles, pictures, strict=True):
@@ -300,7 +300,7 @@ def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: f
     return axes
 
 
-def _new_figure(size: tuple[float, float]) -> Figure:
+def new_figure(size: tuple[float, float]) -> Figure:
     """Return an empty white figure that is drawn by Agg."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

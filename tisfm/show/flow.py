@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, check_limit
+from tisfm.show.palette import FLOW_PERCENTILE
 
 # Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
 # more steps where the eye tells hues apart well.
@@ -68,7 +69,7 @@ def usual_length(flow: ArrayLike) -> float:
     """
     radius = flow_radius(flow)
     known = radius[np.isfinite(radius)]
-    return float(np.percentile(known, 98)) if known.size else 0.0
+    return float(np.percentile(known, FLOW_PERCENTILE)) if known.size else 0.0
 
 
 def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
