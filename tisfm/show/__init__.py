@@ -10,7 +10,7 @@ May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `checks`, `fr
 `outcome`.
 """
 
-from tisfm.show.anaglyph import anaglyph, dubois, second_view
+from tisfm.show.anaglyph import anaglyph, dubois
 from tisfm.show.confidence import confidence_to_color
 from tisfm.show.depth import depth_grey, depth_to_color, inverse_depth_limit
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE, depth_error_figure
@@ -37,6 +37,8 @@ from tisfm.show.flow import (
 from tisfm.show.labels import label_colors, label_overlay
 from tisfm.show.palette import UNKNOWN_COLOR, color_ramp
 from tisfm.show.rigid_figure import rigid_figure
+from tisfm.show.second_view import second_view
+from tisfm.show.stereo import stereo_view
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 __all__ = [
@@ -78,6 +80,7 @@ __all__ = [
     "rigid_figure",
     "save_figure",
     "second_view",
+    "stereo_view",
     "uncertainty_to_color",
     "usual_length",
 ]

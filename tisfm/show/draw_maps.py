@@ -93,7 +93,7 @@ def draw_flow(
         Where it is drawn; by default in a figure of its own, ``axes.figure``.
     limit : float, optional
         Motion at the rim of the wheel, px/frame, by default the 98th percentile of its length.
-        Longer motion is darker.
+        Longer motion looks as if it were as long.
     title : str, optional
         Text above the picture.
 
@@ -112,7 +112,7 @@ def draw_flow(
     values = as_flow("flow", flow)
     top = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
-    sizes = show_picture(target, flow_to_color(values, limit=top), title)
+    sizes = show_picture(target, flow_to_color(values, limit=top, beyond="same"), title)
     _draw_wheel(target, top, sizes)
     return target
 
@@ -296,7 +296,7 @@ def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
     box = axes.get_window_extent()
     height, width = (side / figure.dpi for side in (box.height, box.width))
     rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
-    texts = [f"rim: {rim}", "px/frame"]
+    texts = [f"rim: ≥ {rim}", "px/frame"]
     diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
     wide = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
     room = legend_room(axes, wide, 0.5 * sizes.inch)

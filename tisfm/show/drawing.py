@@ -295,7 +295,7 @@ def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: f
         extent=(middle - radius, middle + radius, wheel_middle - radius, wheel_middle + radius),
         aspect="auto",
     )
-    rim = f"rim: {limit:.0f} px/frame" if limit >= 100 else f"rim: {limit:.2g} px/frame"
+    rim = f"rim: ≥ {limit:.0f} px/frame" if limit >= 100 else f"rim: ≥ {limit:.2g} px/frame"
     _write(axes, middle, size[1] - 2 * radius - 0.05, rim, va="top", fontsize=_LEGEND_TEXT)
     return axes
 

@@ -136,8 +136,8 @@ def flow_figure(
     require_same_size("truth", true, "flow", recovered)
     top = usual_length(true) if limit is None else check_limit("limit", limit)
     panels = [
-        ("Recovered flow", flow_to_color(recovered, limit=top)),
-        ("True flow (black: unknown)", flow_to_color(true, limit=top)),
+        ("Recovered flow", flow_to_color(recovered, limit=top, beyond="same")),
+        ("True flow (black: unknown)", flow_to_color(true, limit=top, beyond="same")),
     ]
     height, width = recovered.shape[:2]
     rows = [panels] if width < WIDE * height else [[panel] for panel in panels]

@@ -136,7 +136,7 @@ def comparison_figure(
     dim = backdrop(shown)
     arrows = [(f"{label}, arrows", dim) for label in flow_labels.values()]
     colors = [
-        (f"{label}, colours", flow_to_color(flows[name], limit=limit))
+        (f"{label}, colours", flow_to_color(flows[name], limit=limit, beyond="same"))
         for name, label in flow_labels.items()
     ]
     # A single flow has its arrows and colours side by side as well.

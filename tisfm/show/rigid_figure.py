@@ -52,8 +52,9 @@ def rigid_figure(
 
     The first row has the frame, the labels where there are several, the depth in the colours of
     `depth_to_color`, the true one where it is known, and the relative standard deviation where a
-    pixel is visible in the next frame. The second row has the flow as arrows and as colours, the true one where it is
-    known, and the confidence. Of wide pictures there are two in a row, in the same order.
+    pixel is visible in the next frame. The second row has the flow as arrows and as colours, the
+    true one where it is known, and the confidence. Of wide pictures there are two in a row, in the
+    same order.
 
     Parameters
     ----------
@@ -145,10 +146,12 @@ def rigid_figure(
     first.append(("Uncertainty of the depth (grey: unknown)", uncertainty))
     second = [
         ("Flow, arrows", backdrop(shown)),
-        ("Flow, colours", flow_to_color(motion, limit=limit)),
+        ("Flow, colours", flow_to_color(motion, limit=limit, beyond="same")),
     ]
     if true_motion is not None:
-        second.append(("True flow, colours", flow_to_color(true_motion, limit=limit)))
+        second.append(
+            ("True flow, colours", flow_to_color(true_motion, limit=limit, beyond="same"))
+        )
     second.append(("Confidence (yellow: 1)", confidence_to_color(trust)))
 
     legends = [BAR_SIZE, LEGEND_SIZE]
