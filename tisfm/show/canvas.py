@@ -21,7 +21,8 @@ from tisfm.show.palette import FAINT, INK
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_TEXT = 0.028  # height of text as a share of the mean side of the axes
+# Height of text as a share of the mean side of the axes.
+_TEXT_OF_PICTURE, _TEXT_OF_PLOT = 0.028, 0.036
 _LEAST_TEXT = 9.0  # px: less is not read
 _MOST_PIXELS = 2  # of a picture per pixel of the axes: what is finer is reduced
 _ROOM_FOR_TEXT = 1.25, 0.35  # inches beside and around a picture in a figure of its own
@@ -43,12 +44,12 @@ class Sizes:
         return self.text / 72
 
 
-def sizes_for(axes: Axes) -> Sizes:
+def sizes_for(axes: Axes, share: float = _TEXT_OF_PICTURE) -> Sizes:
     """Return sizes of text and lines that are read in axes, from a thumbnail to a whole screen."""
     figure = axes.get_figure(root=True)
     assert figure is not None  # of axes that were not removed
     box = axes.get_window_extent()
-    pixels = max(_LEAST_TEXT, _TEXT * math.sqrt(max(box.width * box.height, 1.0)))
+    pixels = max(_LEAST_TEXT, share * math.sqrt(max(box.width * box.height, 1.0)))
     points = pixels * 72 / figure.dpi
     return Sizes(text=points, line=points / 7)
 
@@ -117,7 +118,7 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
 
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     """Make axes for curves look like all others, and return the sizes for what is in them."""
-    sizes = sizes_for(axes)
+    sizes = sizes_for(axes, _TEXT_OF_PLOT)
     axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=sizes.text, colors=INK, width=0.5 * sizes.line)
