@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.show import draw_path
+from tisfm.show.draw_paths import PathView
 from tisfm.show.palette import ESTIMATE, FAINT, INK
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 _MOST_POINTS = 400  # of a curve
 MOST_PIECES = 4
+_VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
 def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
@@ -42,13 +44,14 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
     for number in shown:
         mine = piece == number
         said = f"piece {number}, {mine.sum()} frames, " if len(numbers) > 1 else ""
-        for view, name in (("above", "from above"), ("side", "from the side")):
-            axes = _figure(4.0, 3.3).add_subplot()
+        for view, name in _VIEWS.items():
+            figure = _figure(4.0, 3.3)
+            axes = figure.add_subplot()
             draw_path(poses[mine], axes=axes, view=view, title=f"{said}{name}")
             legend = axes.get_legend()
             if legend is not None:  # the page says it, in its own colours
                 legend.remove()
-            drawings.append(_svg(axes.figure))
+            drawings.append(_svg(figure))
     return "".join(drawings)
 
 
@@ -114,9 +117,8 @@ def _svg(figure: "Figure") -> str:
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tisfm"}):
         figure.savefig(data, format="svg", metadata=about)
     drawing = data.getvalue()
-    drawing = (
-        drawing[drawing.index("<svg") :].strip().replace(INK, "currentColor")
-    )  # that of the text around
+    drawing = drawing[drawing.index("<svg") :].strip()
+    drawing = drawing.replace(INK, "currentColor")  # that of the text around
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     head, rest = drawing.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
