@@ -26,9 +26,9 @@ def test_error_colors_brighten_with_every_doubling():
 
 def test_unknown_errors_are_grey():
     error = np.array([[np.nan, 0.0, 1.0]], np.float32)
-    assert error_to_color(error)[0, 0].tolist() == [160, 160, 160]
+    assert error_to_color(error)[0, 0].tolist() == [200, 200, 200]
     every = error_to_color(np.geomspace(*ERROR_RANGE, 4000)[None])[0].astype(int)
-    assert np.abs(every - 160).max(axis=1).min() > 40  # nothing else is near that grey
+    assert np.abs(every - 200).max(axis=1).min() > 40  # nothing else is near that grey
 
 
 @pytest.mark.parametrize("limits", [(0, 1), (1, 1), (2, 1), (np.nan, 1), (1, np.inf), (-1, 1)])
@@ -85,8 +85,8 @@ def test_depths_of_an_evaluation_share_a_scale():
     np.testing.assert_array_equal(recovered[alike], true[alike])
     luma = [picture.astype(int).sum(axis=2) for picture in (recovered, true)]
     assert (luma[0][10:20, 10:20] < luma[1][10:20, 10:20]).all()
-    assert (true[:5] == 160).all() and (recovered[30] == 160).all()
-    unknown = (error == 160).all(axis=2)
+    assert (true[:5] == 200).all() and (recovered[30] == 200).all()
+    unknown = (error == 200).all(axis=2)
     assert unknown[:5].all() and unknown[30].all() and not unknown[alike].any()
     assert (error[alike] == error_to_color([[0.0]])[0, 0]).all()
     expected = error_to_color([[0.5]], limits=(1 / 64, 1.0))[0, 0]

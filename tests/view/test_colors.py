@@ -15,7 +15,7 @@ from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
 
 RANGES = Ranges(inverse_depth=2.0, flow=3.0)
-GREY = [160, 160, 160]
+GREY = [200, 200, 200]
 
 
 def full(**parts):
@@ -43,7 +43,7 @@ def test_what_is_not_known_is_grey():
     assert deviation[2, 2].tolist() != GREY
     bare = made(np.ones((6, 8)))
     for quantity in ("confidence", "deviation", "object"):
-        assert (pixel_colors(bare, quantity, RANGES) == 160).all()
+        assert (pixel_colors(bare, quantity, RANGES) == 200).all()
 
 
 @pytest.mark.parametrize("quantity", ["depth", "confidence"])

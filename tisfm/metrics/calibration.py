@@ -80,4 +80,6 @@ def error_in_deviations(
         )
     error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(error == 0, 0.0, error / deviation[counts])
+        off = error / deviation[counts]
+    off[(error == 0) & (deviation[counts] == 0)] = 0.0
+    return off

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _TEXT_OF_PICTURE, _TEXT_OF_PLOT = 0.028, 0.036
 _LEAST_TEXT = 9.0  # px: less is not read
 _MOST_PIXELS = 2  # of a picture per pixel of the axes: what is finer is reduced
-_ROOM_FOR_TEXT = 1.25, 0.35  # inches beside and around a picture in a figure of its own
+_AROUND, _ROOM_ASIDE, _ROOM_BELOW = 0.3, 1.0, 0.4  # inches, of a picture in a figure of its own
 _CHARACTER = 0.6  # width of a mean character, in its height
 _FLATTEST = 12  # ratio of the sides of a picture: flatter ones are stretched, to stay visible
 WIDE = 2.0  # ratio from which a bar lies below a picture
@@ -54,14 +54,13 @@ def sizes_for(axes: Axes, share: float = _TEXT_OF_PICTURE) -> Sizes:
     return Sizes(text=points, line=points / 7)
 
 
-def picture_axes(height: int, width: int) -> Axes:
-    """Return axes for a picture and its legend, in a figure of their own."""
+def picture_axes(height: int, width: int, *, below: bool = False) -> Axes:
+    """Return axes for a picture and its legend, beside or below, in a figure of their own."""
     wide, high = panel_size(height, width)
-    aside, around = _ROOM_FOR_TEXT
-    below = aside / 2 if width >= WIDE * height else 0.0
-    size = wide + (0.0 if below else aside) + around, high + below + 2 * around
+    aside, under = (0.0, _ROOM_BELOW) if below else (_ROOM_ASIDE, 0.0)
+    size = wide + aside + 2 * _AROUND, high + under + 2 * _AROUND
     figure = new_figure(size)
-    left, bottom = around / 2 / size[0], around / size[1]
+    left, bottom = _AROUND / size[0], _AROUND / size[1]
     return figure.add_axes((left, bottom, 1 - 2 * left, 1 - 2 * bottom))
 
 
@@ -153,6 +152,7 @@ def draw_bar(
     ticks: Sequence[tuple[float, str]],
     *,
     label: str,
+    short: str,
     sizes: Sizes,
     below: bool,
 ) -> Axes:
@@ -169,6 +169,8 @@ def draw_bar(
         those between them where there is room.
     label : str
         What the bar shows, with its unit.
+    short : str
+        The same where there is room for little.
     sizes : Sizes
     below : bool
         Whether it lies below the picture.
@@ -179,30 +181,33 @@ def draw_bar(
         Those of the bar.
     """
     longest = max(len(text) for _, text in ticks)
-    box = axes.get_window_extent()
-    figure = axes.get_figure(root=True)
-    assert figure is not None
+    character = _CHARACTER * sizes.inch
+    width, height = _shown_size(axes)
     if below:
         bar = _room(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
         _room(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        needed = _CHARACTER * (longest + 2) * sizes.inch * figure.dpi / max(box.width, 1)
+        shown = _with_room(ticks, 1.5 * (longest + 1) * character / width)
         bar.set_yticks([])
-        shown = _with_room(ticks, needed)
         bar.set_xticks([share for share, _ in shown], [text for _, text in shown])
-        bar.set_xlabel(label, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
+        first, *_, last = bar.get_xticklabels()
+        first.set_horizontalalignment("left")  # so that nothing is beyond the picture
+        last.set_horizontalalignment("right")
+        name = label if len(label) * character < width else short
+        bar.set_xlabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
     else:
         bar = _room(axes, "right", 0.8 * sizes.inch, 0.6 * sizes.inch)
-        text_width = (_CHARACTER * longest + 2.6) * sizes.inch
-        _room(axes, "right", text_width, 0).set_axis_off()
+        beside = longest * character + 2.6 * sizes.inch
+        _room(axes, "right", beside, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        needed = 1.6 * sizes.inch * figure.dpi / max(box.height, 1)
+        left = max(width - beside - 1.4 * sizes.inch, 0.0) * height / width
+        shown = _with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
         bar.set_xticks([])
-        shown = _with_room(ticks, needed)
         bar.set_yticks([share for share, _ in shown], [text for _, text in shown])
-        bar.set_ylabel(label, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
+        name = label if len(label) * character < min(height, left) else short
+        bar.set_ylabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
     bar.set(xlim=(0, 1), ylim=(0, 1))
     bar.tick_params(
         labelsize=sizes.text, colors=INK, pad=2, length=0.3 * sizes.text, width=0.5 * sizes.line
@@ -229,6 +234,18 @@ def _room(axes: Axes, side: str, size: float, gap: float) -> Axes:
         axes._tisfm_divider = divider  # type: ignore[attr-defined]
     room: Axes = divider.append_axes(side, size=size, pad=gap)
     return room
+
+
+def _shown_size(axes: Axes) -> tuple[float, float]:
+    """Return the width and height, inches, that a picture has in its axes without a legend."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    box = axes.get_window_extent()
+    width, height = max(box.width, 1.0) / figure.dpi, max(box.height, 1.0) / figure.dpi
+    if axes.get_aspect() == "auto":
+        return width, height
+    columns, rows = (abs(end - start) for start, end in (axes.get_xlim(), axes.get_ylim()))
+    return min(width, height * columns / rows), min(height, width * rows / columns)
 
 
 def _with_room(ticks: Sequence[tuple[float, str]], needed: float) -> list[tuple[float, str]]:

@@ -12,20 +12,11 @@ from tisfm.metrics import depth_error_map, endpoint_error_map
 from tisfm.metrics.calibration import error_in_deviations
 from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, as_map, require_same_size
-from tisfm.show.canvas import (
-    WIDE,
-    draw_bar,
-    few_ticks,
-    name_axis,
-    picture_axes,
-    plot_axes,
-    show_picture,
-    style_plot,
-)
+from tisfm.show.canvas import name_axis, plot_axes, style_plot
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE
-from tisfm.show.draw_maps import doublings
+from tisfm.show.draw_maps import doublings, with_bar
 from tisfm.show.error import ERROR_RANGE, check_error_limits, error_to_color
-from tisfm.show.palette import ESTIMATE, FAINT, INK, color_ramp
+from tisfm.show.palette import ESTIMATE, FAINT, INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +65,7 @@ def draw_flow_error(
     if is_known(true).all(axis=2).any():
         error = endpoint_error_map(recovered, true)
     title = _mean_of(error, "px") if title is None else title
-    return _draw_error(error, limits, "px", "end-point error (px)", axes, title)
+    return _draw_error(error, limits, "px", ("end-point error (px)", "error (px)"), axes, title)
 
 
 def draw_depth_error(
@@ -119,7 +110,7 @@ def draw_depth_error(
         error = 100 * depth_error_map(recovered, true)
     title = _mean_of(error, "%") if title is None else title
     percent = (100 * low, 100 * high)
-    return _draw_error(error, percent, "%", "error of depth (%)", axes, title)
+    return _draw_error(error, percent, "%", ("error of depth (%)", "error (%)"), axes, title)
 
 
 def draw_calibration(
@@ -181,9 +172,9 @@ def draw_calibration(
         label=f"found: {100 * (off <= 1).mean():.0f} % within one",
     )
     target.axvline(1.0, color=FAINT, linewidth=0.5 * sizes.line, linestyle=":")
-    target.set(xlim=(0, _MOST_DEVIATIONS), ylim=(0, 102))
+    target.set(xlim=(0, _MOST_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
+    target.set_yticks((0, 25, 50, 75, 100))
     name_axis(target, sizes, "error (standard deviations)", "pixels within (%)")
-    few_ticks(target, sizes)
     target.legend(loc="lower right", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
     return target
 
@@ -202,20 +193,10 @@ def _draw_error(
     error: NDArray[np.floating],
     limits: tuple[float, float],
     unit: str,
-    label: str,
+    label: tuple[str, str],
     axes: Axes | None,
     title: str,
 ) -> Axes:
     """Draw a map of errors with the bar of its colours."""
-    height, width = error.shape
-    target = picture_axes(height, width) if axes is None else axes
-    sizes = show_picture(target, error_to_color(error, limits=limits), title)
-    draw_bar(
-        target,
-        color_ramp("error"),
-        doublings(limits, unit),
-        label=label,
-        sizes=sizes,
-        below=width >= WIDE * height,
-    )
-    return target
+    ticks = doublings(limits, unit)
+    return with_bar(error_to_color(error, limits=limits), "error", ticks, label, axes, title)

@@ -69,7 +69,7 @@ def draw_depth(
         ticks += [(s, f"{'≤ ' * (s == 1)}{1 / (s * top):.3g}") for s in shares]
     else:
         ticks.append((1.0, "none"))
-    return _with_bar(picture, "depth", ticks, f"depth Z ({unit})", axes, title)
+    return with_bar(picture, "depth", ticks, (f"depth Z ({unit})", f"Z ({unit})"), axes, title)
 
 
 def draw_flow(
@@ -145,7 +145,7 @@ def draw_confidence(
     """
     ticks = [(share, f"{share:g}") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     picture = confidence_to_color(confidence)
-    return _with_bar(picture, "confidence", ticks, "confidence (share)", axes, title)
+    return with_bar(picture, "confidence", ticks, ("confidence (share)", "confidence"), axes, title)
 
 
 def draw_uncertainty(
@@ -183,8 +183,8 @@ def draw_uncertainty(
     """
     picture = uncertainty_to_color(inverse_depth, inverse_depth_std, limits=limits)
     ticks = doublings((100 * limits[0], 100 * limits[1]), "%")
-    label = "standard deviation of depth (%)"
-    return _with_bar(picture, "error", ticks, label, axes, title)
+    label = "standard deviation of depth (%)", "deviation (%)"
+    return with_bar(picture, "error", ticks, label, axes, title)
 
 
 def draw_labels(
@@ -272,20 +272,28 @@ def doublings(limits: tuple[float, float], unit: str) -> list[tuple[float, str]]
     return [(0.0, f"≤ {low:.3g} {unit}"), *ticks, (1.0, f"≥ {high:.3g} {unit}")]
 
 
-def _with_bar(
+def with_bar(
     picture: NDArray[np.uint8],
     quantity: Quantity,
     ticks: Sequence[tuple[float, str]],
-    label: str,
+    label: tuple[str, str],
     axes: Axes | None,
     title: str | None,
 ) -> Axes:
-    """Draw a picture with the bar of its colours."""
+    """Draw a picture with the bar of its colours, whose label is long or short."""
     height, width = picture.shape[:2]
-    target = picture_axes(height, width) if axes is None else axes
-    sizes = show_picture(target, picture, title)
     below = width >= WIDE * height
-    draw_bar(target, color_ramp(quantity), ticks, label=label, sizes=sizes, below=below)
+    target = picture_axes(height, width, below=below) if axes is None else axes
+    sizes = show_picture(target, picture, title)
+    draw_bar(
+        target,
+        color_ramp(quantity),
+        ticks,
+        label=label[0],
+        short=label[1],
+        sizes=sizes,
+        below=below,
+    )
     return target
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +16,14 @@ from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 PathView = Literal["above", "side"]
 
 _MOST_POINTS = 2000  # of a line
 _SHADES = 40, 215  # of the ramp: its ends are lost on a dark page or on a light one
 _ROOM = 0.58  # of the longest side, around the middle
+_MOST_LEGEND = 0.7  # of the width of axes
 _FLATTEST = 0.35  # of the spread in space: what hardly moves aside is not blown up
 
 # Axes that are drawn with their signs, and how they are called.
@@ -173,6 +175,7 @@ def draw_object_paths(
         if len(path):
             lines.append(path)
             _draw_line(target, path, view, sizes, color=INK, style="--", name="camera")
+            _mark_ends(target, path, view, sizes, colors=(INK, INK))
     for number, line in places.items():
         color = as_hex(colors[number])
         _draw_line(target, line, view, sizes, color=color, name=f"object {number}")
@@ -224,8 +227,10 @@ def _draw_line(
     style: str = "-",
 ) -> None:
     x, y = _seen(_thinned(places), view)
-    wide = 1.8 if style == "-" else 1.0
-    axes.plot(x, y, color=color, linestyle=style, linewidth=wide * sizes.line, label=name)
+    wide, order = (1.8, 2) if style == "-" else (0.8, 2.5)  # what is dashed lies on top
+    axes.plot(
+        x, y, color=color, linestyle=style, linewidth=wide * sizes.line, label=name, zorder=order
+    )
 
 
 def _draw_shaded(axes: Axes, places: NDArray[np.float64], view: PathView, sizes: Sizes) -> None:
@@ -287,12 +292,23 @@ def _frame(
 
 
 def _legend(
-    axes: Axes, sizes: Sizes, handles: list | None = None, names: list[str] | None = None
+    axes: Axes, sizes: Sizes, handles: list[Line2D] | None = None, names: Sequence[str] = ()
 ) -> None:
-    given = () if handles is None else (handles, names)
+    """Say what lines are: where there is room, else above the axes."""
+    given = (handles, names) if handles is not None else ()
+    longest = max(map(len, names or axes.get_legend_handles_labels()[1]))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    needed = (longest * 0.6 + 4) * sizes.inch * figure.dpi
+    place: dict[str, Any] = {"loc": "best"}
+    if needed > _MOST_LEGEND * axes.get_window_extent().width:
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+        lines = len(names) or len(axes.get_legend_handles_labels()[1])
+        if axes.get_title():
+            axes.set_title(axes.get_title(), pad=(1.6 * lines + 1.2) * sizes.text, parse_math=False)
     axes.legend(
         *given,
-        loc="best",
+        **place,
         fontsize=sizes.text,
         labelcolor=INK,
         framealpha=0.7,

@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 
 Quantity = Literal["depth", "confidence", "error"]
 
-UNKNOWN_COLOR = (160, 160, 160)
-"""Red, green and blue of what is not known, in all pictures but those of flow and grey levels."""
+UNKNOWN_COLOR = (200, 200, 200)
+"""Red, green and blue of what is not known, in all pictures but those of flow and grey levels.
+
+It is light because darker greys look like the middle of some map without one kind of cone.
+"""
 
 DEPTH_PERCENTILE = 95.0
 """Inverse depths that lie within the range of a picture, percent."""
