@@ -11,9 +11,8 @@ from tests.exports.made import SHAPE, made, picture, ramp
 from tests.exports.runs import run_of
 from tisfm.exports import PairFrames, SequenceFrames, write_video
 from tisfm.exports.ranges import inverse_depth_ranges
-from tisfm.exports.stereo import nearness, view_beside, without_holes
 from tisfm.exports.video_file import video_file
-from tisfm.exports.videos import depth_colors, flow_colors
+from tisfm.show import depth_to_color
 
 pytest.importorskip("av")
 H, W = SHAPE
@@ -76,10 +75,10 @@ def test_one_range_serves_all(tmp_path):
     frames = SequenceFrames(made(tmp_path / "walk"))
     limit = inverse_depth_ranges(frames, range(6))
     values = np.concatenate([ramp(k)[np.isfinite(ramp(k))] for k in range(6)])
-    assert limit == {0: pytest.approx(np.percentile(values, 98), rel=0.01)}
+    assert limit == {0: pytest.approx(np.percentile(values, 95), rel=0.01)}
     write_video(frames, tmp_path / "a.mp4", "depth")
     shown = [frame[10:20, 20:24].mean() for frame in read(tmp_path / "a.mp4")[0]]
-    drawn = [depth_colors(nearness(ramp(k), limit[0]))[10:20, 20:24].mean() for k in range(6)]
+    drawn = [depth_to_color(ramp(k), limit=limit[0])[10:20, 20:24].mean() for k in range(6)]
     assert shown == pytest.approx(drawn, abs=6) and (np.diff(shown) > 3).all()
 
 
@@ -147,17 +146,6 @@ def test_flow_is_of_pairs(tmp_path):
     assert (np.diff([colour[1] for colour in shown]) < 0).all()
 
 
-def test_what_is_faster_is_not_darker():
-    flow = np.zeros((2, 3, 2), np.float32)
-    flow[0, :, 0] = (4, 8, 2)
-    flow[1] = ((1e10, 0), (np.nan, 0), (0, 0))
-    colors = flow_colors(flow, 4.0)
-    np.testing.assert_array_equal(colors[0, 0], colors[0, 1])
-    assert colors[0, 2, 1] > colors[0, 0, 1]
-    np.testing.assert_array_equal(colors[1], [[0] * 3, [0] * 3, [255] * 3])  # unknown is black
-    assert (flow_colors(0 * flow[:1], 0.0) == 255).all()
-
-
 def test_depth_of_pairs_is_in_multiples_of_their_mean(tmp_path):
     """Scales of pairs are of no meaning: one that is twice another looks the same."""
     frames = PairFrames(run_of(tmp_path / "run", scales=(1.0, 7.0, 0.2)))
@@ -168,48 +156,6 @@ def test_depth_of_pairs_is_in_multiples_of_their_mean(tmp_path):
     write_video(posed, tmp_path / "b.mp4", "depth")
     one, two, three = (frame.mean() for frame in read(tmp_path / "b.mp4")[0])
     assert one > two + 10 > three + 20
-
-
-def stripe_at(view):
-    """Return the column of the bright stripe."""
-    columns = np.arange(view.shape[1])
-    weight = view[view.shape[0] // 2].astype(float) ** 4
-    return (columns * weight).sum() / weight.sum()
-
-
-@pytest.mark.parametrize("near", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("disparity", [6.0, -6.0])
-def test_a_view_from_beside_moves_what_is_near(near, disparity):
-    """A camera to the right sees what is before the screen move to the left, half as much."""
-    image = np.zeros((9, 80), np.uint8)
-    image[:, 39:42] = 255
-    depth = np.full(image.shape, np.float32(near))
-    moved = stripe_at(view_beside(image, depth, disparity=disparity, screen=0.5)) - 40
-    assert moved == pytest.approx(disparity * (0.5 - near), abs=0.3)
-
-
-def test_a_view_moves_by_less_than_a_pixel():
-    image = np.zeros((9, 80), np.uint8)
-    image[:, 38:43] = 255
-    depth = np.ones(image.shape, np.float32)
-    moved = [
-        stripe_at(view_beside(image, depth, disparity=d, screen=0.0)) - 40
-        for d in np.arange(0, 3, 0.5)
-    ]
-    assert moved == pytest.approx(-np.arange(0, 3, 0.5), abs=0.1)
-
-
-def test_an_anaglyph_shows_what_is_near_before_the_screen(tmp_path):
-    """Before the screen, the right eye's view, cyan, is to the left of the left eye's, red."""
-    from tisfm.exports.stereo import anaglyph_of
-
-    image = np.zeros((40, 120), np.uint8)
-    image[:, 58:63] = 255
-    for near, sign in ((1.0, 1), (0.0, -1)):
-        depth = np.full(image.shape, np.float32(near))
-        shown = anaglyph_of(image, depth, disparity=12.0, screen=0.5)
-        apart = stripe_at(shown[..., 0]) - stripe_at(shown[..., 2])
-        assert apart * sign == pytest.approx(6, abs=1.5)
 
 
 def test_the_camera_swings_there_and_back(tmp_path, monkeypatch):
@@ -231,19 +177,33 @@ def test_a_still_swings_once(tmp_path):
     assert len(found) == 12 and np.abs(found[3] - found[9]).mean() > 2
 
 
-def test_holes_take_the_farther_side():
-    nan = np.float32(np.nan)
-    values = np.float32([[nan, 3, nan, nan, 1, nan], [nan] * 6, [2, 2, 2, 2, 2, 2]])
-    found = without_holes(values)
-    np.testing.assert_array_equal(found, [[3, 3, 1, 1, 1, 1], [0] * 6, [2] * 6])
-    assert np.isnan(values[0, 0])
-
-
 @pytest.mark.parametrize("disparity", [0.0, -0.1, 0.3])
 def test_no_eyes_follow_any_disparity(tmp_path, disparity):
     frames = SequenceFrames(made(tmp_path / "walk"))
     with pytest.raises(ValueError, match="expected a share of the width"):
         write_video(frames, tmp_path / "a.mp4", "wiggle", disparity=disparity)
+
+
+def test_the_screen_is_one_plane_of_all_frames(tmp_path):
+    """What lies in it has no parallax in any frame: quantile and depth say the same."""
+    frames = SequenceFrames(made(tmp_path / "walk", shape=(40, 160)))
+    values = np.concatenate([ramp(k, (40, 160)).ravel() for k in range(6)])
+    for name, options in (
+        ("quantile", {"screen": 0.25}),
+        ("depth", {"screen_depth": 1 / np.nanquantile(values[values > 0], 0.25)}),
+        ("nearest", {"screen": 1.0}),
+        ("default", {}),
+    ):
+        write_video(frames, tmp_path / f"{name}.mp4", "anaglyph", disparity=0.1, **options)
+    shown = {
+        name: np.stack([blurred(frame) for frame in read(tmp_path / f"{name}.mp4")[0]])
+        for name in ("quantile", "depth", "nearest", "default")
+    }
+    assert np.abs(shown["quantile"] - shown["depth"]).mean() < 2
+    assert np.abs(shown["quantile"] - shown["nearest"]).mean() > 5
+    assert np.abs(shown["quantile"] - shown["default"]).mean() > 3
+    with pytest.raises(ValueError, match=r"screen is 0\.5 and screen_depth is 2: give one"):
+        write_video(frames, tmp_path / "b.mp4", "wiggle", screen=0.5, screen_depth=2)
 
 
 def test_videos_need_their_package(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from tisfm.show import (
     anaglyph,
     dubois,
     second_view,
+    stereo_view,
 )
 from tisfm.show.anaglyph import _MATRICES
 
@@ -81,6 +82,60 @@ def test_near_covers_far_and_holes_are_filled():
     view = second_view(image, inverse_depth, displacement=1.0)
     #       the near pair 7, 8 lands on 4, 5; the hole it leaves takes 6 from the left, 9 from right
     assert view.tolist() == [[1, 2, 3, 7, 8, 6, 6, 9, 9, 10, 11, 12]]
+
+
+def test_holes_show_what_is_behind():
+    image = np.arange(1, 13, dtype=np.uint8)[None]
+    inverse_depth = np.zeros((1, 12))
+    inverse_depth[0, 6:8] = 3.0
+    view = second_view(image, inverse_depth, displacement=1.0, fill="behind")
+    #       the hole where the near pair stood mirrors 6, 5 on its left and 9, 10 on its right
+    assert view.tolist() == [[1, 2, 3, 7, 8, 6, 5, 10, 9, 10, 11, 12]]
+    # A step: the near side, on the left, is not stretched into the hole.
+    step = np.where(np.arange(12) < 6, 3.0, 0.0)[None]
+    view = second_view(image, step, displacement=1.0, fill="behind")
+    assert view.tolist() == [[4, 5, 6, 10, 9, 8, 7, 8, 9, 10, 11, 12]]
+    assert second_view(image, step, displacement=1.0).tolist() == [
+        [4, 5, 6, 6, 6, 7, 7, 8, 9, 10, 11, 12]
+    ]
+    # What is mirrored is never something nearer: only 7, 8 and 9 are behind.
+    gap = np.array([[6.0] * 6 + [0.0] * 3 + [2.0] * 3])
+    view = second_view(image, gap, displacement=1.0, fill="behind")
+    assert view.tolist() == [[7, 7, 7, 7, 9, 8, 7, 10, 11, 12, 11, 10]]
+    with pytest.raises(ValueError, match="fill is 'best', expected nearest or behind"):
+        second_view(image, step, displacement=1.0, fill="best")
+
+
+@PROPERTY
+@given(
+    shifts=hnp.arrays(
+        np.int64,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14),
+        elements=st.integers(0, 8),
+    ),
+)
+def test_only_holes_are_filled_otherwise(shifts):
+    """Where something lands both are the same; elsewhere nothing nearer than both sides is put."""
+    image = np.arange(shifts.size, dtype=np.uint16).reshape(shifts.shape)
+    depth_of = shifts.reshape(-1)
+    nearest, behind = (
+        second_view(image, shifts / 4, displacement=4.0, fill=fill)
+        for fill in ("nearest", "behind")
+    )
+    differs = nearest != behind
+    assert np.array_equal(nearest[~differs], behind[~differs])
+    landed = np.zeros(shifts.shape, bool)
+    for y, x in np.ndindex(shifts.shape):
+        if x >= shifts[y, x]:
+            landed[y, x - shifts[y, x]] = True
+    assert not (differs & landed).any()
+    assert (behind // shifts.shape[1] == np.arange(len(shifts))[:, None]).all()  # of its row
+    for y, x in np.argwhere(differs):
+        row = landed[y]
+        left = [k for k in range(x) if row[k]][-1:]
+        right = [k for k in range(x + 1, len(row)) if row[k]][:1]
+        sides = [depth_of[nearest[y, k]] for k in (*left, *right)]
+        assert depth_of[behind[y, x]] <= max(sides, default=8) + 1
 
 
 def test_nothing_behind_shines_through_a_stretched_surface():
@@ -188,18 +243,30 @@ def test_pictures_of_any_depth_give_the_same_anaglyph():
     assert np.array_equal(dubois(*levels.astype(np.float32)), expected)
 
 
-def test_anaglyph_shifts_the_limit_by_the_disparity():
+def test_anaglyph_is_of_two_eyes():
     image = np.random.default_rng(0).integers(0, 256, (8, 100, 3), dtype=np.uint8)
-    plane = np.full((8, 100), 0.2)
-    expected = dubois(image, second_view(image, plane, displacement=3 / 0.2))
-    assert np.array_equal(anaglyph(image, plane), expected)
-    expected = dubois(image, second_view(image, plane, displacement=5 / 0.2), linear=False)
-    assert np.array_equal(anaglyph(image, plane, max_disparity=5, linear=False), expected)
-    # With one limit for a sequence, a plane at half of it shifts half as far; and none goes beyond.
-    half = dubois(image, second_view(image, plane, displacement=10))
-    assert np.array_equal(anaglyph(image, plane, max_disparity=4, limit=0.4), half)
-    whole = anaglyph(image, plane, max_disparity=4)
-    assert np.array_equal(anaglyph(image, plane, max_disparity=4, limit=0.1), whole)
+    depth = np.linspace(0.1, 1, 800).reshape(8, 100)
+    given = {
+        "disparity": 0.05,
+        "screen": 0.3,
+        "limit": 0.8,
+        "crop": False,
+    }
+    left, right = (stereo_view(image, depth, eye=eye, **given) for eye in (0, 1))
+    assert np.array_equal(left, image)
+    assert np.array_equal(anaglyph(image, depth, **given), dubois(left, right))
+    coded = dubois(left, right, matrices="crt", linear=False)
+    assert np.array_equal(anaglyph(image, depth, matrices="crt", linear=False, **given), coded)
+    for other in (
+        {"disparity": 0.1},
+        {"max_disparity": 9.0},
+        {"screen": 0.9},
+        {"screen": None, "screen_depth": 5.0},
+        {"limit": 0.4},
+        {"crop": True},
+    ):
+        changed = anaglyph(image, depth, **{**given, **other})
+        assert not np.array_equal(changed, dubois(left, right)), other
 
 
 def test_anaglyph_without_depth_is_flat():

@@ -6,7 +6,9 @@ import pytest
 from tests.show.drawn import drawn_parts, overlapping, scene
 from tisfm.show import (
     UNCERTAINTY_RANGE,
-    depth_grey,
+    color_ramp,
+    confidence_to_color,
+    depth_to_color,
     error_to_color,
     flow_to_color,
     rigid_figure,
@@ -29,7 +31,7 @@ def test_uncertainty_has_the_colours_of_errors():
 def test_uncertainty_without_depth_is_grey():
     nothing = np.array([[0.0, -1.0, np.nan, np.inf, 1.0, 1.0]])
     deviation = np.array([[1.0, 1.0, 1.0, 1.0, np.inf, np.nan]])
-    assert np.all(uncertainty_to_color(nothing, deviation) == 128)
+    assert np.all(uncertainty_to_color(nothing, deviation) == 200)
     tiny = uncertainty_to_color([[1e-200]], [[1e200]])
     assert np.array_equal(tiny, uncertainty_to_color([[1.0]], [[1e9]]))
 
@@ -116,24 +118,24 @@ def test_panels_of_a_rigid_figure():
         "Uncertainty of the depth (grey: unknown)",
         "Flow, arrows",
         "Flow, colours",
-        "Confidence (white: 1)",
+        "Confidence (yellow: 1)",
     ]
     frame, depth, uncertainty, _, flow, confidence = shown.values()
     assert (frame[:20, :, 0].mean() > frame[:20, :, 1].mean() + 50).all()
-    assert np.array_equal(depth, depth_grey(arrays[1], limit=2.0))
-    assert np.all(uncertainty[:20] == 128)
+    assert np.array_equal(depth, depth_to_color(arrays[1], limit=2.0))
+    assert np.all(uncertainty[:20] == 200)
     expected = uncertainty_to_color(arrays[1], options["inverse_depth_std"])
     assert np.array_equal(uncertainty[20:], expected[20:])
     assert np.array_equal(flow, flow_to_color(arrays[2], limit=0.4))
-    assert np.array_equal(confidence, depth_grey(options["confidence"], limit=1.0))
+    assert np.array_equal(confidence, confidence_to_color(options["confidence"]))
 
 
 def test_a_rigid_figure_without_depth_says_so():
     (frame, inverse_depth, flow), options = rigid_parts(20, 30)
     options["inverse_depth_std"] = np.full_like(inverse_depth, np.inf)
     shown = rigid_panels(frame, 0 * inverse_depth, 0 * flow, **options)
-    assert not shown["Depth: none to be seen"].any()
-    assert np.all(shown["Uncertainty of the depth (grey: unknown)"] == 128)
+    assert np.all(shown["Depth: none to be seen"] == color_ramp("depth")[0])
+    assert np.all(shown["Uncertainty of the depth (grey: unknown)"] == 200)
 
 
 def test_a_rigid_figure_names_the_wrong_size():

@@ -7,14 +7,15 @@ import pytest
 
 from tests.view.test_cloud import made
 from tisfm.outcome import Status
+from tisfm.show import label_colors
 from tisfm.view.cache import FrameCache
-from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors, thing_colors
+from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors
 from tisfm.view.pictures import KINDS, caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
 
 RANGES = Ranges(inverse_depth=2.0, flow=3.0)
-GREY = [150, 150, 150]
+GREY = [200, 200, 200]
 
 
 def full(**parts):
@@ -42,7 +43,7 @@ def test_what_is_not_known_is_grey():
     assert deviation[2, 2].tolist() != GREY
     bare = made(np.ones((6, 8)))
     for quantity in ("confidence", "deviation", "object"):
-        assert (pixel_colors(bare, quantity, RANGES) == 150).all()
+        assert (pixel_colors(bare, quantity, RANGES) == 200).all()
 
 
 @pytest.mark.parametrize("quantity", ["depth", "confidence"])
@@ -61,9 +62,9 @@ def test_depth_has_one_range_whatever_the_scale_of_a_frame():
 
 
 def test_things_differ_in_colour_and_keep_it():
-    colors = thing_colors(12)
+    colors = label_colors(12)
     assert len({tuple(color) for color in colors}) == 12
-    np.testing.assert_array_equal(thing_colors(4), colors[:4])
+    np.testing.assert_array_equal(label_colors(4), colors[:4])
     shown = pixel_colors(full(), "object", RANGES)
     assert (np.ptp(shown[0], axis=1) == 0).all()  # at rest: grey levels
     assert (np.ptp(shown[4], axis=1) > 0).all()

@@ -41,6 +41,11 @@ class Export:
     disparity: float | None = None
     """Of anaglyphs and the swinging camera: how far the nearest moves against the farthest from one
     view to the other, as a share of the width. By default 0.03, and 0.015 to either side."""
+    screen: float | None = None
+    """Of the same: the plane of the screen, which stays in place, as a quantile of the depth, 0 for
+    the farthest and 1 for the nearest. By default it is half as near as the nearest."""
+    screen_depth: float | None = None
+    """The same as a depth, in the unit of the result."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
@@ -54,4 +59,6 @@ class Export:
             frames_per_second=self.fps,
             scale=self.scale,
             disparity=self.disparity,
+            screen=self.screen,
+            screen_depth=self.screen_depth,
         )

@@ -15,11 +15,11 @@ from tisfm.exports.clock import check_rate
 from tisfm.exports.export import Export
 from tisfm.exports.formats import FORMATS, Format
 from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
-from tisfm.exports.videos import check_disparity
 from tisfm.formats.outputs import make_folder
 from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.show.stereo import check_disparity, check_screen
 
 _LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
 
@@ -33,6 +33,8 @@ def export(
     frames_per_second: float | None = None,
     scale: tuple[int, int, float] | None = None,
     disparity: float | None = None,
+    screen: float | None = None,
+    screen_depth: float | None = None,
 ) -> int:
     """Write a result in other formats, and return the exit code.
 
@@ -44,6 +46,7 @@ def export(
         check_rate(frames_per_second)
     if disparity is not None:
         check_disparity(disparity)
+    check_screen(screen, screen_depth)
     _refuse_inside(output, folder)
     result, found = _opened(folder, scale)
     asked = Export(
@@ -53,6 +56,8 @@ def export(
         folder=output,
         frames_per_second=frames_per_second,
         disparity=disparity,
+        screen=screen,
+        screen_depth=screen_depth,
     )
     for form in wanted.values():
         form.check(asked)

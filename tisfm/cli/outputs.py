@@ -17,9 +17,10 @@ from tisfm.formats.outputs import InputFiles, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
 from tisfm.settings import Settings
+from tisfm.show.stereo import DISPARITY
 from tisfm.version import __version__
 
-_RANGES = ("depth16", "depth", "flow")  # in the order of `FOUND`
+_RANGES = ("depth16", "depth", "flow", "screen")  # in the order of `FOUND`
 
 
 class PairWriter:
@@ -47,6 +48,8 @@ class PairWriter:
         What is written of a pair: the keys of `ENDINGS`.
     figures : int
         Figures are drawn of every so many pairs, from the first on; 0 for none.
+    disparity, screen : float, float or None
+        Of anaglyphs, as for `PairFiles`.
     start, step : int
         The first frame of the source that is taken, and how many there are to the next.
     resume : bool
@@ -82,6 +85,8 @@ class PairWriter:
         window: int = 2,
         outputs: Collection[str] = USUAL,
         figures: int = 1,
+        disparity: float = DISPARITY,
+        screen: float | None = None,
         start: int = 0,
         step: int = 1,
         resume: bool = False,
@@ -96,6 +101,8 @@ class PairWriter:
             outputs=chosen,
             figures=figures if "figure" in chosen else 0,
             has_pose=settings.motion != "field",
+            disparity=disparity,
+            screen=screen,
             inputs=self._inputs,
         )
         self._inputs.refuse(
@@ -114,6 +121,8 @@ class PairWriter:
             "figures": self.files.figures,
             "start": start,
             "step": step,
+            "disparity": disparity,
+            "screen": screen,
         }
         self._earlier: list[Path] = []
         self._record = RunRecord(self.folder, asked)
@@ -147,7 +156,8 @@ class PairWriter:
         self.begin()
         self._remove_report()
         if self.ranges is None:
-            self.ranges = Ranges.of(result, posed=pose is not None)
+            posed = pose is not None
+            self.ranges = Ranges.of(result, posed=posed, screen=self.files.screen)
         written = self.files.write(name, result, ranges=self.ranges, pose=pose, **about)
         self._record.finish(name, *written)
 

@@ -1,5 +1,6 @@
 """The files of one pair, as `tisfm run` and `tisfm demo` write them."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,11 +25,12 @@ from tisfm.show import (
     anaglyph,
     comparison_figure,
     depth_grey,
-    flow_radius,
     inverse_depth_limit,
     rigid_figure,
     save_figure,
+    usual_length,
 )
+from tisfm.show.stereo import DISPARITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,21 +54,36 @@ class Ranges:
         Values of a 16-bit picture per unit of depth.
     flow : float
         px: the speed that is shown in the strongest colour.
+    screen : float
+        The inverse depth in the plane of the screen, of anaglyphs, in the unit of `depth`.
     """
 
     depth: float
     depth16: float
     flow: float
+    screen: float
 
     @classmethod
-    def of(cls, result: Interpretation, *, posed: bool) -> "Ranges | None":
-        """Return ranges that suit a pair; None if it shows no depth."""
+    def of(
+        cls, result: Interpretation, *, posed: bool, screen: float | None = None
+    ) -> "Ranges | None":
+        """Return ranges that suit a pair; None if it shows no depth.
+
+        `screen` is the quantile of the depth in the plane of the screen; by default that plane is
+        half as near as what is shown brightest.
+        """
         if not shows_depth(result):
             return None
+        level = _level(result, posed)
+        depth = inverse_depth_limit(result.inverse_depth) / level
+        plane = depth / 2
+        if screen is not None:
+            plane = float(np.quantile(np.maximum(result.inverse_depth, 0), screen)) / level
         return cls(
-            depth=inverse_depth_limit(result.inverse_depth) / _level(result, posed),
+            depth=depth,
             depth16=choose_depth_scale(result.depth),
-            flow=float(np.percentile(flow_radius(result.flow), 99)),
+            flow=usual_length(result.flow),
+            screen=plane,
         )
 
     def limit(self, result: Interpretation, *, posed: bool) -> float | None:
@@ -74,6 +91,13 @@ class Ranges:
         if not shows_depth(result):
             return None
         return float(self.depth * _level(result, posed))
+
+    def screen_depth(self, result: Interpretation, *, posed: bool) -> float | None:
+        """Return the depth of a pair in the plane of the screen; None if it shows none."""
+        if not shows_depth(result):
+            return None
+        plane = self.screen * _level(result, posed)
+        return 1 / plane if plane > 0 else math.inf
 
 
 def shows_depth(result: Interpretation) -> bool:
@@ -95,6 +119,9 @@ class PairFiles:
         Figures are drawn of every so many pairs, from the first on; 0 for none.
     has_pose : bool
         Whether pairs have rigid motions.
+    disparity, screen : float, float or None
+        Of anaglyphs: the budget as a share of the width, and the quantile of the depth in the plane
+        of the screen, in the first pair that shows depth.
     inputs : InputFiles
         Files that are not to be replaced.
     """
@@ -103,6 +130,8 @@ class PairFiles:
     outputs: tuple[str, ...]
     figures: int
     has_pose: bool
+    disparity: float = DISPARITY
+    screen: float | None = None
     inputs: InputFiles = field(default_factory=InputFiles, repr=False)
 
     def has_figure(self, number: int) -> bool:
@@ -178,7 +207,14 @@ class PairFiles:
         if "flow" in wanted:
             write_flo(f"{path}_flow.flo", result.flow)
         if "anaglyph" in wanted:
-            picture = anaglyph(result.frame, result.inverse_depth, limit=limit)
+            posed = pose is not None
+            picture = anaglyph(
+                result.frame,
+                result.inverse_depth,
+                disparity=self.disparity,
+                screen_depth=None if ranges is None else ranges.screen_depth(result, posed=posed),
+                limit=limit,
+            )
             write_png(f"{path}_anaglyph.png", picture)
         if "figure" in wanted:
             figure = _figure(

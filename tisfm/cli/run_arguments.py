@@ -50,6 +50,13 @@ class Run:
     """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
     """Draw none: the same as --figures 0."""
+    disparity: float = 0.03
+    """Of anaglyphs: how far the nearest moves against the farthest from one eye's view to the
+    other's, as a share of the width."""
+    screen: float | None = None
+    """Of anaglyphs: the plane of the screen, as a quantile of the depth of the first pair that
+    shows some, 0 for the farthest and 1 for the nearest. By default it is half as near as the
+    nearest."""
     flo: bool = False
     """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
     ply: bool = False
@@ -92,6 +99,8 @@ class Run:
             resume=self.resume,
             outputs=self._outputs(),
             figures=0 if self.no_figures else self.figures,
+            disparity=self.disparity,
+            screen=self.screen,
             report=self.report,
             workers=self.workers,
             cluster=self.cluster,

@@ -35,6 +35,7 @@ from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
+from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.window import Window, WindowSize, window_of
@@ -54,6 +55,8 @@ def run(
     resume: bool = False,
     outputs: Collection[str] = USUAL,
     figures: int = 1,
+    disparity: float = DISPARITY,
+    screen: float | None = None,
     report: bool = False,
     workers: int = 1,
     cluster: str | None = None,
@@ -66,10 +69,13 @@ def run(
     may be a file of one. `poses` is a file of a pose for every frame, those that are not taken
     included. `mask` is a picture, or a folder or pattern of one for every frame. With several
     `workers`, processes, or a `cluster`, the address of a scheduler of Dask, these share the pairs;
-    results are the same. With `report`, ``report.html`` is written at the end, or made again.
+    results are the same. `disparity` and `screen` are of anaglyphs. With `report`, ``report.html``
+    is written at the end, or made again.
     """
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
+    check_disparity(disparity)
+    check_screen(screen, None)
     kept = window_of(window, settings)
     if kept is not None and resume and "npz" not in outputs:
         raise ValueError(
@@ -119,6 +125,8 @@ def run(
         window=window,
         outputs=outputs,
         figures=figures,
+        disparity=disparity,
+        screen=screen,
         start=pairs.chosen.start,
         step=pairs.chosen.step,
         resume=resume,

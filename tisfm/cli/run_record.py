@@ -18,7 +18,7 @@ RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
     "version", "arch", "lanes", "camera", "settings", "window", "outputs", "figures", "start",
-    "step",
+    "step", "disparity", "screen",
 )  # fmt: skip
 ENDINGS = {
     "depth": "_depth.png",
@@ -31,7 +31,7 @@ ENDINGS = {
     "npz": ".npz",
 }
 """What names of a pair's files end in, by outputs."""
-FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit")
+FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
 _LEAST_APART, _SHARE = 1.0, 20.0  # s between renewals; and times what the last one took
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",

@@ -27,6 +27,8 @@ class Export:
     frames_per_second : float or None
     disparity : float or None
         Of anaglyphs and of the swinging camera, as a share of the width.
+    screen, screen_depth : float or None
+        The plane of their screen, as a quantile of the depth or as a depth.
     """
 
     result: Reconstruction | None
@@ -35,6 +37,8 @@ class Export:
     folder: Path
     frames_per_second: float | None = None
     disparity: float | None = None
+    screen: float | None = None
+    screen_depth: float | None = None
 
     @property
     def sequence(self) -> Reconstruction:

@@ -99,6 +99,8 @@ def _video(kind: VideoKind) -> Format:
             chosen=export.chosen,
             frames_per_second=export.frames_per_second,
             disparity=export.disparity,
+            screen=export.screen,
+            screen_depth=export.screen_depth,
             progress=progress,
         )
         return [file]

@@ -6,9 +6,9 @@ import numpy as np
 
 from tisfm.exports.result_frames import ResultFrames
 from tisfm.show import flow_radius
+from tisfm.show.palette import DEPTH_PERCENTILE, FLOW_PERCENTILE
 
 FRAMES, VALUES = 48, 20_000  # frames that are looked at, and values of each, about
-NEAREST, FASTEST = 98.0, 99.0  # percentiles at the end of the range
 
 
 def some_of(frames: Sequence[int], count: int = FRAMES) -> list[int]:
@@ -18,11 +18,13 @@ def some_of(frames: Sequence[int], count: int = FRAMES) -> list[int]:
     return [frames[k] for k in np.linspace(0, len(frames) - 1, count).round().astype(int)]
 
 
-def inverse_depth_ranges(frames: ResultFrames, chosen: Sequence[int]) -> dict[int, float]:
-    """Return the inverse depth that is shown as nearest, for each group of frames with one scale.
+def inverse_depth_ranges(
+    frames: ResultFrames, chosen: Sequence[int], percentile: float = DEPTH_PERCENTILE
+) -> dict[int, float]:
+    """Return the inverse depth that so many values stay below, for each group with one scale.
 
-    It is in multiples of what `ResultFrames.scale` returns; 98 % of the values that are looked at
-    are below. 0 where there is none.
+    It is in multiples of what `ResultFrames.scale` returns. By default it is what is shown as
+    nearest. 0 where there is none.
     """
     groups: dict[int, list[int]] = {}
     for frame in chosen:
@@ -31,18 +33,18 @@ def inverse_depth_ranges(frames: ResultFrames, chosen: Sequence[int]) -> dict[in
     for group, members in groups.items():
         found = [_positive(frames, frame) for frame in some_of(members)]
         values = np.concatenate(found)
-        ranges[group] = float(np.percentile(values, NEAREST)) if len(values) else 0.0
+        ranges[group] = float(np.percentile(values, percentile)) if len(values) else 0.0
     return ranges
 
 
 def speed_range(frames: ResultFrames, chosen: Sequence[int]) -> float:
-    """Return the length of image motion, px, that 99 % of what is looked at stays below."""
+    """Return the length of image motion, px, that nearly all of what is looked at stays below."""
     found = []
     for frame in some_of(chosen):
         radius = flow_radius(thinned(frames.flow(frame))).ravel()
         found.append(radius[np.isfinite(radius)])
     values = np.concatenate(found)
-    return float(np.percentile(values, FASTEST)) if len(values) else 0.0
+    return float(np.percentile(values, FLOW_PERCENTILE)) if len(values) else 0.0
 
 
 def thinned(values: np.ndarray) -> np.ndarray:

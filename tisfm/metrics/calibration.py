@@ -1,7 +1,7 @@
 """How often a standard deviation of the depth covers its error."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked, unmasked_mask
 
@@ -38,6 +38,26 @@ def std_coverage(
         If shapes differ, a value is masked, or no pixel that counts has a known truth and a
         positive estimate.
     """
+    times = error_in_deviations(inverse_depth, inverse_depth_std, truth, mask)
+    return float((times <= 1).mean())
+
+
+def error_in_deviations(
+    inverse_depth: ArrayLike,
+    inverse_depth_std: ArrayLike,
+    truth: ArrayLike,
+    mask: ArrayLike | None = None,
+) -> NDArray[np.float64]:
+    """Return how many standard deviations the inverse depth is off, of the pixels that count.
+
+    Parameters and errors are those of `std_coverage`. What has an infinite deviation is off by
+    none, what has no deviation (NaN) by NaN.
+
+    Returns
+    -------
+    (M,) float64 ndarray
+        At least 0.
+    """
     found = unmasked(inverse_depth, "inverse_depth", np.float64)
     deviation = unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
     true = unmasked(truth, "truth", np.float64)
@@ -59,4 +79,7 @@ def std_coverage(
             "counts"
         )
     error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
-    return float((error <= deviation[counts]).mean())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = error / deviation[counts]
+    off[(error == 0) & (deviation[counts] == 0)] = 0.0
+    return off

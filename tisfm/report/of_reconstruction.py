@@ -12,16 +12,17 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.file import refuse_foreign, write_page
 from tisfm.report.page import Page, Slide, View, html
-from tisfm.report.pictures import Pictures, chosen, depth_colors
+from tisfm.report.pictures import Pictures, chosen
 from tisfm.report.settings_table import nearest_preset, setting_rows
 from tisfm.report.shared import depth_legend, deviation_legend, flow_legend
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.show import (
-    flow_radius,
+    depth_to_color,
     flow_to_color,
     inverse_depth_limit,
     label_overlay,
     uncertainty_to_color,
+    usual_length,
 )
 
 _DEPTH, _MOTION = "Depth, near is bright", "Image motion to the next frame"
@@ -198,8 +199,7 @@ def _slides(result: Reconstruction, numbers: list[int]) -> tuple[list[Slide], fl
         limits.setdefault(int(result.piece[number]), []).append(inverse_depth_limit(inverse_depth))
         flow = _flow(result, number, inverse_depth)
         if flow is not None:
-            radius = flow_radius(flow)
-            speeds.append(float(np.percentile(radius[np.isfinite(radius)], 99)))
+            speeds.append(usual_length(flow))
     tops = {piece: _median_above_0(found) for piece, found in limits.items()}
     flow_limit = _median_above_0(speeds)
     pictures = Pictures(_VIEWS * len(numbers))
@@ -219,12 +219,12 @@ def _slide(
     piece, status = int(result.piece[number]), result.status[number]
     depth = deviation = motion = None
     if has_depth:
-        depth = pictures.url(depth_colors(inverse_depth, tops[piece]))
+        depth = pictures.url(depth_to_color(inverse_depth, limit=tops[piece]))
         std = result.inverse_depth_std(number)
         deviation = pictures.url(uncertainty_to_color(inverse_depth, std))
         flow = _flow(result, number, inverse_depth)
         if flow is not None:
-            motion = pictures.url(flow_to_color(flow, limit=flow_limit))
+            motion = pictures.url(flow_to_color(flow, limit=flow_limit, beyond="same"))
     views = [
         View(title="Frame", url=pictures.url(frame)),
         View(title=_DEPTH, url=depth),

@@ -13,12 +13,19 @@ from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.file import refuse_foreign, write_page
 from tisfm.report.page import Page, Slide, View, html
-from tisfm.report.pictures import Pictures, chosen, depth_colors, share_colors
+from tisfm.report.pictures import Pictures, chosen
 from tisfm.report.settings_table import nearest_preset, setting_rows
 from tisfm.report.shared import depth_legend, flow_legend, share_legend
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.settings import Settings
-from tisfm.show import flow_radius, flow_to_color, inverse_depth_limit, label_overlay
+from tisfm.show import (
+    confidence_to_color,
+    depth_to_color,
+    flow_to_color,
+    inverse_depth_limit,
+    label_overlay,
+    usual_length,
+)
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
 _VIEWS = 4  # pictures of a pair; one more for labels
@@ -194,9 +201,7 @@ def _slides(
         level = _mean_inverse_depth(result)
         if level > 0 and str(result.status) not in ("diverged", "pose_mismatch"):
             levels.append(inverse_depth_limit(result.inverse_depth) / level)
-        radius = flow_radius(result.flow)
-        radius = radius[np.isfinite(radius)]
-        speeds.append(float(np.percentile(radius, 99)) if radius.size else 0.0)
+        speeds.append(usual_length(result.flow))
     depth_limit = float(np.median(levels)) if levels else 1.0
     flow_limit = float(recorded or (np.median(speeds) if speeds else 0.0))
     pictures = Pictures((_VIEWS + 1) * len(shown))
@@ -208,15 +213,15 @@ def _slides(
             View(title="Frame", url=pictures.url(result.frame)),
             View(
                 title=_DEPTH,
-                url=pictures.url(depth_colors(result.inverse_depth, depth_limit * level))
+                url=pictures.url(depth_to_color(result.inverse_depth, limit=depth_limit * level))
                 if level > 0
                 else None,
             ),
             View(
                 title=_MOTION,
-                url=pictures.url(flow_to_color(result.flow, limit=flow_limit)),
+                url=pictures.url(flow_to_color(result.flow, limit=flow_limit, beyond="same")),
             ),
-            View(title=_CONFIDENCE, url=pictures.url(share_colors(result.confidence))),
+            View(title=_CONFIDENCE, url=pictures.url(confidence_to_color(result.confidence))),
         ]
         if result.labels is not None and result.labels.max() > 0:
             overlay = label_overlay(result.frame, result.labels)

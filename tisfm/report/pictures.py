@@ -2,13 +2,11 @@
 
 import base64
 import io
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tisfm.show import depth_grey
 from tisfm.show.arrays import as_rgb, as_uint8
 
 MOST_SLIDES = 48
@@ -52,26 +50,6 @@ def png_url(picture: NDArray[np.uint8]) -> str:
     data = io.BytesIO()
     Image.fromarray(picture).save(data, "PNG", optimize=True)
     return _address("png", data.getvalue())
-
-
-def depth_colors(inverse_depth: NDArray[np.floating], limit: float | None) -> NDArray[np.uint8]:
-    """Show inverse depth, (H, W), in the colours of magma: near is bright, and none is black."""
-    return ramp("magma")[depth_grey(inverse_depth, limit=limit)]
-
-
-def share_colors(share: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Show numbers from 0 to 1, (H, W), in the colours of cividis: 1 is bright."""
-    levels = np.rint(255 * np.clip(np.nan_to_num(share, nan=0.0), 0, 1)).astype(np.uint8)
-    return ramp("cividis")[levels]
-
-
-@cache
-def ramp(name: str) -> NDArray[np.uint8]:
-    """Return 256 colours, (256, 3), of one of Matplotlib's maps."""
-    from matplotlib import colormaps
-
-    colors = colormaps[name](np.arange(256))[:, :3]
-    return np.rint(255 * colors).astype(np.uint8)
 
 
 def chosen(count: int, wanted: list[int], most: int = MOST_SLIDES) -> list[int]:

@@ -1,17 +1,14 @@
-"""A second view from one picture and its depth, and both in one red-cyan picture."""
+"""Two views in one picture for red-cyan glasses."""
 
 import functools
-import math
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.show.arrays import as_image, as_map, as_rgb, as_uint8, check_limit, require_same_size
-from tisfm.show.grey import inverse_depth_limit
-
-_DEFAULT_DISPARITY = 0.03  # of the width
+from tisfm.show.arrays import as_image, as_rgb, as_uint8, require_same_size
+from tisfm.show.stereo import DISPARITY, stereo_view
 
 # Least-squares matrices for red-cyan glasses: out = L left + R right, rows and columns R, G, B.
 _MATRICES = {
@@ -32,61 +29,6 @@ _MATRICES = {
         ),
     ),
 }
-
-
-def second_view(image: ArrayLike, inverse_depth: ArrayLike, *, displacement: float) -> NDArray[Any]:
-    """Make the view of a second camera, displaced along the X axis.
-
-    By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
-    It is drawn at the nearest column, and hides what is farther; a picture stays a picture of
-    whole pixels. Columns that nothing reaches take the nearest pixel of their row.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) array_like
-        The given picture, of any real type.
-    inverse_depth : (H, W) array_like
-        Inverse depth 1/Z of each pixel, in any unit. Values that are negative or not finite count
-        as 0, infinitely far.
-    displacement : float
-        f d, px times the unit of depth: displacement times inverse depth is the shift, px. Positive
-        for a second camera to the right of the first.
-
-    Returns
-    -------
-    (H, W) or (H, W, 3) ndarray
-        The second view, of the type of `image`.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, the sizes differ, or `displacement` is not finite.
-
-    Notes
-    -----
-    Of the pixels that reach one place, the nearest is the one farthest right in the given picture
-    if the camera moves to the right: what shifts more to the left came from further right. The
-    greatest (or least) column is therefore all that has to be found, and depths are never sorted.
-
-    References
-    ----------
-    H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, appendix,
-    doi:10.1016/j.robot.2006.11.006.
-    """
-    picture = as_image("image", image)
-    depth = as_map("inverse_depth", inverse_depth)
-    require_same_size("inverse_depth", depth, "image", picture)
-    if not math.isfinite(displacement):
-        raise ValueError(f"displacement is {displacement!r}, expected a finite number")
-    if displacement < 0:
-        # The mirror image of a camera that moves to the right.
-        mirrored = second_view(picture[:, ::-1], depth[:, ::-1], displacement=-displacement)
-        return np.ascontiguousarray(mirrored[:, ::-1])
-    source = _fill_rows(_nearest_source(_shifts(depth, displacement)))
-    height, width = source.shape
-    # Over whole pixels, which is several times as fast as along an axis of three channels.
-    pixels = picture.reshape(height * width, *picture.shape[2:])
-    return np.take(pixels, source + width * np.arange(height)[:, None], axis=0, mode="clip")
 
 
 def dubois(
@@ -149,15 +91,18 @@ def anaglyph(
     image: ArrayLike,
     inverse_depth: ArrayLike,
     *,
+    disparity: float = DISPARITY,
     max_disparity: float | None = None,
+    screen: float | None = None,
+    screen_depth: float | None = None,
     limit: float | None = None,
+    crop: bool = True,
     matrices: Literal["2009", "crt"] = "2009",
     linear: bool = True,
 ) -> NDArray[np.uint8]:
     """Make a picture for red-cyan glasses from one picture and its depth.
 
-    The picture is the left eye's view; the right eye's is made by `second_view`. What is
-    infinitely far lies in the plane of the picture, and what is near stands out in front of it.
+    The picture is the left eye's view; the right eye's is made by `stereo_view`.
 
     Parameters
     ----------
@@ -165,12 +110,9 @@ def anaglyph(
         Picture, sRGB: uint8, uint16, or float.
     inverse_depth : (H, W) array_like
         Inverse depth in any unit.
-    max_disparity : float, optional
-        Shift between the two views where the inverse depth is `limit`, px. Nearer points shift no
-        further. The default is 3 % of the width.
-    limit : float, optional
-        Inverse depth of the greatest shift; by default `inverse_depth_limit`, the 95th percentile.
-        Give all pictures of a sequence the same limit, or depth will pump.
+    disparity, max_disparity, screen, screen_depth, limit, crop
+        The disparity budget, as a share of the width or in px, the plane of the screen, the inverse
+        depth that counts as nearest, and whether the border is cut off: as in `stereo_view`.
     matrices, linear
         As in `dubois`.
 
@@ -182,88 +124,23 @@ def anaglyph(
     Raises
     ------
     ValueError
-        If a shape is wrong, the sizes differ, or a limit is negative or not finite.
+        If a shape is wrong, the sizes differ, or an option is out of its range.
     """
-    picture = as_image("image", image)
-    depth = as_map("inverse_depth", inverse_depth)
-    require_same_size("inverse_depth", depth, "image", picture)
-    shift = (
-        _DEFAULT_DISPARITY * picture.shape[1]
-        if max_disparity is None
-        else check_limit("max_disparity", max_disparity)
+    left, right = (
+        stereo_view(
+            image,
+            inverse_depth,
+            eye=eye,
+            disparity=disparity,
+            max_disparity=max_disparity,
+            screen=screen,
+            screen_depth=screen_depth,
+            limit=limit,
+            crop=crop,
+        )
+        for eye in (0.0, 1.0)
     )
-    top = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
-    share = np.zeros_like(depth)
-    if top > 0:
-        # A few wild depths must not be thrown across the picture.
-        np.clip(depth, 0, top, out=share, where=np.isfinite(depth))
-        share /= top
-    right = second_view(picture, share, displacement=shift)
-    return dubois(picture, right, matrices=matrices, linear=linear)
-
-
-def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
-    """Return f d / Z in whole pixels, no further than out of the picture."""
-    width = inverse_depth.shape[1]
-    valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
-    shift = np.zeros_like(inverse_depth)
-    with np.errstate(over="ignore"):  # infinity is out of the picture as well
-        np.multiply(inverse_depth, displacement, out=shift, where=valid)
-    np.minimum(shift, width, out=shift)
-    return np.rint(shift, out=shift).astype(np.int32)
-
-
-def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return, for each place of the second view, the column it shows, or -1 for none.
-
-    Parameters
-    ----------
-    shifts : (H, W) int32 ndarray
-        Shift to the left of each pixel, px, at least 0.
-
-    Returns
-    -------
-    (H, W) int32 ndarray
-        Column of the nearest of the pixels that land here.
-    """
-    height, width = shifts.shape
-    margin = int(shifts.max(initial=0))  # what leaves the picture lands there, and is cut off
-    columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))
-    starts = (margin + width) * np.arange(height)[:, None]
-    targets = margin + columns - shifts
-    source = np.full((height, margin + width), -1, dtype=np.int32)
-    # Columns come in order, so that the last one stays: it is the greatest.
-    source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
-    # A surface that turns away is stretched: neighbours land two places apart. The place between
-    # them belongs to that surface, and nothing behind it may shine through.
-    stretched = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
-    row, column = np.divmod(stretched, max(1, width - 1))
-    between = row, targets[row, column] + 1
-    np.maximum.at(source, between, column.astype(np.int32))
-    return source[:, margin:]
-
-
-def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Give each empty place (-1) what the nearest filled place of its row has.
-
-    A row that is empty altogether, because all of it shifted out to the left, takes its last pixel.
-    """
-    height, width = source.shape
-    flat = source.reshape(-1)  # a copy where there is a margin
-    filled = np.flatnonzero(flat >= 0)
-    empty = np.flatnonzero(flat < 0)
-    following = np.searchsorted(filled, empty)
-    # Places before the first row and after the last are filled as well, and far away.
-    filled = np.concatenate([[-width - 1], filled, [(height + 1) * width]])
-    before, after = filled[following], filled[following + 1]
-    start = empty - empty % width
-    gap_before = np.where(before >= start, empty - before, width)
-    gap_after = np.where(after < start + width, after - empty, width)
-    nearest = np.where(gap_before <= gap_after, before, after)
-    nothing = np.minimum(gap_before, gap_after) == width
-    nearest[nothing] = 0
-    flat[empty] = np.where(nothing, width - 1, flat[nearest])
-    return flat.reshape(height, width)
+    return dubois(left, right, matrices=matrices, linear=linear)
 
 
 @functools.cache

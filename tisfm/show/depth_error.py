@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics import depth_error_map, depth_errors
 from tisfm.show.arrays import as_map, require_same_size
+from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.drawing import BAR_SIZE, draw_color_bar, draw_panels
 from tisfm.show.error import WIDE, check_error_limits, error_to_color
-from tisfm.show.grey import depth_grey, inverse_depth_limit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,9 +29,9 @@ def depth_error_figure(
 ) -> Figure:
     """Show a depth beside the true one on one scale, and its relative error.
 
-    The depth is scaled by the median first, as by `tisfm.metrics.depth_errors`. Grey levels are
-    linear in inverse depth, near is bright, and white is the 95th percentile of the truth. Errors
-    have the colours of `error_to_color`, on a logarithmic scale.
+    The depth is scaled by the median first, as by `tisfm.metrics.depth_errors`. Colours are
+    linear in inverse depth, near is bright, and the brightest is the 95th percentile of the truth.
+    Errors have the colours of `error_to_color`, on a logarithmic scale.
 
     Parameters
     ----------
@@ -64,8 +64,11 @@ def depth_error_figure(
     true_inverse = _inverse(true)
     top = inverse_depth_limit(true_inverse)
     panels = [
-        ("Recovered depth (near is bright)", depth_grey(_inverse(recovered) / scale, limit=top)),
-        ("True depth (black: unknown)", depth_grey(true_inverse, limit=top)),
+        (
+            "Recovered depth (near is bright)",
+            depth_to_color(_inverse(recovered) / scale, limit=top),
+        ),
+        ("True depth (grey: unknown)", depth_to_color(true_inverse, limit=top)),
         ("Relative error (grey: unknown)", error),
     ]
     height, width = true.shape
@@ -78,8 +81,8 @@ def depth_error_figure(
 
 
 def _inverse(depth: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return the inverse depth, 0 where there is no depth."""
+    """Return the inverse depth, NaN where there is no depth."""
     known = np.isfinite(depth) & (depth > 0)
-    inverse = np.zeros(depth.shape)
+    inverse = np.full(depth.shape, np.nan)
     np.divide(1.0, depth, out=inverse, where=known)
     return inverse

@@ -85,7 +85,7 @@ def draw_panels(
         heading=heading,
         legend=legend,
     )
-    figure = _new_figure(layout.size)
+    figure = new_figure(layout.size)
     pictures = [image for row in rows for _, image in row]
     axes = []
     for box, title, image in zip(layout.panels, layout.titles, pictures, strict=True):
@@ -295,12 +295,12 @@ def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: f
         extent=(middle - radius, middle + radius, wheel_middle - radius, wheel_middle + radius),
         aspect="auto",
     )
-    rim = f"rim: {limit:.0f} px/frame" if limit >= 100 else f"rim: {limit:.2g} px/frame"
+    rim = f"rim: ≥ {limit:.0f} px/frame" if limit >= 100 else f"rim: ≥ {limit:.2g} px/frame"
     _write(axes, middle, size[1] - 2 * radius - 0.05, rim, va="top", fontsize=_LEGEND_TEXT)
     return axes
 
 
-def _new_figure(size: tuple[float, float]) -> Figure:
+def new_figure(size: tuple[float, float]) -> Figure:
     """Return an empty white figure that is drawn by Agg."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

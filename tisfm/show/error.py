@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,6 +17,7 @@ from tisfm.show.drawing import (
     draw_wheel,
 )
 from tisfm.show.flow import flow_to_color, usual_length
+from tisfm.show.palette import colors_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,18 +25,17 @@ if TYPE_CHECKING:
 ERROR_RANGE = (1 / 16, 16.0)
 """Default ends of the scale of errors, px: eight doublings, with 1 px in the middle."""
 
-_UNKNOWN_GREY = 128
 WIDE = 2  # width over height from which pictures go below one another
 
 
 def error_to_color(
     error: ArrayLike, *, limits: tuple[float, float] = ERROR_RANGE
 ) -> NDArray[np.uint8]:
-    """Show the length of flow errors as colours, from black through red to pale yellow.
+    """Show the length of flow errors as colours, from dark violet through green to yellow.
 
     The scale is logarithmic, so that one range serves a tenth of a pixel and ten alike and
     pictures of all datasets can be compared: each doubling of the error is the same step of the
-    map, which is perceptually uniform (inferno).
+    map, which is even to the eye (viridis).
 
     Parameters
     ----------
@@ -59,11 +58,10 @@ def error_to_color(
     values = as_map("error", error)
     low, high = check_error_limits(limits)
     known = ~np.isnan(values)
-    share = np.log(np.clip(np.where(known, values, low), low, high) / low) / math.log(high / low)
-    levels = np.rint(share * 255).astype(np.uint8)
-    color = cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1].copy()
-    color[~known] = _UNKNOWN_GREY
-    return color
+    share = np.full(values.shape, np.nan)
+    clipped = np.clip(values[known], low, high)
+    share[known] = np.log(clipped / low) / math.log(high / low)
+    return colors_of(share, "error")
 
 
 def error_figure(
@@ -138,8 +136,8 @@ def flow_figure(
     require_same_size("truth", true, "flow", recovered)
     top = usual_length(true) if limit is None else check_limit("limit", limit)
     panels = [
-        ("Recovered flow", flow_to_color(recovered, limit=top)),
-        ("True flow (black: unknown)", flow_to_color(true, limit=top)),
+        ("Recovered flow", flow_to_color(recovered, limit=top, beyond="same")),
+        ("True flow (black: unknown)", flow_to_color(true, limit=top, beyond="same")),
     ]
     height, width = recovered.shape[:2]
     rows = [panels] if width < WIDE * height else [[panel] for panel in panels]

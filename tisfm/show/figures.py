@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked_mask
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
+from tisfm.show.depth import depth_grey
 from tisfm.show.drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
 from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.grey import depth_grey
 from tisfm.show.layout import panel_size
+from tisfm.show.palette import HIDDEN
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +38,6 @@ _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
 # Without these a file states when it was made, and two runs never make the same file.
 _UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 _PLEASANT_RATIO = 1.6
-_OCCLUDED = (255, 0, 60)
 
 
 def comparison_figure(
@@ -136,7 +136,7 @@ def comparison_figure(
     dim = backdrop(shown)
     arrows = [(f"{label}, arrows", dim) for label in flow_labels.values()]
     colors = [
-        (f"{label}, colours", flow_to_color(flows[name], limit=limit))
+        (f"{label}, colours", flow_to_color(flows[name], limit=limit, beyond="same"))
         for name, label in flow_labels.items()
     ]
     # A single flow has its arrows and colours side by side as well.
@@ -234,7 +234,7 @@ def tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
     (H, W, 3) uint8 ndarray
     """
     tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
-    red = (tinted[mask].astype(np.uint16) + 2 * np.array(_OCCLUDED, np.uint16)) // 3
+    red = (tinted[mask].astype(np.uint16) + 2 * np.array(HIDDEN, np.uint16)) // 3
     tinted[mask] = red.astype(np.uint8)
     return tinted
 

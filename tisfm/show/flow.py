@@ -2,13 +2,14 @@
 
 import functools
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, check_limit
+from tisfm.show.palette import FLOW_PERCENTILE
 
 # Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
 # more steps where the eye tells hues apart well.
@@ -68,14 +69,19 @@ def usual_length(flow: ArrayLike) -> float:
     """
     radius = flow_radius(flow)
     known = radius[np.isfinite(radius)]
-    return float(np.percentile(known, 98)) if known.size else 0.0
+    return float(np.percentile(known, FLOW_PERCENTILE)) if known.size else 0.0
 
 
-def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
+def flow_to_color(
+    flow: ArrayLike,
+    *,
+    limit: float | None = None,
+    beyond: Literal["darker", "same"] = "darker",
+) -> NDArray[np.uint8]:
     """Show flow as colours: direction as hue, length as saturation.
 
     No motion is white. Motion to the right is red, downwards yellow, to the left cyan to blue and
-    upwards violet, fully saturated at `limit`; longer motion is darkened by 0.75.
+    upwards violet, fully saturated at `limit`; longer motion is darkened by 0.75, or not.
 
     Parameters
     ----------
@@ -84,6 +90,9 @@ def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.
     limit : float, optional
         Length of full saturation, px. The default is the greatest known length, so that nothing
         is darkened. Give pictures to be compared, and all of a sequence, the same limit.
+    beyond : {"darker", "same"}
+        What longer motion looks like: darker, as the benchmark has it, or as if it were as long as
+        the limit, which looks less like an edge where the limit is a percentile.
 
     Returns
     -------
@@ -93,7 +102,7 @@ def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.
     Raises
     ------
     ValueError
-        If `flow` is not (H, W, 2) or `limit` is negative or not finite.
+        If `flow` is not (H, W, 2), `limit` is negative or not finite, or `beyond` is another.
 
     Notes
     -----
@@ -107,6 +116,8 @@ def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.
     Journal of Computer Vision 92 (2011) 1-31, doi:10.1007/s11263-010-0390-2.
     """
     values = as_flow("flow", flow)
+    if beyond not in ("darker", "same"):
+        raise ValueError(f"beyond is {beyond!r}, expected darker or same")
     radius = flow_radius(values)
     known = np.isfinite(radius)
     if limit is None:
@@ -119,7 +130,8 @@ def flow_to_color(flow: ArrayLike, *, limit: float | None = None) -> NDArray[np.
     # A limit of 0 leaves only two cases: no motion, and motion beyond the limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
-    color = np.where(share <= 1, 255 - share * (255 - hue), hue * np.float32(_BEYOND))
+    last = hue * np.float32(_BEYOND) if beyond == "darker" else hue
+    color = np.where(share <= 1, 255 - share * (255 - hue), last)
     color[~known] = 0
     return np.rint(color).astype(np.uint8)
 

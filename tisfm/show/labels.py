@@ -1,22 +1,21 @@
 """Which of several motions a pixel has, as colours over the picture."""
 
-import colorsys
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
+from tisfm.show.palette import category_colors
 
-_GOLDEN = (5**0.5 - 1) / 2  # of the circle of hues: however many there are, none are near
-_FIRST_HUE = 0.05
 _COVER = 0.55  # share of the colour in what it covers
 _LINES = 400  # outlines are 1 px wide in a picture so wide, and grow with it
 
 
 def label_colors(count: int) -> NDArray[np.uint8]:
-    """Return a colour for each label: light grey for 0, the background, and hues for the others.
+    """Return a colour for each label: light grey for 0, the background, and others for the others.
+
+    They are told apart with a colour vision deficiency as well.
 
     Parameters
     ----------
@@ -26,7 +25,8 @@ def label_colors(count: int) -> NDArray[np.uint8]:
     Returns
     -------
     (count, 3) uint8 ndarray
-        Red, green, blue. The colour of a label does not depend on the number of labels.
+        Red, green, blue. The colour of a label does not depend on the number of labels. After 15
+        they repeat.
 
     Raises
     ------
@@ -35,8 +35,7 @@ def label_colors(count: int) -> NDArray[np.uint8]:
     """
     if count < 1:
         raise ValueError(f"count is {count}, expected 1 or more labels")
-    hues = [colorsys.hsv_to_rgb((_FIRST_HUE + k * _GOLDEN) % 1, 0.9, 1) for k in range(count - 1)]
-    return np.rint(255 * np.array([(0.75, 0.75, 0.75), *hues])).astype(np.uint8)
+    return category_colors(count)
 
 
 def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:

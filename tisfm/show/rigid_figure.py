@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
+from tisfm.show.confidence import confidence_to_color
+from tisfm.show.depth import depth_to_color
 from tisfm.show.drawing import (
     BAR_SIZE,
     LEGEND_SIZE,
@@ -23,7 +25,6 @@ from tisfm.show.drawing import (
 from tisfm.show.error import WIDE, error_to_color
 from tisfm.show.figures import tint
 from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.grey import depth_grey
 from tisfm.show.labels import label_colors, label_overlay
 from tisfm.show.layout import stack_legends, stacked_size
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
@@ -49,10 +50,11 @@ def rigid_figure(
 ) -> Figure:
     """Show the depth of rigid motions with its uncertainty, and the motion with its confidence.
 
-    The first row has the frame, the labels where there are several, the depth as grey levels, the
-    true one where it is known, and the relative standard deviation where a pixel is visible in the
-    next frame. The second row has the flow as arrows and as colours, the true one where it is
-    known, and the confidence. Of wide pictures there are two in a row, in the same order.
+    The first row has the frame, the labels where there are several, the depth in the colours of
+    `depth_to_color`, the true one where it is known, and the relative standard deviation where a
+    pixel is visible in the next frame. The second row has the flow as arrows and as colours, the
+    true one where it is known, and the confidence. Of wide pictures there are two in a row, in the
+    same order.
 
     Parameters
     ----------
@@ -133,22 +135,24 @@ def rigid_figure(
     first.append(
         (
             "Depth (near is bright)" if any_depth else "Depth: none to be seen",
-            depth_grey(depth, limit=depth_limit),
+            depth_to_color(depth, limit=depth_limit),
         )
     )
     if true_depth is not None:
-        first.append(("True depth (near is bright)", depth_grey(true_depth)))
+        first.append(("True depth (near is bright)", depth_to_color(true_depth)))
     if hidden is not None:  # it is that of what is visible
         deviation = np.where(hidden, np.inf, deviation)
     uncertainty = uncertainty_to_color(depth, deviation)
     first.append(("Uncertainty of the depth (grey: unknown)", uncertainty))
     second = [
         ("Flow, arrows", backdrop(shown)),
-        ("Flow, colours", flow_to_color(motion, limit=limit)),
+        ("Flow, colours", flow_to_color(motion, limit=limit, beyond="same")),
     ]
     if true_motion is not None:
-        second.append(("True flow, colours", flow_to_color(true_motion, limit=limit)))
-    second.append(("Confidence (white: 1)", depth_grey(trust, limit=1.0)))
+        second.append(
+            ("True flow, colours", flow_to_color(true_motion, limit=limit, beyond="same"))
+        )
+    second.append(("Confidence (yellow: 1)", confidence_to_color(trust)))
 
     legends = [BAR_SIZE, LEGEND_SIZE]
     if count > 1:

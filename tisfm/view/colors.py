@@ -5,24 +5,26 @@ from typing import Literal, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from tisfm.show import UNCERTAINTY_RANGE, label_colors
+from tisfm.show import (
+    UNCERTAINTY_RANGE,
+    UNKNOWN_COLOR,
+    color_ramp,
+    confidence_to_color,
+    depth_to_color,
+    error_to_color,
+    label_colors,
+)
+from tisfm.show.palette import as_hex
 from tisfm.view.frame import ViewFrame
 
 Quantity = Literal["image", "depth", "confidence", "deviation", "object"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
-_NOTHING = 150  # grey, where nothing is known
-# Colours that people tell apart however they see them (Okabe and Ito, 2002); what is at rest first.
-_THINGS = np.array(
-    [(170, 170, 170), (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178),
-     (213, 94, 0), (204, 121, 167)],
-    np.uint8,
-)  # fmt: skip
-_MAPS = {
-    "depth": cv2.COLORMAP_INFERNO,
-    "confidence": cv2.COLORMAP_CIVIDIS,
-    "deviation": cv2.COLORMAP_VIRIDIS,
+_RAMPS: dict[str, Literal["depth", "confidence", "error"]] = {
+    "depth": "depth",
+    "confidence": "confidence",
+    "deviation": "error",
 }
 _STOPS = 9  # of the bar of a legend
 
@@ -70,29 +72,26 @@ def pixel_colors(frame: ViewFrame, quantity: Quantity, ranges: Ranges) -> NDArra
     Grey where the quantity is not known.
     """
     if quantity == "depth":
-        share = frame.inverse_depth / np.float32(frame.scale * ranges.inverse_depth or 1)
-        return _mapped(share, quantity)
+        return depth_to_color(frame.inverse_depth, limit=frame.scale * ranges.inverse_depth)
     if quantity == "confidence" and frame.confidence is not None:
-        return _mapped(frame.confidence, quantity)
+        return confidence_to_color(frame.confidence)
     if quantity == "deviation" and frame.relative_deviation is not None:
-        low, high = UNCERTAINTY_RANGE
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.log(frame.relative_deviation / low) / np.log(high / low)
-        return _mapped(share, quantity)
+        deviation = frame.relative_deviation
+        known = np.where(np.isfinite(deviation), deviation, np.nan)
+        return error_to_color(known, limits=UNCERTAINTY_RANGE)
     if quantity == "object" and frame.labels is not None:
         grey = cv2.cvtColor(frame.picture, cv2.COLOR_RGB2GRAY)[..., None].astype(np.float32)
-        own = thing_colors(int(frame.labels.max()) + 1)[frame.labels]
+        own = label_colors(int(frame.labels.max()) + 1)[frame.labels]
         cover = np.where(frame.labels > 0, 0.75, 0.0).astype(np.float32)[..., None]
         return np.rint((1 - cover) * grey + cover * own).astype(np.uint8)
     if quantity == "image":
         return frame.picture
-    return np.full((*frame.shape, 3), _NOTHING, np.uint8)
+    return unknown_picture(frame.shape)
 
 
-def thing_colors(count: int) -> NDArray[np.uint8]:
-    """Return a colour for each of so many labels, (count, 3) uint8; 0 is what is at rest."""
-    more = label_colors(max(count, 1))
-    return np.concatenate([_THINGS, more[len(_THINGS) :]])[:count]
+def unknown_picture(shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a picture of which nothing is known, (H, W, 3)."""
+    return np.full((*shape, 3), UNKNOWN_COLOR, np.uint8)
 
 
 def legend(
@@ -112,11 +111,11 @@ def legend(
     if quantity == "image":
         return None
     if quantity == "object":
-        own = thing_colors(max(things, default=0) + 1)
+        own = label_colors(max(things, default=0) + 1)
         names = ("at rest", *(f"thing {k}" for k in things))
-        shown = ["#c8c8c8", *(_hex(own[k]) for k in things)]
+        shown = [as_hex(own[k]) for k in (0, *things)]
         return Legend(title="object", colors=tuple(shown), ticks=names, is_bar=False)
-    bar = _mapped(np.linspace(0, 1, _STOPS, dtype=np.float32)[None], quantity)[0]
+    bar = color_ramp(_RAMPS[quantity])[:: 255 // (_STOPS - 1)]
     if quantity == "depth":
         top = ranges.inverse_depth or 1.0
         title, ticks = f"depth Z, {unit}", ["∞", f"{2 / top:.3g}", f"{1 / top:.3g}"]
@@ -126,20 +125,4 @@ def legend(
         low, high = UNCERTAINTY_RANGE
         title = "relative deviation of depth"
         ticks = [f"{100 * share:.3g} %" for share in (low, (low * high) ** 0.5, high)]
-    return Legend(title=title, colors=tuple(map(_hex, bar)), ticks=tuple(ticks), is_bar=True)
-
-
-def _mapped(share: ArrayLike, quantity: str) -> NDArray[np.uint8]:
-    """Return colours of a map, from 0 to 1; grey where there is no number."""
-    values = np.asarray(share, np.float32)
-    known = np.isfinite(values)
-    codes = np.zeros(values.shape, np.float32)
-    np.clip(values, 0, 1, out=codes, where=known)
-    mapped = cv2.applyColorMap(np.rint(255 * codes).astype(np.uint8), _MAPS[quantity])
-    colors: NDArray[np.uint8] = cv2.cvtColor(mapped, cv2.COLOR_BGR2RGB)  # type: ignore[assignment]
-    colors[~known] = _NOTHING
-    return colors
-
-
-def _hex(color: NDArray[np.uint8]) -> str:
-    return "#" + bytes(color.tolist()).hex()
+    return Legend(title=title, colors=tuple(map(as_hex, bar)), ticks=tuple(ticks), is_bar=True)

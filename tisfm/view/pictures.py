@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.show import anaglyph, flow_to_color
-from tisfm.view.colors import Ranges, pixel_colors
+from tisfm.view.colors import Ranges, pixel_colors, unknown_picture
 from tisfm.view.frame import ViewFrame
 
 PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
@@ -73,9 +73,9 @@ def _picture(frame: ViewFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.
         return frame.picture
     if kind == "flow":
         if frame.flow is None:
-            return np.full((*frame.shape, 3), 150, np.uint8)
-        return flow_to_color(frame.flow, limit=ranges.flow or None)
+            return unknown_picture(frame.shape)
+        return flow_to_color(frame.flow, limit=ranges.flow or None, beyond="same")
     if kind == "anaglyph":
         limit = ranges.inverse_depth * frame.scale
-        return anaglyph(frame.picture, np.nan_to_num(frame.inverse_depth), limit=limit or None)
+        return anaglyph(frame.picture, frame.inverse_depth, limit=limit or None)
     return pixel_colors(frame, kind, ranges)

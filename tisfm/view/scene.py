@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.show import label_colors
 from tisfm.view.cloud import Cloud
-from tisfm.view.colors import thing_colors
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import field_of_view, picture_distance
 from tisfm.view.result import Result
@@ -167,7 +167,7 @@ class SceneView:
         for name in [name for name in self._nodes if name.startswith("thing")]:
             self.remove(name)
         things = self._result.objects if visible else ()
-        colors = thing_colors(max((thing.id for thing in things), default=0) + 1)
+        colors = label_colors(max((thing.id for thing in things), default=0) + 1)
         for thing in things:
             known = np.isfinite(thing.poses).all(axis=(1, 2))
             known &= self._result.piece[list(thing.frames)] == self._result.piece[number]

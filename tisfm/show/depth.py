@@ -1,4 +1,4 @@
-"""Depth as grey levels."""
+"""Depth as grey levels and as colours, near bright and far dark."""
 
 from typing import Any
 
@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_map, check_limit
+from tisfm.show.palette import DEPTH_PERCENTILE, colors_of
 
 
-def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = 95) -> float:
+def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERCENTILE) -> float:
     """Choose the top of the range of an inverse depth map.
 
     Parameters
@@ -74,6 +75,40 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
     shown /= top
     shown *= 255
     return np.rint(shown, out=shown).astype(np.uint8)
+
+
+def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
+    """Show depth as colours, from black, infinitely far, through purple to pale yellow, near.
+
+    The colours (magma) are linear in inverse depth and even to the eye.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) array_like
+        Inverse depth in any unit. What is not finite is not known: grey. What is not positive is
+        black, as if it were infinitely far.
+    limit : float, optional
+        Inverse depth of the brightest colour, as for `depth_grey`. Give all maps of a sequence the
+        same limit.
+
+    Returns
+    -------
+    (H, W, 3) uint8 ndarray
+        Colours red, green, blue.
+
+    Raises
+    ------
+    ValueError
+        If `inverse_depth` is not (H, W) or `limit` is negative or not finite.
+    """
+    values = as_map("inverse_depth", inverse_depth)
+    top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    known = np.isfinite(values)
+    share = np.where(known, 0.0, np.nan)
+    if top > 0:  # clipped before it is divided, so that neither overflows
+        np.clip(values, 0, top, out=share, where=known)
+        share /= top
+    return colors_of(share, "depth")
 
 
 def _is_valid(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:

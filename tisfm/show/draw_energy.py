@@ -1,0 +1,130 @@
+"""The course of the energy over the iterations, into axes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from tisfm.outcome import History
+from tisfm.show.canvas import few_ticks, name_axis, plot_axes, style_plot
+from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CurveQuantity = Literal["energy", "change"]
+_LEAST_CHANGE = 1e-12  # of a logarithmic axis, below which nothing is computed
+
+
+def draw_energy(
+    history: History,
+    *,
+    axes: Axes | None = None,
+    quantity: CurveQuantity = "energy",
+    title: str | None = None,
+) -> Axes:
+    """Draw what every iteration left of the energy, or changed.
+
+    Bands are the levels of the pyramid, from the coarsest on the left, and a line is broken where
+    the images are warped anew: only within a warp is the energy that of one function, which never
+    rises. Points are iterations.
+
+    Parameters
+    ----------
+    history : tisfm.outcome.History
+        `tisfm.Interpretation.history`.
+    axes : matplotlib.axes.Axes, optional
+        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+    quantity : {"energy", "change"}
+        The energy (eq. 6, 20) and its half-quadratic form (eq. 8, 21), or the relative change of
+        the unknowns.
+    title : str, optional
+        Text above the plot.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        What it was drawn into.
+
+    Raises
+    ------
+    ValueError
+        If `quantity` is another.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    if quantity not in get_args(CurveQuantity):
+        expected = ", ".join(get_args(CurveQuantity))
+        raise ValueError(f"quantity is {quantity!r}, expected one of {expected}")
+    target = plot_axes(6.4, 3.2) if axes is None else axes
+    sizes = style_plot(target, title)
+    energy = quantity == "energy"
+    y = "energy (any unit)" if energy else "relative change of the unknowns"
+    name_axis(target, sizes, "iteration", y)
+    count = len(history.energy)
+    if not count:
+        target.text(
+            0.5, 0.5, "no iterations", transform=target.transAxes, ha="center", va="center",
+            fontsize=sizes.text, color=INK,
+        )  # fmt: skip
+        return target
+    target.set_xlim(-0.5, count - 0.5)
+    few_ticks(target, sizes)
+    curves = [("energy", history.energy, ESTIMATE, "-")]
+    if energy:
+        curves.append(("half-quadratic", history.half_quadratic, OTHER, "--"))
+    else:
+        curves = [("change", np.maximum(history.change, _LEAST_CHANGE), ESTIMATE, "-")]
+    if all((values > 0).all() and np.isfinite(values).all() for _, values, _, _ in curves):
+        target.set_yscale("log")
+    warps = np.flatnonzero(np.diff(history.level) | np.diff(history.warp)) + 1
+    for name, values, color, style in curves:
+        x = np.insert(np.arange(count, dtype=float), warps, np.nan)
+        target.plot(
+            x,
+            np.insert(values.astype(float), warps, np.nan),
+            color=color,
+            linestyle=style,
+            linewidth=sizes.line,
+            marker="o" if style == "-" else None,
+            markersize=2.2 * sizes.line,
+            label=name,
+        )
+    for warp in warps:
+        target.axvline(warp - 0.5, color=FAINT, linewidth=0.35 * sizes.line, linestyle=":")
+    low, high = target.get_ylim()
+    is_log = target.get_yscale() == "log"  # the names of levels have the top to themselves
+    target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
+    _draw_levels(target, history.level, sizes.text)
+    if energy:
+        target.legend(loc="best", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
+    return target
+
+
+def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
+    """Shade every other level, and number those that have room for it, the rows above the plot."""
+    starts = [0, *(np.flatnonzero(np.diff(level)) + 1), len(level)]
+    box = axes.get_window_extent()
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    character = 0.6 * text / 72 * figure.dpi
+    for number, (start, stop) in enumerate(pairwise(starts)):
+        if number % 2 == 0:
+            axes.axvspan(start - 0.5, stop - 0.5, color=FAINT, alpha=0.12, linewidth=0)
+        room = box.width * (stop - start) / len(level)
+        name = f"level {level[start]}"
+        if room < len(name) * character:
+            name = str(level[start])
+        if room >= (len(name) + 0.5) * character:
+            axes.text(
+                (start + stop - 1) / 2,
+                0.985,
+                name,
+                transform=axes.get_xaxis_transform(),
+                ha="center",
+                va="top",
+                fontsize=text,
+                color=INK,
+            )

@@ -1,0 +1,202 @@
+"""Errors against the truth, and whether deviations are as large as errors, into axes."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.metrics import depth_error_map, endpoint_error_map
+from tisfm.metrics.calibration import error_in_deviations
+from tisfm.metrics.known import is_known
+from tisfm.show.arrays import as_flow, as_map, require_same_size
+from tisfm.show.canvas import name_axis, plot_axes, style_plot
+from tisfm.show.depth_error import DEPTH_ERROR_RANGE
+from tisfm.show.draw_maps import doublings, with_bar
+from tisfm.show.error import ERROR_RANGE, check_error_limits, error_to_color
+from tisfm.show.palette import ESTIMATE, FAINT, INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST_DEVIATIONS = 3.0
+_STEPS = 121  # of the curve
+
+
+def draw_flow_error(
+    flow: ArrayLike,
+    truth: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    limits: tuple[float, float] = ERROR_RANGE,
+    title: str | None = None,
+) -> Axes:
+    """Draw the end-point error of a flow, as `error_to_color` shows it.
+
+    Parameters
+    ----------
+    flow, truth : (H, W, 2) array_like
+        Recovered and true flow, px/frame. Grey where the truth is not known.
+    axes : matplotlib.axes.Axes, optional
+        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+    limits : (float, float)
+        Errors at the two ends of the logarithmic scale, px.
+    title : str, optional
+        Text above the picture, by default the mean error.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        What it was drawn into.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    recovered, true = as_flow("flow", flow), as_flow("truth", truth)
+    require_same_size("truth", true, "flow", recovered)
+    check_error_limits(limits)
+    error = np.full(true.shape[:2], np.nan)
+    if is_known(true).all(axis=2).any():
+        error = endpoint_error_map(recovered, true)
+    title = _mean_of(error, "px") if title is None else title
+    return _draw_error(error, limits, "px", ("end-point error (px)", "error (px)"), axes, title)
+
+
+def draw_depth_error(
+    depth: ArrayLike,
+    truth: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    limits: tuple[float, float] = DEPTH_ERROR_RANGE,
+    title: str | None = None,
+) -> Axes:
+    """Draw the relative error of a depth after scaling by the median.
+
+    Parameters
+    ----------
+    depth, truth : (H, W) array_like
+        Recovered and true depth, each in a unit of its own; not finite or not positive where it is
+        not known: grey.
+    axes : matplotlib.axes.Axes, optional
+        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+    limits : (float, float)
+        Relative errors at the two ends of the logarithmic scale.
+    title : str, optional
+        Text above the picture, by default the mean error.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        What it was drawn into.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    recovered, true = as_map("depth", depth), as_map("truth", truth)
+    require_same_size("truth", true, "depth", recovered)
+    low, high = check_error_limits(limits)
+    error = np.full(true.shape, np.nan)
+    if (_is_depth(true) & _is_depth(recovered)).any():
+        error = 100 * depth_error_map(recovered, true)
+    title = _mean_of(error, "%") if title is None else title
+    percent = (100 * low, 100 * high)
+    return _draw_error(error, percent, "%", ("error of depth (%)", "error (%)"), axes, title)
+
+
+def draw_calibration(
+    inverse_depth: ArrayLike,
+    inverse_depth_std: ArrayLike,
+    truth: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    title: str | None = None,
+) -> Axes:
+    """Draw how many errors of the depth are within so many standard deviations.
+
+    Where deviations are right, the curve is that of normal errors: 68 % within one, 95 % within
+    two. Below it, they are too small.
+
+    Parameters
+    ----------
+    inverse_depth, inverse_depth_std : (H, W) array_like
+        Inverse depth and its standard deviation. It is scaled by the median first, as by
+        `tisfm.metrics.std_coverage`.
+    truth : (H, W) array_like
+        True depth, not finite or not positive where it is not known.
+    axes : matplotlib.axes.Axes, optional
+        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+    title : str, optional
+        Text above the plot.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        What it was drawn into.
+
+    Raises
+    ------
+    ValueError
+        As `tisfm.metrics.std_coverage`.
+    ImportError
+        If Matplotlib is not installed.
+    """
+    found, deviation = (
+        as_map("inverse_depth", inverse_depth),
+        as_map("inverse_depth_std", inverse_depth_std),
+    )
+    true = as_map("truth", truth)
+    off = error_in_deviations(found, deviation, true)
+    times = np.linspace(0, _MOST_DEVIATIONS, _STEPS)
+    covered = 100 * np.searchsorted(np.sort(off), times, side="right") / len(off)
+    expected = [100 * math.erf(time / math.sqrt(2)) for time in times]
+    target = plot_axes(4.4, 3.4) if axes is None else axes
+    sizes = style_plot(target, title)
+    target.plot(
+        times, expected, color=INK, linewidth=sizes.line, linestyle="--", label="normal errors"
+    )
+    target.plot(
+        times,
+        covered,
+        color=ESTIMATE,
+        linewidth=1.6 * sizes.line,
+        label=f"found: {100 * (off <= 1).mean():.0f} % within one",
+    )
+    target.axvline(1.0, color=FAINT, linewidth=0.5 * sizes.line, linestyle=":")
+    target.set(xlim=(0, _MOST_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
+    target.set_yticks((0, 25, 50, 75, 100))
+    name_axis(target, sizes, "error (standard deviations)", "pixels within (%)")
+    target.legend(loc="lower right", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
+    return target
+
+
+def _mean_of(error: NDArray[np.floating], unit: str) -> str:
+    """Return the mean of what is known, as it is written above a picture."""
+    known = error[np.isfinite(error)]
+    return f"mean {known.mean():.3g} {unit}" if known.size else "no truth to compare with"
+
+
+def _is_depth(values: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(values) & (values > 0))
+
+
+def _draw_error(
+    error: NDArray[np.floating],
+    limits: tuple[float, float],
+    unit: str,
+    label: tuple[str, str],
+    axes: Axes | None,
+    title: str,
+) -> Axes:
+    """Draw a map of errors with the bar of its colours."""
+    ticks = doublings(limits, unit)
+    return with_bar(error_to_color(error, limits=limits), "error", ticks, label, axes, title)

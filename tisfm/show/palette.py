@@ -1,0 +1,122 @@
+"""The colours of all pictures: what each map, each category and what is unknown looks like.
+
+Each kind of number has one map of colours. All three are even to the eye and become brighter from
+end to end, so that they are read as well with a colour vision deficiency, and in print without
+colours. What is unknown is a grey that none of them comes near.
+
+References
+----------
+Magma and viridis: S. van der Walt and N. Smith, maps of Matplotlib 2 (2015). Cividis: J. Nuñez,
+C. Anderton and R. Renslow, PLOS ONE 13 (2018) e0199239, doi:10.1371/journal.pone.0199239. The first
+seven categories: M. Okabe and K. Ito, Color Universal Design (2002).
+"""
+
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Quantity = Literal["depth", "confidence", "error"]
+
+UNKNOWN_COLOR = (200, 200, 200)
+"""Red, green and blue of what is not known, in all pictures but those of flow and grey levels.
+
+It is light because darker greys look like the middle of some map without one kind of cone.
+"""
+
+DEPTH_PERCENTILE = 95.0
+"""Inverse depths that lie within the range of a picture, percent."""
+FLOW_PERCENTILE = 98.0
+"""Lengths of motion that lie within the range of a picture, percent."""
+
+INK, FAINT = "#0a0b0c", "#8c8c8c"  # of lines, text and grids
+ESTIMATE, OTHER = "#0072b2", "#d55e00"  # of curves: what was found, and what stands out from it
+HIDDEN = (255, 0, 60)  # of pixels that are not visible in the next frame
+
+_MAPS = {
+    "depth": cv2.COLORMAP_MAGMA,
+    "confidence": cv2.COLORMAP_CIVIDIS,
+    "error": cv2.COLORMAP_VIRIDIS,
+}
+# The first is what is at rest, the next seven are those of Okabe and Ito. Each of the others is
+# the colour farthest from all before it, as seen with usual vision and without green or red cones.
+_CATEGORIES = np.array(
+    [
+        (191, 191, 191),
+        (230, 159, 0),
+        (86, 180, 233),
+        (0, 158, 115),
+        (240, 228, 66),
+        (0, 114, 178),
+        (213, 94, 0),
+        (204, 121, 167),
+        (0, 0, 255),
+        (153, 255, 153),
+        (102, 102, 255),
+        (102, 51, 0),
+        (0, 51, 153),
+        (153, 0, 102),
+        (102, 153, 255),
+        (255, 51, 102),
+    ],
+    np.uint8,
+)
+
+
+def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
+    """Return the colours of a kind of number, from its least to its greatest.
+
+    Parameters
+    ----------
+    quantity : {"depth", "confidence", "error"}
+        Inverse depth, far to near; confidence, 0 to 1; or errors and deviations, small to great.
+
+    Returns
+    -------
+    (256, 3) uint8 ndarray
+        Colours red, green, blue.
+
+    Raises
+    ------
+    ValueError
+        If `quantity` is another.
+    """
+    if quantity not in _MAPS:
+        expected = ", ".join(get_args(Quantity))
+        raise ValueError(f"quantity is {quantity!r}, expected one of {expected}")
+    levels = np.arange(256, dtype=np.uint8)[:, None]
+    return np.ascontiguousarray(cv2.applyColorMap(levels, _MAPS[quantity])[:, 0, ::-1])
+
+
+def colors_of(share: NDArray[np.floating], quantity: Quantity) -> NDArray[np.uint8]:
+    """Return the colours of shares of a range, (H, W, 3).
+
+    Parameters
+    ----------
+    share : (H, W) ndarray
+        From 0 to 1; what is beyond has the colour of the end, NaN that of the unknown.
+    quantity : str
+        As for `color_ramp`.
+    """
+    known = ~np.isnan(share)
+    levels = np.zeros(share.shape)
+    np.clip(share, 0, 1, out=levels, where=known)
+    codes = np.rint(255 * levels).astype(np.uint8)
+    mapped = cv2.applyColorMap(codes, _MAPS[quantity])
+    colors: NDArray[np.uint8] = np.ascontiguousarray(mapped[..., ::-1])
+    colors[~known] = UNKNOWN_COLOR
+    return colors
+
+
+def category_colors(count: int) -> NDArray[np.uint8]:
+    """Return colours, (count, 3), of which the first is what is at rest; those after 15 repeat."""
+    numbers = np.arange(count)
+    own = 1 + (numbers - 1) % (len(_CATEGORIES) - 1)
+    colors: NDArray[np.uint8] = _CATEGORIES[np.where(numbers == 0, 0, own)]
+    return colors
+
+
+def as_hex(color: NDArray[np.uint8]) -> str:
+    """Return a colour as Matplotlib and HTML read it."""
+    return "#" + bytes(int(level) for level in color).hex()

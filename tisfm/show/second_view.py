@@ -1,0 +1,186 @@
+"""The view of a second camera beside the first, from one picture and its depth."""
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.show.arrays import as_image, as_map, require_same_size
+
+_SAME_SURFACE = 1  # px of shift: what differs by less lies as far behind
+
+
+def second_view(
+    image: ArrayLike,
+    inverse_depth: ArrayLike,
+    *,
+    displacement: float,
+    fill: Literal["nearest", "behind"] = "nearest",
+) -> NDArray[Any]:
+    """Make the view of a second camera, displaced along the X axis.
+
+    By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
+    It is drawn at the nearest column, and hides what is farther; a picture stays a picture of
+    whole pixels.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        The given picture, of any real type.
+    inverse_depth : (H, W) array_like
+        Inverse depth 1/Z of each pixel, in any unit. Values that are negative or not finite count
+        as 0, infinitely far.
+    displacement : float
+        f d, px times the unit of depth: displacement times inverse depth is the shift, px. Positive
+        for a second camera to the right of the first.
+    fill : {"nearest", "behind"}
+        What columns show that nothing reaches: the nearest pixel of their row, as in the paper,
+        or the mirror image of what is behind, so that nothing near is stretched.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) ndarray
+        The second view, of the type of `image`.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the sizes differ, `displacement` is not finite, or `fill` is another.
+
+    Notes
+    -----
+    Of the pixels that reach one place, the nearest is the one farthest right in the given picture
+    if the camera moves to the right: what shifts more to the left came from further right. The
+    greatest (or least) column is therefore all that has to be found, and depths are never sorted.
+
+    References
+    ----------
+    H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, appendix,
+    doi:10.1016/j.robot.2006.11.006.
+    """
+    picture = as_image("image", image)
+    depth = as_map("inverse_depth", inverse_depth)
+    require_same_size("inverse_depth", depth, "image", picture)
+    if not math.isfinite(displacement):
+        raise ValueError(f"displacement is {displacement!r}, expected a finite number")
+    if fill not in ("nearest", "behind"):
+        raise ValueError(f"fill is {fill!r}, expected nearest or behind")
+    if displacement < 0:
+        # The mirror image of a camera that moves to the right.
+        mirrored = second_view(
+            picture[:, ::-1], depth[:, ::-1], displacement=-displacement, fill=fill
+        )
+        return np.ascontiguousarray(mirrored[:, ::-1])
+    shifts = _shifts(depth, displacement)
+    source = _nearest_source(shifts)
+    source = _fill_rows(source) if fill == "nearest" else _fill_from_behind(source, shifts)
+    height, width = source.shape
+    # Over whole pixels, which is several times as fast as along an axis of three channels.
+    pixels = picture.reshape(height * width, *picture.shape[2:])
+    return np.take(pixels, source + width * np.arange(height)[:, None], axis=0, mode="clip")
+
+
+def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
+    """Return f d / Z in whole pixels, no further than out of the picture."""
+    width = inverse_depth.shape[1]
+    valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
+    shift = np.zeros_like(inverse_depth)
+    with np.errstate(over="ignore"):  # infinity is out of the picture as well
+        np.multiply(inverse_depth, displacement, out=shift, where=valid)
+    np.minimum(shift, width, out=shift)
+    return np.rint(shift, out=shift).astype(np.int32)
+
+
+def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return, for each place of the second view, the column it shows, or -1 for none.
+
+    Parameters
+    ----------
+    shifts : (H, W) int32 ndarray
+        Shift to the left of each pixel, px, at least 0.
+
+    Returns
+    -------
+    (H, W) int32 ndarray
+        Column of the nearest of the pixels that land here.
+    """
+    height, width = shifts.shape
+    margin = int(shifts.max(initial=0))  # what leaves the picture lands there, and is cut off
+    columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))
+    starts = (margin + width) * np.arange(height)[:, None]
+    targets = margin + columns - shifts
+    source = np.full((height, margin + width), -1, dtype=np.int32)
+    # Columns come in order, so that the last one stays: it is the greatest.
+    source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
+    # A surface that turns away is stretched: neighbours land two places apart. The place between
+    # them belongs to that surface, and nothing behind it may shine through.
+    stretched = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
+    row, column = np.divmod(stretched, max(1, width - 1))
+    between = row, targets[row, column] + 1
+    np.maximum.at(source, between, column.astype(np.int32))
+    return source[:, margin:]
+
+
+def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Give each empty place (-1) what the nearest filled place of its row has.
+
+    A row that is empty altogether, because all of it shifted out to the left, takes its last pixel.
+    """
+    height, width = source.shape
+    flat = source.reshape(-1)  # a copy where there is a margin
+    empty, before, after, gap_before, gap_after = _sides(flat, width)
+    nearest = np.where(gap_before <= gap_after, before, after)
+    nothing = np.minimum(gap_before, gap_after) == width
+    nearest[nothing] = 0
+    flat[empty] = np.where(nothing, width - 1, flat[nearest])
+    return flat.reshape(height, width)
+
+
+def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Give each empty place (-1) the mirror image of the farther of the two sides of its row.
+
+    It is the nearest side where both are as far. Where the mirror image would be something nearer,
+    or beyond the picture, it is the pixel at the side itself.
+    """
+    height, width = source.shape
+    flat = source.reshape(-1)
+    empty, before, after, gap_before, gap_after = _sides(flat, width)
+    nothing = np.minimum(gap_before, gap_after) == width
+    before, after = (
+        np.where(gap < width, side, 0) for gap, side in ((gap_before, before), (gap_after, after))
+    )
+    row = empty // width * width
+    behind_before, behind_after = (shifts.reshape(-1)[row + flat[side]] for side in (before, after))
+    alike = np.abs(behind_after - behind_before) <= _SAME_SURFACE
+    is_farther = np.where(alike, gap_after < gap_before, behind_after < behind_before)
+    takes_after = (gap_before == width) | ((gap_after < width) & is_farther)
+    edge = flat[np.where(takes_after, after, before)]
+    mirrored = edge + np.where(takes_after, gap_after, -gap_before)
+    inside = (mirrored >= 0) & (mirrored < width)
+    mirrored = np.where(inside, mirrored, edge)
+    depth = shifts.reshape(-1)
+    is_behind = depth[row + mirrored] <= depth[row + edge] + _SAME_SURFACE
+    flat[empty] = np.where(nothing, width - 1, np.where(is_behind, mirrored, edge))
+    return flat.reshape(height, width)
+
+
+def _sides(
+    flat: NDArray[np.int32], width: int
+) -> tuple[
+    NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]
+]:
+    """Return the empty places, the filled ones before and after each, and how far these are.
+
+    A distance is `width` where that side of the row has none.
+    """
+    filled = np.flatnonzero(flat >= 0)
+    empty = np.flatnonzero(flat < 0)
+    following = np.searchsorted(filled, empty)
+    # Places before the first row and after the last are filled as well, and far away.
+    filled = np.concatenate([[-width - 1], filled, [len(flat) + width]])
+    before, after = filled[following], filled[following + 1]
+    start = empty - empty % width
+    gap_before = np.where(before >= start, empty - before, width)
+    gap_after = np.where(after < start + width, after - empty, width)
+    return empty, before, after, gap_before, gap_after
