@@ -141,7 +141,7 @@ def evaluate(
     >>> settings = tisfm.Settings.preset("fast", motion="camera")
     >>> evaluation = evaluate(pairs, settings=settings)
     >>> evaluation.faults
-    ()
+    []
     >>> evaluation.pairs[0].depth.abs_rel < 0.5
     True
     """

@@ -76,8 +76,8 @@ class SequenceFrames:
     >>> import tisfm
     >>> from tisfm.exports import SequenceFrames
     >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
-    >>> len(frames), frames.has_depth(0), frames.flow(0).shape
-    (9, True, (180, 240, 2))
+    >>> len(frames), frames.has_depth(0), frames.inverse_depth(0).shape
+    (9, True, (180, 240))
     """
 
     advice = "reconstruct with --depth-of all"

@@ -48,9 +48,9 @@ class StreamedFrame:
     >>> stream = tisfm.reconstruct_stream([scene.frame0] * 3, camera=scene.camera)
     >>> for frame in stream:  # a camera at rest shows no path
     ...     print(frame.index, frame.piece, frame.status)
-    0 -1 little_parallax
-    1 -1 little_parallax
-    2 -1 little_parallax
+    0 -1 no_motion
+    1 -1 no_motion
+    2 -1 no_motion
     """
 
     index: int

@@ -95,8 +95,8 @@ def two_blocks(
     --------
     >>> from tisfm.scenes import two_blocks
     >>> scene = two_blocks(48, 64)
-    >>> scene.frame0.shape, scene.flow.shape, scene.labels.max()
-    ((48, 64), (48, 64, 2), np.int32(3))
+    >>> scene.frame0.shape, scene.flow.shape, int(scene.labels.max())
+    ((48, 64), (48, 64, 2), 3)
     """
     if block_motions is None:
         along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
