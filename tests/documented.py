@@ -3,6 +3,7 @@
 import numpy as np
 
 import tisfm
+from tests.datasets.made import make_middlebury
 from tests.reconstruction.films import walk
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
@@ -15,13 +16,14 @@ BODIES = 8  # frames with things that move
 def make(folder):
     """Write pictures, what `run` and `reconstruct` leave, and a sequence whose truth is known."""
     make_pictures(folder)
+    make_middlebury(folder / "middlebury")
     assert main(["run", str(folder / "frames"), "-o", str(folder / "results"), "--preset", "fast",
                  "--focal", "64", "--no-figures"]) == 0  # fmt: skip
+    tisfm.Interpretation.load(folder / "results" / "frame0.npz").save(folder / "pair.npz")
     film = walk(FRAMES, HEIGHT, WIDTH)
-    settings = tisfm.Settings.preset("fast", motion="camera")
-    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=settings)
-    found.save(folder / "walk")
     make_calibrated(folder / "calibrated", film)
+    assert main(["reconstruct", str(folder / "calibrated" / "images"), "-o", str(folder / "walk"),
+                 "--preset", "fast", "--focal", str(film.camera.focal)]) == 0  # fmt: skip
     bodies = bodies_film(bodies_path(BODIES), HEIGHT, WIDTH)
     settings = tisfm.Settings.preset("fast", motion="objects")
     found = tisfm.reconstruct(
@@ -35,7 +37,7 @@ def make_pictures(folder):
     scene = two_blocks(48, 64)
     (folder / "frames").mkdir()
     for k, frame in enumerate((scene.frame0, scene.frame1, scene.frame0)):
-        write_png(folder / "frames" / f"{k}.png", frame)
+        write_png(folder / "frames" / f"frame{k}.png", frame)
     write_png(folder / "frame0.png", scene.frame0)
     write_png(folder / "frame1.png", scene.frame1)
 

@@ -6,9 +6,7 @@ import shutil
 from importlib import import_module
 
 import pytest
-from filelock import FileLock
 
-from tests import documented
 from tests.test_api import PUBLIC
 
 METHODS = {
@@ -44,20 +42,6 @@ def with_examples():
 EXAMPLES = with_examples()
 
 
-@pytest.fixture(scope="session")
-def files(tmp_path_factory):
-    """A folder with what the examples read; one for all processes that run tests."""
-    folder = tmp_path_factory.getbasetemp().parent / "documented"
-    done = folder / "done"
-    with FileLock(f"{folder}.lock"):
-        if not done.exists():
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir()
-            documented.make(folder)
-            done.touch()
-    return folder
-
-
 def examples_of(name):
     """Return the example of a name as doctest has it, or None if there is none."""
     text = inspect.getdoc(EXAMPLES[name]) or ""
@@ -67,13 +51,13 @@ def examples_of(name):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_has_an_example_that_runs(name, files, tmp_path, monkeypatch):
+def test_it_has_an_example_that_runs(name, documented_files, tmp_path, monkeypatch):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     example = examples_of(name)
     assert example is not None, f"{name} has no example"
     assert not any(doctest.SKIP in part.options for part in example.examples)
-    shutil.copytree(files, tmp_path / "here")
+    shutil.copytree(documented_files, tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
     said = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS, verbose=False)
