@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import pydoc
 import re
 import shlex
 import shutil
@@ -275,3 +276,19 @@ def test_figures_stand_in_the_files_that_are_named(path):
         text = "\n".join(source.read_text(encoding="utf-8") for source in sources)
         known = set(re.findall(r"(?<![\d.])\d+(?:\.\d+)?(?![\d.])", text))
         assert numbers <= known, links
+
+
+def test_the_code_that_the_method_names_is_there():
+    names = re.findall(r"`(tisfm(?:\.\w+)+)`", (DOCS / "method.md").read_text(encoding="utf-8"))
+    assert len(names) > 30
+    for name in names:
+        assert pydoc.locate(name) is not None, name
+
+
+def test_the_method_names_every_equation_of_the_paper():
+    text = (DOCS / "method.md").read_text(encoding="utf-8")
+    named = set()
+    for heading in re.findall(r"^### .*: (eq\. .*)$", text, re.MULTILINE):
+        for first, last in re.findall(r"(\d+)(?:–(\d+))?", heading.replace("Table 1", "")):
+            named |= set(range(int(first), int(last or first) + 1))
+    assert named == set(range(1, 29))
