@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 import tisfm
-from tisfm.cli.command_line import main
+from tisfm.cli.command_line import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION, main
 from tisfm.outcome import Status
 from tisfm.settings import Preset
 
@@ -292,3 +292,31 @@ def test_the_method_names_every_equation_of_the_paper():
         for first, last in re.findall(r"(\d+)(?:–(\d+))?", heading.replace("Table 1", "")):
             named |= set(range(int(first), int(last or first) + 1))
     assert named == set(range(1, 29))
+
+
+def test_exit_codes_are_those_of_the_code():
+    _, _, text = (DOCS / "command_line.md").read_text(encoding="utf-8").partition("\n## Exit codes")
+    codes = [int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)]
+    assert codes == [0, 1, WRONG_OPTION, INTERRUPTED, BROKEN_PIPE]
+
+
+@pytest.mark.parametrize(("words", "code"), [
+    ("--version", 0),
+    ("run nothing.png nothing.png -o out", 1),
+    ("run frame0.png frame1.png -o out --smoothness=-1", 1),
+    ("run frame0.png frame1.png -o out --motion field --poses poses.txt", 1),
+    ("run frame0.png frame1.png -o out --smoothnes 1", 2),
+    ("run frame0.png frame1.png -o out --smoothness much", 2),
+    ("run frame0.png frame1.png -o out --preset quick", 2),
+    ("--completion fish", 2),
+    ("nothing", 2),
+    ("reconstruct", 2),
+])  # fmt: skip
+def test_exit_codes(words, code, documented_files, monkeypatch, capsys):
+    monkeypatch.chdir(documented_files)
+    try:
+        found = main(words.split())
+    except SystemExit as end:
+        found = end.code
+    assert found == code
+    assert len(capsys.readouterr().err.splitlines()) == (code > 0)
