@@ -320,3 +320,11 @@ def test_exit_codes(words, code, documented_files, monkeypatch, capsys):
         found = end.code
     assert found == code
     assert len(capsys.readouterr().err.splitlines()) == (code > 0)
+
+
+def test_the_principal_figures_stand_in_the_measurements():
+    text = re.sub(r"\]\([^)]*\)", "", (DOCS / "accuracy.md").read_text(encoding="utf-8"))
+    number = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+    found = set(number.findall(text))
+    assert len(found) > 30
+    assert found <= set(number.findall(MEASURED.read_text(encoding="utf-8")))
