@@ -79,6 +79,17 @@ def documented_files(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def documented_here(documented_files, tmp_path, monkeypatch):
+    """The same in a new folder, the current one: hard links, as tisfm never writes into a file."""
+    here = tmp_path / "here"
+    shutil.copytree(
+        documented_files, here, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock")
+    )
+    monkeypatch.chdir(here)
+    return here
+
+
 @dataclass
 class Problem:
     """A small linearised problem, as float64 arrays for the reference and in lanes."""

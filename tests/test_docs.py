@@ -5,7 +5,6 @@ import io
 import pydoc
 import re
 import shlex
-import shutil
 from dataclasses import fields
 from functools import cache
 from importlib.util import find_spec
@@ -124,14 +123,12 @@ def test_python_is_valid(path):
 
 
 @page
-def test_snippets_run(path, documented_files, tmp_path, monkeypatch):
+def test_snippets_run(path, documented_here):
     snippets = blocks(path, "python")
     assert all(runs for runs, _ in snippets) or name_of(path) in NOT_RUN
     if not snippets:
         assert path not in (README, DOCS / "python.md")
         return
-    shutil.copytree(documented_files, tmp_path / "here")
-    monkeypatch.chdir(tmp_path / "here")
     names = {}
     for number, (runs, code) in enumerate(snippets):
         if runs:
@@ -312,8 +309,7 @@ def test_exit_codes_are_those_of_the_code():
     ("nothing", 2),
     ("reconstruct", 2),
 ])  # fmt: skip
-def test_exit_codes(words, code, documented_files, monkeypatch, capsys):
-    monkeypatch.chdir(documented_files)
+def test_exit_codes(words, code, documented_here, capsys):
     try:
         found = main(words.split())
     except SystemExit as end:

@@ -110,19 +110,11 @@ def prepare(here, words):
     (here / "videos.csv").write_text("source,output,preset\ndrive.mp4,out/one,fast\n")
 
 
-def stage(files, tmp_path, words):
-    here = tmp_path / "here"
-    shutil.copytree(files, here)
-    prepare(here, words)
-    for name in words[words.index("-o") + 1 :][:1] if "-o" in words else ():
-        shutil.rmtree(here / name, ignore_errors=True)  # a folder of results that is new
-    return here
-
-
 @pytest.mark.parametrize("words", RUN)
-def test_it_runs(words, documented_files, tmp_path, monkeypatch):
-    here = stage(documented_files, tmp_path, words)
-    monkeypatch.chdir(here)
+def test_it_runs(words, documented_here):
+    prepare(documented_here, words)
+    if "-o" in words:  # results are new
+        shutil.rmtree(documented_here / words[words.index("-o") + 1], ignore_errors=True)
     assert main(list(words)) == 0
 
 

@@ -2,7 +2,6 @@
 
 import doctest
 import inspect
-import shutil
 from importlib import import_module
 
 import pytest
@@ -51,14 +50,12 @@ def examples_of(name):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_has_an_example_that_runs(name, documented_files, tmp_path, monkeypatch):
+def test_it_has_an_example_that_runs(name, documented_here):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     example = examples_of(name)
     assert example is not None, f"{name} has no example"
     assert not any(doctest.SKIP in part.options for part in example.examples)
-    shutil.copytree(documented_files, tmp_path / "here")
-    monkeypatch.chdir(tmp_path / "here")
     said = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS, verbose=False)
     runner.run(example, out=said.append)
