@@ -99,8 +99,9 @@ def here(app: Sphinx, docname: str, source: list[str]) -> None:
     elif docname == "made/changelog":
         text = text.replace("](docs/", "](../").replace("](bench/results/", "](results/")
     else:
-        text = text.replace("](../bench/results/", "](made/results/")
-        text = text.replace("](../CHANGELOG.md", "](made/changelog.md")
+        up = "../" * docname.count("/")
+        text = text.replace(f"]({up}../bench/results/", f"]({up}made/results/")
+        text = text.replace(f"]({up}../CHANGELOG.md", f"]({up}made/changelog.md")
     # What lies elsewhere in the project has no page: its name stays.
     source[0] = ELSEWHERE.sub(r"\1", text)
 

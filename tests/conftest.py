@@ -1,11 +1,13 @@
 """Fixtures shared by the tests."""
 
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 import tisfm
 from tisfm import reference, runtime
@@ -59,6 +61,33 @@ def shared_data():
     if not SHARED_DATA.is_dir():
         pytest.skip("no real sequences: TISFM_DATA is not set, and none lie beside the checkout")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def documented_files(tmp_path_factory):
+    """A folder with the files that the documentation names; one for all processes of a run."""
+    from tests import documented
+
+    folder = tmp_path_factory.getbasetemp().parent / "documented"
+    done = folder / "done"
+    with FileLock(f"{folder}.lock"):
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            documented.make(folder)
+            done.touch()
+    return folder
+
+
+@pytest.fixture
+def documented_here(documented_files, tmp_path, monkeypatch):
+    """The same in a new folder, the current one: hard links, as tisfm never writes into a file."""
+    here = tmp_path / "here"
+    shutil.copytree(
+        documented_files, here, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock")
+    )
+    monkeypatch.chdir(here)
+    return here
 
 
 @dataclass

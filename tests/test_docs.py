@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import pydoc
 import re
 import shlex
 from dataclasses import fields
@@ -14,17 +15,15 @@ import pytest
 from PIL import Image
 
 import tisfm
-from tisfm.cli.command_line import main
-from tisfm.formats import write_png
+from tisfm.cli.command_line import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION, main
 from tisfm.outcome import Status
-from tisfm.scenes import two_blocks
 from tisfm.settings import Preset
 
 ROOT = Path(__file__).parents[1]
 README, DOCS, RESULTS = ROOT / "README.md", ROOT / "docs", ROOT / "bench" / "results"
 MEASURED = RESULTS / "README.md"
 CHANGES = ROOT / "CHANGELOG.md"
-PAGES = [README, CHANGES, *sorted(DOCS.glob("*.md")), MEASURED]
+PAGES = [README, CHANGES, *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("guides/*.md")), MEASURED]
 PRESETS = {name: tisfm.Settings.preset(name) for name in get_args(Preset)}
 COMMANDS = (
     "run",
@@ -40,6 +39,8 @@ COMMANDS = (
 )
 OF_TISFM = {"--version", "--help", "--completion"}
 LONGEST, LARGEST = 250, 150_000  # lines of the README, bytes of its picture
+# Pages with blocks of Python that do not run, and how many: they read files of another program.
+NOT_RUN = {"docs/exports.md": 1}
 FENCE = re.compile(r"(<!-- runnable -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
@@ -122,21 +123,21 @@ def test_python_is_valid(path):
 
 
 @page
-def test_runnable_snippets_run(path, tmp_path, monkeypatch):
-    snippets = [code for runnable, code in blocks(path, "python") if runnable]
+def test_snippets_run(path, documented_here):
+    snippets = blocks(path, "python")
+    assert all(runs for runs, _ in snippets) or name_of(path) in NOT_RUN
     if not snippets:
         assert path not in (README, DOCS / "python.md")
         return
-    scene = two_blocks(48, 64)
-    (tmp_path / "frames").mkdir()
-    for k, frame in enumerate((scene.frame0, scene.frame1, scene.frame0)):
-        write_png(tmp_path / "frames" / f"{k}.png", frame)
-    write_png(tmp_path / "frame0.png", scene.frame0)
-    write_png(tmp_path / "frame1.png", scene.frame1)
-    monkeypatch.chdir(tmp_path)
     names = {}
-    for number, code in enumerate(snippets):
-        exec(compile(code, f"{path.name}, runnable snippet {number}", "exec"), names)
+    for number, (runs, code) in enumerate(snippets):
+        if runs:
+            exec(compile(code, f"{path.name}, snippet {number}", "exec"), names)
+
+
+def test_snippets_that_do_not_run_are_counted():
+    idle = {name_of(path): sum(not runs for runs, _ in blocks(path, "python")) for path in PAGES}
+    assert {name: count for name, count in idle.items() if count} == NOT_RUN
 
 
 @page
@@ -272,3 +273,54 @@ def test_figures_stand_in_the_files_that_are_named(path):
         text = "\n".join(source.read_text(encoding="utf-8") for source in sources)
         known = set(re.findall(r"(?<![\d.])\d+(?:\.\d+)?(?![\d.])", text))
         assert numbers <= known, links
+
+
+def test_the_code_that_the_method_names_is_there():
+    names = re.findall(r"`(tisfm(?:\.\w+)+)`", (DOCS / "method.md").read_text(encoding="utf-8"))
+    assert len(names) > 30
+    for name in names:
+        assert pydoc.locate(name) is not None, name
+
+
+def test_the_method_names_every_equation_of_the_paper():
+    text = (DOCS / "method.md").read_text(encoding="utf-8")
+    named = set()
+    for heading in re.findall(r"^### .*: (eq\. .*)$", text, re.MULTILINE):
+        for first, last in re.findall(r"(\d+)(?:–(\d+))?", heading.replace("Table 1", "")):
+            named |= set(range(int(first), int(last or first) + 1))
+    assert named == set(range(1, 29))
+
+
+def test_exit_codes_are_those_of_the_code():
+    _, _, text = (DOCS / "command_line.md").read_text(encoding="utf-8").partition("\n## Exit codes")
+    codes = [int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)]
+    assert codes == [0, 1, WRONG_OPTION, INTERRUPTED, BROKEN_PIPE]
+
+
+@pytest.mark.parametrize(("words", "code"), [
+    ("--version", 0),
+    ("run nothing.png nothing.png -o out", 1),
+    ("run frame0.png frame1.png -o out --smoothness=-1", 1),
+    ("run frame0.png frame1.png -o out --motion field --poses poses.txt", 1),
+    ("run frame0.png frame1.png -o out --smoothnes 1", 2),
+    ("run frame0.png frame1.png -o out --smoothness much", 2),
+    ("run frame0.png frame1.png -o out --preset quick", 2),
+    ("--completion fish", 2),
+    ("nothing", 2),
+    ("reconstruct", 2),
+])  # fmt: skip
+def test_exit_codes(words, code, documented_here, capsys):
+    try:
+        found = main(words.split())
+    except SystemExit as end:
+        found = end.code
+    assert found == code
+    assert len(capsys.readouterr().err.splitlines()) == (code > 0)
+
+
+def test_the_principal_figures_stand_in_the_measurements():
+    text = re.sub(r"\]\([^)]*\)", "", (DOCS / "accuracy.md").read_text(encoding="utf-8"))
+    number = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+    found = set(number.findall(text))
+    assert len(found) > 30
+    assert found <= set(number.findall(MEASURED.read_text(encoding="utf-8")))

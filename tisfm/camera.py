@@ -51,6 +51,19 @@ class Camera:
     TypeError, ValueError
         If a value is not a number, not finite, or a focal length or the aspect is not positive; if
         there is another number of coefficients; if both fy and an aspect other than 1 are given.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> camera = tisfm.Camera(focal=720.0, distortion=(-0.28, 0.07, 0, 0))
+    >>> camera.is_pinhole
+    False
+    >>> camera.pinhole()
+    Camera(focal=720.0, center=None, distortion=None, aspect=1.0, readout=None)
+    >>> camera.center_for(480, 640)  # the centre of the image, as none is stated
+    (319.5, 239.5)
+    >>> tisfm.Camera(focal=(720.0, 700.0)).focals  # pixels that are not square
+    (720.0, 700.0)
     """
 
     focal: float
@@ -122,6 +135,12 @@ class Camera:
         ------
         ValueError
             If its sensor is tilted: no other tilt moves pixels in the same way.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Camera(center=(320.0, 240.0)).with_focal(720.0).focal
+        720.0
         """
         lens = self.distortion
         if lens is not None:
@@ -140,6 +159,12 @@ class Camera:
             Ratio of the new to the old sampling density, 0.5 for half the resolution.
         height, width : int
             Size of the image before resampling, px.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Camera(focal=720.0).scaled(0.5, 480, 640).focal
+        360.0
         """
         cx, cy = self.center_for(height, width)
         return Camera(

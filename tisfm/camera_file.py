@@ -41,6 +41,14 @@ def write_camera(
         If it cannot be written.
     TypeError, ValueError
         If it is no camera, or the shape is none.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.camera_file import read_camera, write_camera
+    >>> write_camera("camera.json", tisfm.Camera(focal=720.0), (480, 640))
+    >>> read_camera("camera.json").focal
+    720.0
     """
     camera = check_camera(camera)
     height, width = (int(side) for side in shape)
@@ -74,6 +82,14 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
         A ValueError: if it is not a camera.
     ValueError
         If it is of frames of another shape.
+
+    Examples
+    --------
+    >>> from tisfm.camera_file import read_camera
+    >>> read_camera("walk").focal  # of the frames that were reconstructed, 180 × 240 px
+    144.0
+    >>> read_camera("walk", shape=(360, 480)).focal  # and of larger ones of the same lens
+    288.0
     """
     file = file_of(path)
     record = record_in(file)

@@ -36,6 +36,12 @@ class FocalGuess:
         What was known: what the camera wrote into the file, or nothing but the size.
     reason : str
         How it was worked out, in words.
+
+    Examples
+    --------
+    >>> from tisfm.focal_guess import FocalGuess, guess_focal
+    >>> isinstance(guess_focal("frame0.png"), FocalGuess)
+    True
     """
 
     focal: float
@@ -68,6 +74,13 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
         A ValueError: if it is not an image.
     TypeError, ValueError
         If `source` is neither a path nor a shape.
+
+    Examples
+    --------
+    >>> from tisfm.focal_guess import guess_focal
+    >>> guess = guess_focal((480, 640))  # or the path of a picture, whose EXIF data may state it
+    >>> guess.focal, guess.origin
+    (768.0, 'size')
     """
     if isinstance(source, (str, os.PathLike)):
         size, exif = _look(source)
@@ -96,6 +109,16 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
     ------
     OSError, TypeError, ValueError
         As `guess_focal`.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from tisfm.focal_guess import GuessedFocalWarning, guess_camera
+    >>> with warnings.catch_warnings(record=True) as said:
+    ...     warnings.simplefilter("always")
+    ...     camera = guess_camera("frame0.png")
+    >>> camera.focal, said[0].category is GuessedFocalWarning
+    (76.8, True)
     """
     guess = guess_focal(source)
     warnings.warn(

@@ -50,6 +50,16 @@ def horn_schunck(
     ----------
     Horn, Schunck, "Determining optical flow", Artificial Intelligence 17 (1981) 185–203,
     doi 10.1016/0004-3702(81)90024-2.
+
+    Examples
+    --------
+    >>> from tisfm.horn_schunck import horn_schunck
+    >>> from tisfm.metrics import endpoint_error
+    >>> from tisfm.scenes import static_scene
+    >>> scene = static_scene("sideways", 96, 128)
+    >>> flow = horn_schunck(scene.frame0, scene.frame1)
+    >>> endpoint_error(flow, scene.flow) < 0.5  # px
+    True
     """
     settings = check_settings(settings)
     settings = replace(

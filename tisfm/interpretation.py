@@ -55,6 +55,20 @@ class Interpretation:
         Energy and relative change of every iteration.
     version : str
         Version of tisfm that computed it.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import static_scene
+    >>> scene = static_scene("sideways", 96, 128)
+    >>> settings = tisfm.Settings.preset("fast", motion="camera")
+    >>> result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    >>> result.flow.shape, result.tau.shape, result.depth.shape
+    ((96, 128, 2), (3, 96, 128), (96, 128))
+    >>> result.motions.shape  # one twist (T, ω), ‖T‖ = 1
+    (1, 6)
+    >>> bool((result.confidence[result.occlusion] == 0).all())
+    True
     """
 
     rho: np.ndarray = field(repr=False)
@@ -120,6 +134,19 @@ class Interpretation:
         ------
         TypeError, ValueError
             If `min_confidence` is not in [0, 1], or `max_depth` not positive.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> from tisfm.scenes import static_scene
+        >>> scene = static_scene("sideways", 96, 128)
+        >>> settings = tisfm.Settings.preset("fast", motion="camera")
+        >>> frames = scene.frame0, scene.frame1
+        >>> result = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
+        >>> cloud = result.points(min_confidence=0.3)
+        >>> cloud.positions.shape[1], cloud.colors.dtype, 0 < len(cloud) < 96 * 128
+        (3, dtype('uint8'), True)
+        >>> cloud.save("pair.ply")
         """
         return point_cloud(
             self.depth,
@@ -160,6 +187,15 @@ class Interpretation:
             If a value is masked, or if `load` would refuse what is written: if arrays do not fit
             each other, or hold NaN or infinity though the status is another than ``"diverged"`` or
             ``"pose_mismatch"``.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> from tisfm.scenes import two_blocks
+        >>> scene = two_blocks(48, 64)
+        >>> result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera)
+        >>> result.save("pair.npz")
+        >>> result.save("small.npz", compact=True)  # rounded, and a quarter of the bytes
         """
         from tisfm.interpretation_file import write_interpretation
 
@@ -182,6 +218,17 @@ class Interpretation:
             cannot read.
         MemoryError
             If it is one, but memory does not suffice.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> from tisfm.scenes import two_blocks
+        >>> scene = two_blocks(48, 64)
+        >>> result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera)
+        >>> result.save("pair.npz")
+        >>> again = tisfm.Interpretation.load("pair.npz")
+        >>> bool((again.flow == result.flow).all())
+        True
         """
         from tisfm.interpretation_file import read_interpretation
 

@@ -90,6 +90,16 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     ------
     TypeError, ValueError
         If `frame` is not an image of those kinds, or `camera` not one that could have taken it.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.lens import undistort
+    >>> from tisfm.scenes import two_blocks
+    >>> frame = two_blocks(48, 64).frame0
+    >>> camera = tisfm.Camera(focal=64.0, distortion=(-0.1, 0.01, 0, 0))
+    >>> undistort(frame, camera).shape
+    (48, 64)
     """
     camera, image = check_camera(camera), check_frame(frame, "frame")
     if camera.is_pinhole:

@@ -109,6 +109,25 @@ def interpret(
     ----------
     Sekkati, Mitiche, "A variational method for the recovery of dense 3D structure from motion",
     Robotics and Autonomous Systems 55 (2007) 597–607, doi 10.1016/j.robot.2006.11.006.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import static_scene
+    >>> scene = static_scene("forward", 96, 128)  # or read_image of two files
+    >>> settings = tisfm.Settings.preset("fast", motion="camera")
+    >>> result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    >>> str(result.status)
+    'converged'
+    >>> from tisfm.metrics import depth_errors
+    >>> depth_errors(result.depth, scene.depth).abs_rel < 0.1  # its scale brought to the true one
+    True
+
+    Frames without motion have a status that says so, and no depth:
+
+    >>> still = tisfm.interpret(scene.frame0, scene.frame0, camera=scene.camera, settings=settings)
+    >>> str(still.status)
+    'no_motion'
     """
     ignored = None
     if mask is not None:

@@ -35,6 +35,16 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     ------
     ValueError
         If `motion` is not six finite numbers, none of them masked.
+
+    Examples
+    --------
+    >>> import math
+    >>> from tisfm.rigid import rigid_motion
+    >>> rotation, translation = rigid_motion([0, 0, 1, 0, 0, math.pi / 2])
+    >>> rotation.round(6).astype(int).tolist()  # a quarter turn about the optical axis
+    [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    >>> translation.tolist()
+    [0.0, 0.0, 1.0]
     """
     twist = finite(motion, (6,), "motion")
     velocity, spin = twist[:3], twist[3:]
@@ -69,6 +79,14 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     ------
     ValueError
         If they are not finite numbers of those shapes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.rigid import rigid_motion, rigid_twist
+    >>> twist = [0.1, 0.2, 0.3, 0.01, 0.02, 0.03]
+    >>> bool(np.allclose(rigid_twist(*rigid_motion(twist)), twist))
+    True
     """
     matrix, offset = finite(rotation, (3, 3), "rotation"), finite(translation, (3,), "translation")
     # The axis times twice the sine, and the cosine, from the trace: good at small angles.
@@ -100,6 +118,14 @@ def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
     ------
     ValueError
         If `twist` is not six finite numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.rigid import pose_matrix
+    >>> pose = pose_matrix([-0.1, 0, 0, 0, 0, 0])  # the camera moved 0.1 to the right
+    >>> (pose @ [0, 0, 2, 1]).tolist()  # where a point before it is then
+    [-0.1, 0.0, 2.0, 1.0]
     """
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rigid_motion(twist)

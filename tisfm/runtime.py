@@ -72,6 +72,15 @@ def start(
     cache, and compiles anew in every process. A lock there that a killed process has left is
     removed after two minutes. Where neither HOME nor XDG_CACHE_HOME is set,
     which Taichi does not survive either, HOME is set for this process.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> tisfm.runtime.start()  # such as start("cuda"), or start(threads=2)
+    >>> tisfm.runtime.start("quantum")
+    Traceback (most recent call last):
+        ...
+    ValueError: arch is 'quantum': expected one of ...
     """
     global _process
     if arch is not None and arch not in ARCHS:

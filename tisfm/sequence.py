@@ -94,6 +94,17 @@ def interpret_sequence(
         3, or is 3 for a motion that is not ``"field"``; while iterating if a frame or its mask
         cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the names of
         the frames.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import two_blocks
+    >>> scene = two_blocks(48, 64)
+    >>> frames = [scene.frame0, scene.frame1, scene.frame0]  # or a folder, a video, "webcam:0"
+    >>> settings = tisfm.Settings.preset("fast")
+    >>> results = tisfm.interpret_sequence(frames, camera=scene.camera, settings=settings)
+    >>> [result.flow.shape for result in results]  # a pair of neighbours each
+    [(48, 64, 2), (48, 64, 2)]
     """
     camera, settings = None if camera is None else check_camera(camera), check_settings(settings)
     frames = FrameSource(

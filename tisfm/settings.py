@@ -134,6 +134,17 @@ class Settings:
     ------
     TypeError, ValueError
         If a value is of the wrong type or out of range; the text names those possible.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> settings = tisfm.Settings(motion="camera", smoothness=30.0)
+    >>> settings.motion, settings.smoothness
+    ('camera', 30.0)
+    >>> tisfm.Settings(smoothness=-1.0)
+    Traceback (most recent call last):
+        ...
+    ValueError: smoothness is -1.0: expected ...
     """
 
     model: Model = "rigid"
@@ -237,6 +248,14 @@ class Settings:
         ------
         ValueError
             If the preset, or the name or value of a change, is not one of those possible.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Settings.preset("fast").finest_level  # it ends at half the resolution
+        1
+        >>> tisfm.Settings.preset("fast", motion="objects", max_objects=3).max_objects
+        3
         """
         _check_choice("preset", name, tuple(_PRESETS))
         known = {field.name for field in fields(cls)}

@@ -122,8 +122,12 @@ def _print_completion(shells: list[str]) -> int:
     from tisfm.cli.completion import completion_script
 
     if len(shells) != 1:
-        raise ValueError(f"--completion takes one shell: {', '.join(SHELLS)}")
-    print(completion_script(shells[0], known_options(_parse)), end="")
+        return _fail(f"--completion takes one shell: {', '.join(SHELLS)}", WRONG_OPTION)
+    try:
+        script = completion_script(shells[0], known_options(_parse))
+    except ValueError as error:  # an unknown shell
+        return _fail(str(error), WRONG_OPTION)
+    print(script, end="")
     return 0
 
 

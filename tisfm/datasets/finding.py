@@ -41,9 +41,18 @@ def find_pairs(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> from tisfm.datasets import find_pairs
-    >>> for pair in find_pairs("middlebury"):  # doctest: +SKIP
-    ...     loaded = pair.load()  # frames, flow with NaN where unknown, depth, pose, camera
+    >>> from tisfm.formats import write_flo, write_png
+    >>> from tisfm.scenes import two_blocks
+    >>> scene, folder = two_blocks(48, 64), Path("mine/Blocks")
+    >>> folder.mkdir(parents=True)
+    >>> write_png(folder / "frame10.png", scene.frame0)
+    >>> write_png(folder / "frame11.png", scene.frame1)
+    >>> write_flo(folder / "flow10.flo", scene.flow)
+    >>> for pair in find_pairs("mine"):
+    ...     print(pair.layout, pair.name, pair.load().flow.shape)
+    middlebury Blocks (48, 64, 2)
     """
     if layout is not None and layout not in LAYOUTS:
         raise ValueError(

@@ -57,6 +57,15 @@ class LoadedPair:
         Where the sky is, whose motion is not that of a scene; None if the dataset does not say.
     camera : Camera or None
         The camera of frame 0, if the dataset states one.
+
+    Examples
+    --------
+    >>> from tisfm.datasets import LoadedPair
+    >>> from tisfm.scenes import two_blocks
+    >>> scene = two_blocks(48, 64)
+    >>> loaded = LoadedPair(frame0=scene.frame0, frame1=scene.frame1, camera=scene.camera)
+    >>> loaded.flow is None and loaded.depth is None  # nothing is known of them
+    True
     """
 
     frame0: NDArray[Any]
@@ -105,6 +114,22 @@ class DatasetPair:
     calibration : Path, optional
         The camera: a Sintel .cam, a KITTI calibration text, or of the layout "calibrated" a
         heading and a line.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tisfm.datasets import DatasetPair
+    >>> pair = DatasetPair(
+    ...     layout="middlebury",
+    ...     dataset="mine",
+    ...     name="Blocks",
+    ...     frame0=Path("frame0.png"),
+    ...     frame1=Path("frame1.png"),
+    ... )
+    >>> pair.knows_flow, pair.knows_depth, pair.knows_pose
+    (False, False, False)
+    >>> pair.load().frame0.shape
+    (48, 64)
     """
 
     layout: str

@@ -29,6 +29,15 @@ class LoadedSequence:
         The true depth map of each frame; None where there is none.
     depth_scale : float
         Values of a depth map per metre.
+
+    Examples
+    --------
+    >>> from tisfm.datasets import find_sequences
+    >>> loaded = find_sequences("calibrated")[0].load()
+    >>> loaded.poses.shape, loaded.depth(0).shape, loaded.camera.focal
+    ((9, 4, 4), (180, 240), 144.0)
+    >>> len(loaded.take([0, 4, 8]).frames)
+    3
     """
 
     frames: tuple[Path, ...]

@@ -23,6 +23,13 @@ class DatasetSequence:
     name : str
         After its folder.
     folder : Path
+
+    Examples
+    --------
+    >>> from tisfm.datasets import find_sequences
+    >>> (sequence,) = find_sequences("calibrated")
+    >>> sequence.name, len(sequence.load(step=2).frames)
+    ('calibrated', 5)
     """
 
     layout: SequenceLayout
@@ -79,6 +86,13 @@ def find_sequences(
         If `folder` is a file.
     ValueError
         If there is no such layout.
+
+    Examples
+    --------
+    >>> from tisfm.datasets import find_sequences
+    >>> for sequence in find_sequences("calibrated"):  # images/, camera.txt, poses.txt, depth/
+    ...     print(sequence.layout, len(sequence.load().frames))
+    calibrated 9
     """
     names = get_args(SequenceLayout)
     if layout is not None and layout not in names:

@@ -57,6 +57,12 @@ def compare_masks(
     See Also
     --------
     tisfm.metrics.label_scores : what the scores mean.
+
+    Examples
+    --------
+    >>> from tisfm.evaluation import compare_masks
+    >>> compare_masks("bodies", "bodies/masks").iou  # with itself
+    1.0
     """
     whole(1, step=step)
     true_files = _pictures(true_masks(truth))[::step]

@@ -42,6 +42,14 @@ class Evaluation:
     settings : Settings
     pairs : tuple of PairEvaluation
         In the order they were given.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.evaluation import Evaluation
+    >>> evaluation = Evaluation(settings=tisfm.Settings(), pairs=())  # `evaluate` makes it
+    >>> evaluation.mean is None
+    True
     """
 
     settings: Settings
@@ -123,6 +131,19 @@ def evaluate(
         are. If poses are to be given to another motion, or `max_depth` is not positive.
     Exception
         What nobody foresaw, which is a bug and no fault of a pair.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.datasets import find_pairs
+    >>> from tisfm.evaluation import evaluate
+    >>> pairs = find_pairs("calibrated", step=4)[:1]
+    >>> settings = tisfm.Settings.preset("fast", motion="camera")
+    >>> evaluation = evaluate(pairs, settings=settings)
+    >>> evaluation.faults
+    []
+    >>> evaluation.pairs[0].depth.abs_rel < 0.5
+    True
     """
     if camera is not None:
         if not isinstance(camera, Camera):

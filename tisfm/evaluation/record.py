@@ -49,6 +49,15 @@ class PairEvaluation:
         Of the one motion of the scene before the camera; None if the dataset has no true pose, it
         was given to the interpretation, or the interpretation has no such motion. Where there is
         too little parallax, its direction is None.
+
+    Examples
+    --------
+    >>> from tisfm.datasets import find_pairs
+    >>> from tisfm.evaluation import PairEvaluation
+    >>> (pair,) = find_pairs("calibrated", step=8)
+    >>> record = PairEvaluation(pair=pair, fault="the file is damaged")  # `evaluate` makes it
+    >>> record.depth is None
+    True
     """
 
     pair: DatasetPair

@@ -87,6 +87,17 @@ class SequenceDepthErrors:
     flicker : float or None
         Mean over pairs of consecutive frames.
     per_frame : tuple of FrameDepthErrors
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.datasets import find_sequences
+    >>> from tisfm.evaluation import compare_sequence
+    >>> (sequence,) = find_sequences("calibrated")
+    >>> result = tisfm.Reconstruction.load("walk")
+    >>> found = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
+    >>> found.depth.frames, found.depth.certain <= found.depth.error
+    (9, True)
     """
 
     frames: int

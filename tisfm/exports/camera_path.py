@@ -54,6 +54,13 @@ def write_gltf_cameras(
         If no frame has a pose, or there is no such frame; if the frame rate is none.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_gltf_cameras
+    >>> [str(file) for file in write_gltf_cameras(tisfm.Reconstruction.load("walk"), ".")]
+    ['camera.gltf', 'lens.json']
     """
     chosen = chosen_frames(frames, len(result))
     pieces = pieces_of(result, chosen)
@@ -100,6 +107,13 @@ def write_chan(
     ------
     ValueError, IndexError, OSError
         As for `write_gltf_cameras`.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_chan
+    >>> [str(file) for file in write_chan(tisfm.Reconstruction.load("walk"), ".")]
+    ['camera.chan', 'lens.json']
     """
     pieces = pieces_of(result, frames)
     angle = math.degrees(vertical_angle(result.camera, result.shape[0]))

@@ -41,6 +41,15 @@ class ExportedModel:
     error : float or None
         Median distance from where a point was measured to where pose and position say, px; None
         without points.
+
+    Examples
+    --------
+    >>> from tisfm.exports import ExportedModel
+    >>> model = ExportedModel(
+    ...     name="sparse/0", piece=0, images=9, points=812, observations=4060, error=0.4
+    ... )
+    >>> model.observations / model.points  # frames that see a point
+    5.0
     """
 
     name: str
@@ -105,6 +114,14 @@ def write_colmap(
     ----------
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445; the files: https://colmap.github.io/format.html.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_colmap
+    >>> (model,) = write_colmap(tisfm.Reconstruction.load("walk"), "colmap", form="text")
+    >>> model.images, model.points > 100, model.error < 1  # px
+    (9, True, True)
     """
     if form not in get_args(Form):
         raise ValueError(f"form is {form!r}: expected 'binary', 'text' or 'both'")

@@ -62,6 +62,14 @@ def write_depths(
         If EXR files cannot be written.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames, write_depths
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
+    >>> len(write_depths(frames, ".", "tum"))  # a 16-bit PNG for each frame
+    9
     """
     if kind == "exr":
         check_exr()

@@ -45,6 +45,15 @@ def write_masks(
         If the result has none.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames, write_masks
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("bodies"))  # of ``motion="objects"``
+    >>> written = write_masks(frames, ".", chosen=[0])
+    >>> written[0].parent.name
+    'at-rest'
     """
     taken, written = chosen_frames(chosen, len(frames)), []
     for done, frame in enumerate(taken, 1):

@@ -80,6 +80,14 @@ def write_nerfstudio(
     References
     ----------
     https://docs.nerf.studio/quickstart/data_conventions.html.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_nerfstudio
+    >>> model = write_nerfstudio(tisfm.Reconstruction.load("walk"), "nerfstudio")
+    >>> model.images
+    9
     """
     check_images(images)
     cells_of(reconstruction.shape, spacing)

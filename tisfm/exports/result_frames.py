@@ -69,7 +69,16 @@ class ResultFrames(Protocol):
 
 
 class SequenceFrames:
-    """The frames of a reconstruction."""
+    """The frames of a reconstruction.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
+    >>> len(frames), frames.has_depth(0), frames.inverse_depth(0).shape
+    (9, True, (180, 240))
+    """
 
     unit_advice = "give another unit by --scale"
 
@@ -139,6 +148,13 @@ class PairFrames:
         A ValueError: if a file is damaged.
     ValueError
         If there is no pair.
+
+    Examples
+    --------
+    >>> from tisfm.exports import PairFrames
+    >>> frames = PairFrames("results")  # what ``tisfm run`` wrote
+    >>> len(frames), frames.flow(0).shape
+    (2, (48, 64, 2))
     """
 
     advice = "run with --motion camera, or look at the statuses in run.json"

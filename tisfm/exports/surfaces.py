@@ -46,6 +46,13 @@ def write_points(
         If no piece has a point.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_points
+    >>> [str(file) for file in write_points(tisfm.Reconstruction.load("walk"), ".", suffix="glb")]
+    ['points.glb']
     """
     pieces = pieces_of(result, frames)
     written = []
@@ -87,6 +94,13 @@ def write_meshes(
         If no piece has a surface.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_meshes
+    >>> [str(file) for file in write_meshes(tisfm.Reconstruction.load("walk"), ".")]
+    ['mesh.ply']
     """
     pieces = pieces_of(result, frames)
     written = []

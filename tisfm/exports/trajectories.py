@@ -48,6 +48,13 @@ def write_tum_paths(
         If no frame has a pose, or there is no such frame.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_tum_paths
+    >>> [str(file) for file in write_tum_paths(tisfm.Reconstruction.load("walk"), ".")]
+    ['trajectory.tum']
     """
     pieces = pieces_of(result, frames)
     times = frame_times(result.times, frames_per_second)
@@ -84,6 +91,13 @@ def write_kitti_paths(
     ------
     ValueError, IndexError, OSError
         As for `write_tum_paths`.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_kitti_paths
+    >>> [str(file) for file in write_kitti_paths(tisfm.Reconstruction.load("walk"), ".")]
+    ['poses.kitti', 'poses.times']
     """
     pieces = pieces_of(result, frames)
     times = frame_times(result.times, frames_per_second)

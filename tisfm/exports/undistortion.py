@@ -57,6 +57,14 @@ def write_undistortion(
         If OpenEXR is not there.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import write_undistortion
+    >>> camera = tisfm.Camera(focal=60.0, distortion=(-0.1, 0.01, 0, 0))
+    >>> [str(file) for file in write_undistortion(camera, (48, 64), ".", suffix="tiff")]
+    ['undistort.tiff', 'redistort.tiff']
     """
     check_distorts(camera)
     if suffix == "exr":

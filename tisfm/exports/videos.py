@@ -78,6 +78,14 @@ def write_video(
         If PyAV is not there.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames, write_video
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
+    >>> write_video(frames, "depth.mp4", "depth", frames_per_second=25).name
+    'depth.mp4'
     """
     check_video()
     if disparity is not None:

@@ -42,10 +42,12 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 
     Examples
     --------
-    >>> import os, tempfile
-    >>> path = os.path.join(tempfile.mkdtemp(), "note.txt")
-    >>> with atomic_write(path) as file:
+    >>> from pathlib import Path
+    >>> from tisfm.formats import atomic_write
+    >>> with atomic_write("note.txt") as file:
     ...     _ = file.write(b"complete")
+    >>> Path("note.txt").read_bytes()
+    b'complete'
     """
     name = os.fspath(path)
     target = os.path.realpath(name)

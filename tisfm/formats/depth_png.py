@@ -42,6 +42,14 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     ValueError
         If a value is masked, or no depth is valid. (An answer such as 1.0 could be kept by mistake
         for a sequence.)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import choose_depth_scale
+    >>> depth = np.array([[1.0, 6.5]])
+    >>> bool(0 < choose_depth_scale(depth) * 6.5 <= 65535)
+    True
     """
     values = unmasked(depth, "depth", np.float64)
     valid = values[_is_valid(values)]
@@ -75,6 +83,15 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
         If `depth` is not (H, W), has a masked value, or `scale` is not a finite positive number.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import choose_depth_scale, read_depth_png, write_depth_png
+    >>> depth = np.linspace(1, 9, 12).reshape(3, 4)
+    >>> write_depth_png("depth.png", depth, scale=choose_depth_scale(depth))
+    >>> bool(np.allclose(read_depth_png("depth.png"), depth, rtol=1e-3))
+    True
     """
     values = unmasked(depth, "depth", np.float64)
     if values.ndim != 2 or values.size == 0:
@@ -115,6 +132,14 @@ def read_depth_png(
         If `scale` is not a finite positive number.
     OSError
         If the file does not exist or cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_depth_png, write_depth_png
+    >>> write_depth_png("depth.png", np.array([[2.0, np.nan]]), scale=5000)  # as TUM has it
+    >>> read_depth_png("depth.png").tolist()  # the file says its scale
+    [[2.0, nan]]
     """
     name = os.fspath(path)
     if scale is not None:

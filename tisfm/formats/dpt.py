@@ -32,6 +32,14 @@ def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     ----------
     D. J. Butler et al., "A naturalistic open source movie for optical flow evaluation", ECCV 2012,
     611-625, doi:10.1007/978-3-642-33783-3_44.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_dpt, write_dpt
+    >>> write_dpt("depth.dpt", np.array([[2.5, 4.0]], np.float32))
+    >>> read_dpt("depth.dpt").tolist()
+    [[2.5, 4.0]]
     """
     return read_tagged(path, suffix=".dpt", channels=1)[..., 0]
 
@@ -55,5 +63,13 @@ def write_dpt(path: str | os.PathLike[str], depth: ArrayLike) -> None:
         If `depth` does not hold real numbers.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_dpt, write_dpt
+    >>> write_dpt("depth.dpt", np.full((48, 64), 2.5, np.float32))
+    >>> read_dpt("depth.dpt").shape
+    (48, 64)
     """
     write_tagged(path, "depth", depth, channels=1)

@@ -32,6 +32,16 @@ def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     ----------
     S. Baker et al., "A database and evaluation methodology for optical flow", International
     Journal of Computer Vision 92 (2011) 1-31, doi:10.1007/s11263-010-0390-2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_flo, write_flo
+    >>> flow = np.zeros((48, 64, 2), np.float32)
+    >>> flow[0, 0] = np.nan  # unknown
+    >>> write_flo("still.flo", flow)
+    >>> int(np.isnan(read_flo("still.flo")).any(axis=-1).sum())
+    1
     """
     return read_tagged(path, suffix=".flo", channels=2)
 
@@ -55,6 +65,14 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
         If `flow` does not hold real numbers.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_flo, write_flo
+    >>> write_flo("still.flo", np.zeros((48, 64, 2), np.float32))  # (u, v), px
+    >>> read_flo("still.flo").shape
+    (48, 64, 2)
     """
     write_tagged(path, "flow", flow, channels=2)
 

@@ -73,6 +73,13 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     is not asked about any other. What Pillow does not know of these (float colour TIFF), or
     refuses for its size alone (above 179 million pixels), and what else is read (Radiance HDR,
     PFM), is as safe as OpenCV makes it.
+
+    Examples
+    --------
+    >>> from tisfm.formats import read_image
+    >>> frame = read_image("frame0.png")
+    >>> frame.shape, frame.dtype
+    ((48, 64), dtype('uint8'))
     """
     name = os.fspath(path)
     data = read_bytes(name)
@@ -122,6 +129,14 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
         If `image` has another shape, no pixels, or a masked value.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_image, write_png
+    >>> write_png("deep.png", np.full((4, 6, 3), 40000, np.uint16))  # grey or RGB, 8 or 16 bits
+    >>> int(read_image("deep.png").max())
+    40000
     """
     image = unmasked(image, "image", advice="fill them first, for instance by image.filled(0)")
     image = image.astype(image.dtype.newbyteorder("="), copy=False)

@@ -39,6 +39,14 @@ def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     ----------
     M. Menze and A. Geiger, "Object scene flow for autonomous vehicles", CVPR 2015, 3061-3070,
     doi:10.1109/CVPR.2015.7298925.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_kitti_flow, write_kitti_flow
+    >>> write_kitti_flow("flow.png", np.full((48, 64, 2), np.nan))  # unknown
+    >>> bool(np.isnan(read_kitti_flow("flow.png")).all())
+    True
     """
     stored = read_image(path)
     if stored.dtype != np.uint16 or stored.ndim != 3:
@@ -71,6 +79,14 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
         If `flow` does not hold real numbers.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.formats import read_kitti_flow, write_kitti_flow
+    >>> write_kitti_flow("flow.png", np.full((48, 64, 2), 1.25))
+    >>> read_kitti_flow("flow.png")[0, 0].tolist()  # in steps of 1/64 px
+    [1.25, 1.25]
     """
     values = as_real("flow", flow).astype(np.float64)
     if values.ndim != 3 or values.shape[2] != 2 or values.size == 0:

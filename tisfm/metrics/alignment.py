@@ -19,6 +19,14 @@ class Similarity:
     scale : float
     rotation : (3, 3) float64 ndarray
     translation : (3,) float64 ndarray
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import Similarity
+    >>> twice = Similarity(scale=2.0, rotation=np.eye(3), translation=np.array([1.0, 0, 0]))
+    >>> twice.apply([[1.0, 1.0, 1.0]]).tolist()
+    [[3.0, 2.0, 2.0]]
     """
 
     scale: float
@@ -55,6 +63,15 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     Umeyama, Least-squares estimation of transformation parameters between two point patterns,
     IEEE Transactions on Pattern Analysis and Machine Intelligence 13 (1991) 376–380,
     doi 10.1109/34.88573: eq. 40–43.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import align
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> found = align(points, 2 * points + (1, 0, 0))
+    >>> round(found.scale, 6), found.translation.round(6).tolist()
+    (2.0, [1.0, 0.0, 0.0])
     """
     source, target = _points(points, "points"), _points(truth, "truth")
     if source.shape != target.shape:

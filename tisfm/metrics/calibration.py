@@ -37,6 +37,15 @@ def std_coverage(
     ValueError
         If shapes differ, a value is masked, or no pixel that counts has a known truth and a
         positive estimate.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import std_coverage
+    >>> truth = np.full((2, 2), 0.5)
+    >>> found = np.array([[0.5, 0.52], [0.48, 0.9]])
+    >>> std_coverage(found, np.full((2, 2), 0.05), truth)
+    0.75
     """
     times = error_in_deviations(inverse_depth, inverse_depth_std, truth, mask)
     return float((times <= 1).mean())

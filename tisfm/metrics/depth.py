@@ -34,6 +34,17 @@ class DepthErrors:
     abs_rel_all : float
         Mean |d - d*| / d* over all pixels with known truth, none left out: estimates are limited to
         [0.1 min d*, 10 max d*], and a pixel without one has 10 max d*.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import depth_errors
+    >>> truth = np.full((3, 4), 2.0)
+    >>> depth = truth.copy()
+    >>> depth[0, :3] = np.nan  # nothing was found there
+    >>> errors = depth_errors(depth, truth)
+    >>> errors.density, errors.delta1
+    (0.75, 1.0)
     """
 
     abs_rel: float
@@ -82,6 +93,15 @@ def depth_errors(
     Eigen, Puhrsch and Fergus, Depth map prediction from a single image using a multi-scale deep
     network, NIPS 2014, arXiv 1406.2283. `silog` is the root of its scale-invariant error, times 100
     as in KITTI's benchmark (Uhrig et al., Sparsity invariant CNNs, 3DV 2017, arXiv 1708.06500).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import depth_errors
+    >>> truth = np.linspace(2, 4, 12).reshape(3, 4)
+    >>> errors = depth_errors(truth / 2, truth)  # right but for its scale
+    >>> round(errors.abs_rel, 6), round(errors.scale, 6)
+    (0.0, 2.0)
     """
     d, true, valid, known, scale = _depths(depth, truth, mask, align)
     all_true = true[known]
@@ -128,6 +148,14 @@ def depth_error_map(
     ------
     ValueError
         As `depth_errors`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import depth_error_map
+    >>> truth = np.full((2, 2), 4.0)
+    >>> depth_error_map(truth * 1.25, truth, align=None).tolist()
+    [[0.25, 0.25], [0.25, 0.25]]
     """
     d, true, valid, _, _ = _depths(depth, truth, mask, align)
     error = np.full(valid.shape, np.nan)

@@ -33,6 +33,14 @@ def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 
     ------
     ValueError
         If shapes differ, a value is masked, or the truth is unknown everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import limited_error
+    >>> truth = np.full((3, 4), 2.0)
+    >>> limited_error(1 / (1.25 * truth), truth)
+    0.25
     """
     inverse, true, known = _maps(inverse_depth, truth)
     inverse, true = inverse[known], true[known]
@@ -76,6 +84,16 @@ def certain_error(
     ------
     ValueError
         If shapes differ, a value is masked, or the truth is unknown everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import certain_error
+    >>> truth = np.full((2, 2), 2.0)
+    >>> inverse_depth = np.array([[0.5, 0.5], [0.4, 0.4]])  # the second row is wrong
+    >>> deviation = np.array([[0.01, 0.01], [0.2, 0.2]])  # and says so
+    >>> certain_error(inverse_depth, deviation, truth, share=0.5)
+    0.0
     """
     inverse, true, known = _maps(inverse_depth, truth)
     sigma = unmasked(deviation, "deviation", np.float64)
@@ -132,6 +150,16 @@ def flicker(
     ------
     ValueError
         If shapes differ, a value is masked, or a truth is unknown everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import flicker
+    >>> truth = np.full((12, 16), 2.0)
+    >>> same, brighter = (0.5 * np.ones((12, 16)), truth), (0.55 * np.ones((12, 16)), truth)
+    >>> at_rest = np.eye(4)
+    >>> round(flicker(same, brighter, at_rest, focal=16.0, center=(7.5, 5.5)), 6)
+    0.1
     """
     (inverse0, true0, known0), (inverse1, true1, known1) = _maps(*first), _maps(*second)
     if known0.shape != known1.shape:

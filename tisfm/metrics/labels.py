@@ -31,6 +31,16 @@ class ThingScores:
         Frames where the thing is there, and those of them where some label overlaps it enough.
     switches : int
         How often the label that overlaps it enough became another one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import label_scores
+    >>> truth = np.zeros((2, 4, 4), np.uint8)
+    >>> truth[:, :2] = 1
+    >>> (thing,) = label_scores(7 * truth, truth).things
+    >>> thing.thing, thing.label, thing.followed
+    (1, 7, 2)
     """
 
     thing: int
@@ -52,6 +62,16 @@ class LabelScores:
         In the order of their values.
     frames : int
         Frames that were compared.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import label_scores
+    >>> truth = np.zeros((2, 4, 4), np.uint8)
+    >>> truth[:, :2] = 1
+    >>> scores = label_scores(truth, truth)
+    >>> len(scores.things), scores.frames
+    (1, 2)
     """
 
     things: tuple[ThingScores, ...]
@@ -111,6 +131,17 @@ def label_scores(
     CVPR 2016, doi 10.1109/CVPR.2016.85: the region similarity. Bernardin and Stiefelhagen,
     Evaluating multiple object tracking performance: the CLEAR MOT metrics, EURASIP Journal on
     Image and Video Processing 2008, doi 10.1155/2008/246309: mismatches.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import label_scores
+    >>> truth = np.zeros((2, 4, 4), np.uint8)
+    >>> truth[:, :2] = 1
+    >>> labels = 7 * truth  # the same thing under another number
+    >>> scores = label_scores(labels, truth)
+    >>> scores.iou, scores.switches
+    (1.0, 0)
     """
     if not 0 < least <= 1:
         raise ValueError(f"least is {least!r}: expected a number above 0, and 1 at most")

@@ -31,6 +31,16 @@ class ObjectPathErrors:
         What the found distances from the camera are multiplied by, in the aligned world.
     offset : tuple of float
         The origin of the found axes in those of the body, (x, y, z), in the unit of the truth.
+
+    Examples
+    --------
+    >>> from tisfm.metrics import object_path_errors
+    >>> from tisfm.scenes import bodies_film, bodies_path
+    >>> film = bodies_film(bodies_path(5), 24, 32, bodies=1)
+    >>> body = film.body_poses[0]
+    >>> errors = object_path_errors(body, body, film.poses, film.poses)
+    >>> round(errors.scale, 6)  # relative to the world
+    1.0
     """
 
     frames: int
@@ -82,6 +92,17 @@ def object_path_errors(
     the answer nearest to σ = 1 and q = 0 is taken. Q is the rotation nearest to all B_kᵀ R O_k, of
     found axes O_k. The positions compared are of the origin of the found axes, so an origin far
     outside of the body, which `offset` tells, makes for other errors than one within.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import object_path_errors
+    >>> from tisfm.scenes import bodies_film, bodies_path
+    >>> film = bodies_film(bodies_path(5), 24, 32, bodies=1)
+    >>> body = film.body_poses[0]
+    >>> errors = object_path_errors(body, body, film.poses, film.poses)  # with itself
+    >>> errors.frames, round(errors.share, 6), round(errors.rotation, 3)
+    (5, 0.0, 0.0)
     """
     found, true, camera, true_camera = (
         whole_poses(values, name)

@@ -24,6 +24,13 @@ class OcclusionScores:
         Pixels that are both, that are marked, and that are occluded: of several maps, they add up.
     pixels : int
         Pixels that counted.
+
+    Examples
+    --------
+    >>> from tisfm.metrics import OcclusionScores
+    >>> scores = OcclusionScores.from_counts(hits=4, marked=4, occluded=8, pixels=16)
+    >>> scores.precision, scores.recall, round(scores.f1, 3)
+    (1.0, 0.5, 0.667)
     """
 
     precision: float
@@ -70,6 +77,18 @@ def occlusion_scores(
     ------
     ValueError
         If shapes differ, a value is masked, or no pixel counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import occlusion_scores
+    >>> truth = np.zeros((4, 4), bool)
+    >>> truth[:2] = True
+    >>> found = np.zeros((4, 4), bool)
+    >>> found[0] = True
+    >>> scores = occlusion_scores(found, truth)
+    >>> scores.precision, scores.recall
+    (1.0, 0.5)
     """
     found, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
     if found.shape != true.shape or found.ndim != 2:

@@ -20,6 +20,16 @@ class PoseErrors:
         direction is as wrong as can be. None where one of the translations is zero.
     rotation : float
         Angle of the rotation that takes one rotation to the other, degrees, from 0 to 180.
+
+    Examples
+    --------
+    >>> import math
+    >>> from tisfm.metrics import pose_errors
+    >>> from tisfm.rigid import pose_matrix
+    >>> turned = pose_matrix([1, 0, 0, 0, 0, math.radians(3)])
+    >>> errors = pose_errors(turned, pose_matrix([1, 0, 0, 0, 0, 0]))
+    >>> round(errors.rotation, 3)  # degrees
+    3.0
     """
 
     direction: float | None
@@ -50,6 +60,14 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
     doi 10.1109/IROS.2012.6385773: the angle of the relative pose error. The angle between
     translations stands for its length, which two frames do not tell.
+
+    Examples
+    --------
+    >>> from tisfm.metrics import pose_errors
+    >>> from tisfm.rigid import pose_matrix
+    >>> errors = pose_errors(pose_matrix([2, 0, 0, 0, 0, 0.1]), pose_matrix([1, 0, 0, 0, 0, 0.1]))
+    >>> round(errors.direction, 3), round(errors.rotation, 3)  # degrees; lengths do not count
+    (0.0, 0.0)
     """
     rotation, translation = _rigid("pose", pose)
     true_rotation, true_translation = _rigid("truth", truth)

@@ -27,6 +27,17 @@ class AbsoluteErrors:
         in the unit of the truth.
     scale : float
         That of the similarity: true lengths per estimated one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import absolute_errors
+    >>> truth = np.tile(np.eye(4), (4, 1, 1))
+    >>> truth[:, 0, 3] = range(4)
+    >>> found = truth.copy()
+    >>> found[3] = np.nan  # no pose
+    >>> absolute_errors(found, truth).poses
+    3
     """
 
     poses: int
@@ -49,6 +60,16 @@ class RelativeErrors:
         Root mean square of the length of what is left of the motion, in the unit of the truth.
     rotation : float
         Root mean square of its angle, degrees.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import relative_errors
+    >>> from tisfm.rigid import pose_matrix
+    >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(5)])
+    >>> errors = relative_errors(truth, truth, step=2)
+    >>> errors.pairs, errors.step
+    (3, 2)
     """
 
     pairs: int
@@ -71,6 +92,16 @@ class Drift:
         Mean length of what is left of the motion, per length of the part; 0.01 is 1 %.
     rotation : float
         Mean of its angle, degrees per unit of length.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import drift
+    >>> from tisfm.rigid import pose_matrix
+    >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(9)])
+    >>> found = drift(truth, truth, lengths=[2.0])
+    >>> found.lengths, found.segments > 0
+    ((2.0,), True)
     """
 
     segments: int
@@ -86,6 +117,14 @@ def path_length(truth: ArrayLike) -> float:
     ----------
     truth : array_like, shape (N, 4, 4)
         Camera to world; NaN where there is no pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import path_length
+    >>> from tisfm.rigid import pose_matrix
+    >>> path_length(np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(4)]))
+    3.0
     """
     poses = whole_poses(truth, "truth")
     return float(_travelled(poses[_posed(poses)])[-1]) if _posed(poses).any() else 0.0
@@ -114,6 +153,18 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
     doi 10.1109/IROS.2012.6385773: the absolute trajectory error. `tisfm.metrics.align` has the
     source of the alignment.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import absolute_errors
+    >>> from tisfm.rigid import pose_matrix
+    >>> truth = np.array([pose_matrix([k, 0, 0.1 * k * k, 0, 0, 0]) for k in range(5)])
+    >>> found = truth.copy()
+    >>> found[:, :3, 3] /= 2  # in another unit
+    >>> errors = absolute_errors(found, truth)
+    >>> round(errors.similarity, 6), round(errors.scale, 6)
+    (0.0, 2.0)
     """
     found, true = _both(poses, truth)
     known = _posed(found) & _posed(true)
@@ -154,6 +205,16 @@ def relative_errors(
     References
     ----------
     Sturm et al., as for `absolute_errors`: the relative pose error.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import relative_errors
+    >>> from tisfm.rigid import pose_matrix
+    >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(5)])
+    >>> found = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(5)])
+    >>> round(relative_errors(found, truth).translation, 6)  # a frame
+    0.1
     """
     whole(1, step=step)
     found, true = _both(poses, truth)
@@ -210,6 +271,16 @@ def drift(
     Geiger, Lenz and Urtasun, Are we ready for autonomous driving?, CVPR 2012,
     doi 10.1109/CVPR.2012.6248074. A part ends at the first frame that is farther along the path,
     as in the benchmark's program.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.metrics import drift
+    >>> from tisfm.rigid import pose_matrix
+    >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(9)])
+    >>> found = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(9)])
+    >>> round(drift(found, truth).translation, 6)  # a tenth of the way
+    0.1
     """
     found, true = _both(poses, truth)
     known = np.flatnonzero(_posed(true))

@@ -52,6 +52,21 @@ class CameraMotion:
         Median length of what rotation alone leaves of the flow, px: what depth is seen by.
     inliers : float
         Share of pixels within three such deviations.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.egomotion import camera_motion
+    >>> from tisfm.scenes import static_scene
+    >>> scene = static_scene("forward", 96, 128)
+    >>> trust = np.ones(scene.depth.shape, np.float32)
+    >>> motion = camera_motion(scene.flow.astype(np.float32), trust, scene.camera)
+    >>> motion.rotation.shape, motion.translation.shape
+    ((3, 3), (3,))
+    >>> motion.parallax > 0.1  # px: there is depth to see
+    True
+    >>> motion.residual < 0.1  # px: one motion explains it
+    True
     """
 
     rotation: np.ndarray
@@ -108,6 +123,17 @@ def camera_motion(
     Raguram et al., "USAC: a universal framework for random sample consensus", PAMI 2013,
     doi 10.1109/TPAMI.2012.257; Nistér, "An efficient solution to the five-point relative pose
     problem", PAMI 2004, doi 10.1109/TPAMI.2004.17.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.egomotion import camera_motion
+    >>> from tisfm.scenes import static_scene
+    >>> scene = static_scene("sideways", 96, 128)
+    >>> trust = np.ones(scene.depth.shape, np.float32)
+    >>> motion = camera_motion(scene.flow.astype(np.float32), trust, scene.camera)
+    >>> [round(abs(number), 1) for number in motion.translation.tolist()]  # ‖t‖ = 1, to the left
+    [1.0, 0.0, 0.0]
     """
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
     flow = unmasked(flow, "flow")

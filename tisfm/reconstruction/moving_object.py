@@ -34,6 +34,16 @@ class MovingObject:
         around it. ``"none"`` if it has no poses, or no depth to tell by.
     message : str
         Why it has no poses, or few.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("bodies")  # of ``motion="objects"``
+    >>> thing = result.objects[0]
+    >>> thing.id, thing.boxes.shape[1], thing.poses.shape[1:], thing.extent.shape
+    (1, 4, (4, 4), (3,))
+    >>> len(thing.frames) == len(thing.boxes) == len(thing.poses)
+    True
     """
 
     id: int

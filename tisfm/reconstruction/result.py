@@ -62,6 +62,19 @@ class Reconstruction:
         Of tisfm.
     objects : tuple of MovingObject
         Things that move on their own, with ``motion="objects"``, in order of their labels.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("walk")  # what `save` or ``tisfm reconstruct`` left
+    >>> len(result), result.poses.shape, result.shape
+    (9, (9, 4, 4), (180, 240))
+    >>> [str(status) for status in result.status[:2]], result.piece[:2].tolist()
+    (['converged', 'converged'], [0, 0])
+    >>> result.depth(2).shape, result.inverse_depth_std(2).shape, result.picture(2).shape
+    ((180, 240), (180, 240), (180, 240))
+    >>> bool(result.keyframes)
+    True
     """
 
     poses: np.ndarray = field(repr=False)
@@ -122,6 +135,13 @@ class Reconstruction:
 
         0 is what is at rest; other numbers are the ids of `objects`. They are of the frame without
         distortion, as `picture` returns it.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("bodies")  # of ``motion="objects"``
+        >>> result.labels(0).shape, result.labels(0).dtype
+        ((180, 240), dtype('uint8'))
         """
         from tisfm.reconstruction.folder import read_labels
 
@@ -164,6 +184,14 @@ class Reconstruction:
         ------
         IndexError, ValueError
             If there is no such frame, frames are of several pieces, or an option is impossible.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> cloud = tisfm.Reconstruction.load("walk").points()
+        >>> cloud.positions.shape[1], cloud.colors.shape[1], len(cloud) > 1000
+        (3, 3, True)
+        >>> cloud.save("scene.ply")
         """
         from tisfm.fusion import fused_points
 
@@ -208,6 +236,12 @@ class Reconstruction:
             If scikit-image is not there.
         IndexError, ValueError
             As for `points`; or if voxels are too fine for the memory, with the size to take.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> surface = tisfm.Reconstruction.load("walk").mesh()
+        >>> surface.save("scene.glb")
         """
         from tisfm.fusion import fused_mesh
 
@@ -235,6 +269,15 @@ class Reconstruction:
         ------
         ValueError
             If the frames are of different pieces, or of one place, or the distance is not positive.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> metres = result.rescaled(0, 8, 1.04)  # the camera was 1.04 m apart at frames 0 and 8
+        >>> round(float(np.linalg.norm(metres.poses[8, :3, 3] - metres.poses[0, :3, 3])), 6)
+        1.04
         """
         first, second = self._number(frame0), self._number(frame1)
         piece = int(self.piece[first])
@@ -268,6 +311,12 @@ class Reconstruction:
             If it holds other files.
         OSError
             If it cannot be written to.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.save("copy")
         """
         from tisfm.reconstruction.renewal import copy_folder
 
@@ -283,6 +332,13 @@ class Reconstruction:
             If the folder is not that of a complete reconstruction.
         tisfm.formats.FormatError
             A ValueError: if a file is damaged or of a format this version cannot read.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")  # depth is read when it is asked for
+        >>> result.depth(0).shape
+        (180, 240)
         """
         from tisfm.reconstruction.folder import read_record
 

@@ -39,6 +39,18 @@ class StreamedFrame:
         Its pinhole.
     calibration : Calibration
         Where its focal length is from, as for `Reconstruction`.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import two_blocks
+    >>> scene = two_blocks(48, 64)
+    >>> stream = tisfm.reconstruct_stream([scene.frame0] * 3, camera=scene.camera)
+    >>> for frame in stream:  # a camera at rest shows no path
+    ...     print(frame.index, frame.piece, frame.status)
+    0 -1 no_motion
+    1 -1 no_motion
+    2 -1 no_motion
     """
 
     index: int

@@ -72,6 +72,20 @@ def reconstruct_stream(
         At once if the source does not exist, is known to have fewer than two frames, or if
         settings ask for another motion; while iterating if it ends after one frame, or if a frame
         cannot be read: after the frames before it.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import room_film
+    >>> path = [tisfm.rigid.pose_matrix([0.12 * k, 0, 0.05 * k, 0, 0.012 * k, 0]) for k in range(7)]
+    >>> film = room_film(path, 180, 240, samples=2)
+    >>> settings = tisfm.Settings.preset("fast", motion="camera")
+    >>> stream = tisfm.reconstruct_stream(film.frames, camera=film.camera, settings=settings)
+    >>> for frame in stream:
+    ...     if frame.piece >= 0:
+    ...         assert frame.pose.shape == (4, 4) and frame.depth.shape == (180, 240)
+    >>> frame.index
+    6
     """
     settings = checked_settings(settings, ("camera",))
     calibrate = checked_calibrate(calibrate, is_known=camera is not None)

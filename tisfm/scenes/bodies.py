@@ -40,6 +40,13 @@ class BodiesFilm(Film):
         Body to world; a body's axes are along its edges, from its centre.
     body_sizes : (K, 3) float64
         Edge lengths along the body's axes, m.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import bodies_film, bodies_path
+    >>> film = bodies_film(bodies_path(2), 48, 64)
+    >>> film.labels.shape, film.body_sizes.shape
+    ((2, 48, 64), (3, 3))
     """
 
     labels: NDArray[np.uint8]
@@ -163,6 +170,13 @@ def bodies_film(
     ------
     ValueError
         If an option is impossible, or a pose is no rigid motion or outside of the room.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import bodies_film, bodies_path
+    >>> film = bodies_film(bodies_path(3), 48, 64, bodies=2)
+    >>> film.frames.shape, film.body_poses.shape
+    ((3, 48, 64), (2, 3, 4, 4))
     """
     path = check_film(poses, height, width, noise)
     check_readout(readout)
@@ -220,6 +234,12 @@ def bodies_path(count: int = 40) -> Floats:
     ------
     ValueError
         If `count` is not a positive whole number.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import bodies_path
+    >>> bodies_path(20).shape
+    (20, 4, 4)
     """
     whole(1, count=count)
     at = 40 * np.abs((np.arange(count) / 40 + 1) % 2 - 1)

@@ -35,6 +35,17 @@ class Plane:
     ------
     ValueError
         If an array has the wrong shape or is not finite, or the normal is zero.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import Plane, Scene, Texture
+    >>> floor = Plane(texture=Texture(wavelength=0.5), point=(0, 1.5, 0), normal=(0, -1, 0))
+    >>> wall = Plane(texture=Texture(wavelength=0.5, seed=1), point=(0, 0, 8))
+    >>> camera = tisfm.Camera(focal=64.0)
+    >>> pair = Scene(objects=[floor, wall], camera=camera, height=48, width=64).render()
+    >>> sorted(set(pair.labels.ravel().tolist()))
+    [0, 1]
     """
 
     texture: Texture
@@ -89,6 +100,17 @@ class Box:
     ValueError
         If an array has the wrong shape or is not finite, a size is not positive, or `axes` is not
         a rotation.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import Box, Plane, Scene, Texture
+    >>> wall = Plane(texture=Texture(wavelength=0.5), point=(0, 0, 8))
+    >>> box = Box(texture=Texture(wavelength=0.3), center=(0, 0, 4), size=(1, 1, 1))
+    >>> camera = tisfm.Camera(focal=64.0)
+    >>> pair = Scene(objects=[wall, box], camera=camera, height=48, width=64).render()
+    >>> round(float(pair.depth[24, 32]), 3), round(float(pair.depth[0, 0]), 3)
+    (3.5, 8.0)
     """
 
     texture: Texture

@@ -90,6 +90,13 @@ def two_blocks(
     ------
     ValueError
         If an option is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> scene = two_blocks(48, 64)
+    >>> scene.frame0.shape, scene.flow.shape, int(scene.labels.max())
+    ((48, 64), (48, 64, 2), 3)
     """
     if block_motions is None:
         along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
@@ -133,6 +140,12 @@ def three_blocks(
     ------
     ValueError
         If an option is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import three_blocks
+    >>> three_blocks(48, 64, seed=1).motions.shape  # wall, floor, three blocks
+    (5, 6)
     """
     if block_motions is None:
         block_motions = np.zeros((3, 6))
@@ -174,6 +187,14 @@ def static_scene(
     ------
     ValueError
         If the kind is unknown or an option is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import STATIC_KINDS, static_scene
+    >>> for kind in STATIC_KINDS:
+    ...     scene = static_scene(kind, 24, 32)
+    >>> bool((scene.motions == scene.motions[0]).all())  # only the camera moves
+    True
     """
     if kind not in _STATIC_MOTIONS:
         raise ValueError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
@@ -219,6 +240,13 @@ def bare_patches(
     ------
     ValueError
         If an option is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import bare_patches
+    >>> scene = bare_patches(48, 64)
+    >>> bool(0.1 < scene.textured.mean() < 0.9)
+    True
     """
     whole(1, height=height, width=width)
     motion = -finite(camera_motion, (6,), "camera_motion")

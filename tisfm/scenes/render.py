@@ -45,6 +45,15 @@ class SyntheticPair:
         pixels and nothing hides it.
     textured : ndarray, shape (H, W), bool
         Whether the surface is textured there, rather than of a single grey level.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> pair = two_blocks(48, 64)
+    >>> pair.frame1.shape, pair.tau.shape, pair.omega.shape, pair.visible.dtype
+    ((48, 64), (3, 48, 64), (3, 48, 64), dtype('bool'))
+    >>> bool((pair.inverse_depth * pair.depth).round(6).all())
+    True
     """
 
     frame0: NDArray
@@ -85,6 +94,16 @@ class Scene:
         If an object is neither a Plane nor a Box.
     ValueError
         If there is no object, the size is not positive, or the camera has distortion.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import Plane, Scene, Texture
+    >>> wall = Plane(texture=Texture(wavelength=0.5), point=(0, 0, 5), motion=(-0.1, 0, 0, 0, 0, 0))
+    >>> scene = Scene(objects=[wall], camera=tisfm.Camera(focal=64.0), height=48, width=64)
+    >>> pair = scene.render()
+    >>> [round(float(number), 3) for number in pair.flow[24, 32]]  # f T / Z, px
+    [-1.28, 0.0]
     """
 
     objects: Sequence[Plane | Box]

@@ -124,6 +124,13 @@ def room(
     ------
     ValueError
         If an option is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import room
+    >>> scene = room(48, 64, noise=0.0)
+    >>> scene.depth.shape, bool(scene.textured.mean() < 0.5)
+    ((48, 64), True)
     """
     _check_picture(height, width, noise, blur)
     check_dtype(dtype)
@@ -151,6 +158,14 @@ class Film:
     poses : (N, 4, 4) float64
         Camera to world.
     camera : Camera
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.scenes import room_film
+    >>> film = room_film(np.eye(4)[None], 48, 64)
+    >>> film.poses.shape, film.camera.focal
+    ((1, 4, 4), 38.4)
     """
 
     frames: NDArray[np.uint8]
@@ -190,6 +205,14 @@ def room_film(
     ------
     ValueError
         If an option is impossible, or a pose is no rigid motion or outside of the room.
+
+    Examples
+    --------
+    >>> from tisfm.rigid import pose_matrix
+    >>> from tisfm.scenes import room_film
+    >>> film = room_film([pose_matrix([0.1 * k, 0, 0, 0, 0, 0]) for k in range(3)], 48, 64)
+    >>> film.frames.shape, film.depth.shape
+    ((3, 48, 64), (3, 48, 64))
     """
     path = check_film(poses, height, width, noise, blur)
     camera = Camera(focal=FOCAL * width if focal is None else focal)

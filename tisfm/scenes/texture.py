@@ -35,6 +35,14 @@ class Patch:
     ------
     ValueError
         If a number is not finite, a length is not positive or the grey level not in [0, 255].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.scenes import Patch
+    >>> patch = Patch(center=(0, 0), size=(2, 1), grey=105)
+    >>> patch.covers(np.array([0.0, 0.9, 1.1]), np.zeros(3)).tolist()
+    [True, True, False]
     """
 
     center: tuple[float, float]
@@ -77,6 +85,14 @@ class Texture:
     ------
     ValueError
         If the wavelength, a number of octaves, the seed or the range of grey levels is impossible.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import Patch, Texture
+    >>> bare = Patch(center=(0, 0), size=(1, 1), grey=105)
+    >>> paint = Texture(wavelength=0.4, mean=110, contrast=50, seed=3, patches=(bare,))
+    >>> paint.mean
+    110
     """
 
     wavelength: float

@@ -34,6 +34,13 @@ def associate(
     ----------
     Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
     doi 10.1109/IROS.2012.6385773, has the same limit.
+
+    Examples
+    --------
+    >>> from tisfm.trajectory import associate
+    >>> first, second = associate([0.0, 0.1, 0.2], [0.101, 0.3])
+    >>> first.tolist(), second.tolist()
+    ([1], [0])
     """
     first = check_times(times, len(np.atleast_1d(times)))
     second = check_times(others, len(np.atleast_1d(others)))

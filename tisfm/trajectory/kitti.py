@@ -35,6 +35,12 @@ def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     ----------
     Geiger, Lenz and Urtasun, Are we ready for autonomous driving?, CVPR 2012,
     doi 10.1109/CVPR.2012.6248074: the files of its odometry benchmark.
+
+    Examples
+    --------
+    >>> from tisfm.trajectory import read_kitti
+    >>> read_kitti("calibrated/poses.txt").times is None
+    True
     """
     file = Path(path)
     poses = [
@@ -63,6 +69,16 @@ def write_kitti(path: str | os.PathLike[str], poses: ArrayLike) -> None:
         If `poses` are none.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_kitti, write_kitti
+    >>> poses = np.tile(np.eye(4), (3, 1, 1))
+    >>> poses[1] = np.nan  # no pose
+    >>> write_kitti("poses.txt", poses)
+    >>> read_kitti("poses.txt").posed.tolist()
+    [True, False, True]
     """
     rows = check_poses(poses)[:, :3].reshape(-1, 12)
     text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())

@@ -25,6 +25,15 @@ class Trajectory:
     ------
     ValueError
         If `poses` or `times` is not that.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import Trajectory
+    >>> poses = np.tile(np.eye(4), (3, 1, 1))
+    >>> poses[1] = np.nan  # no pose
+    >>> Trajectory(poses=poses, times=[0.0, 0.1, 0.2]).posed.tolist()
+    [True, False, True]
     """
 
     poses: NDArray[np.float64]

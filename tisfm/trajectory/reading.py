@@ -28,6 +28,12 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         If it is of neither format, or a line holds no pose; the line is named.
     OSError
         If the file does not exist or cannot be read.
+
+    Examples
+    --------
+    >>> from tisfm.trajectory import read_trajectory
+    >>> read_trajectory("calibrated/poses.txt").poses.shape
+    (9, 4, 4)
     """
     file = Path(path)
     lines = read_lines(file)

@@ -38,6 +38,14 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
     ----------
     Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
     doi 10.1109/IROS.2012.6385773.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_tum, write_tum
+    >>> write_tum("path.txt", np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
+    >>> read_tum("path.txt").poses.shape
+    (3, 4, 4)
     """
     file = Path(path)
     rows = read_rows(file, columns=8)
@@ -81,6 +89,14 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
         If `poses` or `times` are not that.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_tum, write_tum
+    >>> write_tum("path.txt", np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
+    >>> read_tum("path.txt").times.tolist()
+    [0.0, 0.1, 0.2]
     """
     matrices = check_poses(poses)
     stamps = check_times(times, len(matrices))

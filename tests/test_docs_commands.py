@@ -1,0 +1,124 @@
+"""The commands of README and docs run, on small frames under the names that they use."""
+
+import os
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.datasets.made import make_kitti, make_middlebury, make_sintel
+from tests.test_docs import PAGES, commands, name_of
+from tisfm.cli.command_line import main
+from tisfm.formats import write_png
+
+# Parts of commands that do not run here, and why. Each has to stand in some page.
+REASONS = {
+    ("webcam:0",): "there is no camera",
+    ("--cluster",): "there is no cluster; tests/cli has one of this machine",
+    ("view", "walk"): "it serves until Ctrl-C; tests/view has a browser",
+    ("view", "results"): "the same",
+    ("demo",): "tests/cli runs it",
+    ("--start",): "it takes frames of a long video",
+    ("--scale",): "the same",
+    ("7-Scenes/chess",): "a data set; tests/evaluation has the layout",
+    ("rgbd_freiburg1_rpy",): "the same",
+    ("DAVIS/camel",): "the same",
+    ("--arch",): "there may be no GPU",
+    ("--workers",): "tests/cli has several processes, which take long to start",
+    ("doctor", "--json"): "tests/doctor has it",
+    ("depth-exr,chan,undistortion",): "its lens has to distort; tests/exports has one that does",
+}
+SLOW = {"batch", "reconstruct", "doctor"}
+
+
+def reason(words):
+    """Return why a command does not run here, or None."""
+    if "--html" in words:
+        return None
+    return next((why for parts, why in REASONS.items() if set(parts) <= set(words)), None)
+
+
+def documented_commands():
+    """Return every command of tisfm that some page has, once, with the first page that has it."""
+    found = {}
+    for path in PAGES:
+        for words in commands(path):
+            if os.path.basename(words[0]) == "tisfm" and words[1] != "--completion":
+                found.setdefault(tuple(words[1:]), name_of(path))
+    return found
+
+
+COMMANDS = documented_commands()
+RUN = [
+    pytest.param(words, marks=pytest.mark.slow if SLOW & set(words) else (), id=" ".join(words))
+    for words in COMMANDS
+    if reason(words) is None
+]
+
+
+def write_video(path, frames):
+    height, width = frames[0].shape[:2]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25, (width, height))
+    assert video.isOpened()
+    for frame in frames:
+        video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    video.release()
+
+
+def prepare(here, words):
+    """Put what a command reads beside the files that are there, under the names it has."""
+    frames = [
+        cv2.imread(str(here / "frames" / f"frame{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(3)
+    ]
+    for name in ("left.png", "A.png"):
+        write_png(here / name, frames[0])
+    for name in ("right.png", "B.png"):
+        write_png(here / name, frames[1])
+    for k in range(8):
+        cv2.imwrite(str(here / "frames" / f"{k}.jpg"), frames[k % 3])
+    if "frames/*.jpg" not in words:
+        for file in (here / "frames").glob("*.jpg"):
+            file.unlink()
+    write_video(here / "drive.mp4", frames)
+    write_png(here / "bonnet.png", np.full(frames[0].shape, 255, np.uint8))
+    walk = sorted((here / "calibrated" / "images").iterdir())
+    write_video(here / "walk.mp4", [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in walk])
+    street = sorted((here / "bodies" / "frames").iterdir())
+    write_video(here / "street.mp4", [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in street])
+    if "--labels" in words:
+        (here / "street" / "masks").mkdir(parents=True)
+        for file in (here / "bodies" / "masks").iterdir():
+            name = file.name.replace("frame_", "street_")  # after the frames of the video
+            shutil.copy(file, here / "street" / "masks" / name)
+    else:
+        shutil.copytree(here / "bodies", here / "street")
+    shutil.copytree(here / "results", here / "pairs")
+    if words[0] == "run" and "walk/" in words:  # a folder of frames here
+        shutil.rmtree(here / "walk")
+        shutil.copytree(here / "calibrated" / "images", here / "walk")
+    if "--poses" in words:  # of the frames that the command takes
+        source = here / words[1]
+        if words[1] == "frames/":
+            shutil.rmtree(source)
+            shutil.copytree(here / "calibrated" / "images", source)
+        shutil.copy(here / "calibrated" / "poses.txt", here / "poses.txt")
+    for name, make in (("middlebury/", make_middlebury), ("kitti2015/", make_kitti),
+                       ("MPI-Sintel/", make_sintel)):  # fmt: skip
+        if name in words:
+            make(here / name)
+    (here / "videos.csv").write_text("source,output,preset\ndrive.mp4,out/one,fast\n")
+
+
+@pytest.mark.parametrize("words", RUN)
+def test_it_runs(words, documented_here):
+    prepare(documented_here, words)
+    if "-o" in words:  # results are new
+        shutil.rmtree(documented_here / words[words.index("-o") + 1], ignore_errors=True)
+    assert main(list(words)) == 0
+
+
+def test_reasons_are_of_commands_that_are_there():
+    for parts in REASONS:
+        assert any(set(parts) <= set(words) for words in COMMANDS), parts
+    assert len(COMMANDS) - len(RUN) < len(RUN)
