@@ -16,6 +16,7 @@ DEMO_FILES = promised("demo") | {
     "figure_lambda.png",
     "figure_presmoothing.png",
     "figure_contrast.png",
+    "demo.webp",
 }
 
 

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from tisfm import runtime
 from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.demo_animation import ANIMATION, write_animation
 from tisfm.cli.outputs import USUAL, PairWriter
 from tisfm.cli.paper_figures import PAPER_FIGURES, write_paper_figures
 from tisfm.cli.run_record import ENDINGS, RECORD
@@ -41,9 +42,10 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     Parameters
     ----------
     output : Path
-        Receives every output for moving blocks under ``motion="field"`` and the paper's
-        comparisons, its folder ``camera`` those for a scene at rest under ``motion="camera"``, and
-        ``objects`` those for the moving blocks under ``motion="objects"``.
+        Receives every output for moving blocks under ``motion="field"``, the paper's comparisons
+        and the animation, its folder ``camera`` those for a scene at rest under
+        ``motion="camera"``, and ``objects`` those for the moving blocks under
+        ``motion="objects"``.
     height, width : int
         Size of the frames, px.
     seed : int
@@ -112,6 +114,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         _write(writer, moving, known[settings], baseline)
         _write(camera_writer, still, shown[camera_settings])
         _write(objects_writer, moving, shown[objects_settings])
+        write_animation(output / ANIMATION, shown[camera_settings])
         progress.advance(task)
         write_paper_figures(
             output,
@@ -127,6 +130,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     tell(
         f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
     )
+    tell(f"{output / ANIMATION} shows depth by a moving camera: open it in a browser.")
     tell("Your own frames: tisfm run VIDEO -o results --report, and open results/report.html.")
     return 0
 
@@ -136,7 +140,8 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
     for folder in folders:
         if (folder / RECORD).is_file():
             continue
-        for name in (*(f"{NAME}{ending}" for ending in ENDINGS.values()), *PAPER_FIGURES):
+        pairs = (f"{NAME}{ending}" for ending in ENDINGS.values())
+        for name in (*pairs, *PAPER_FIGURES, ANIMATION):
             if (folder / name).exists():
                 raise ValueError(
                     f"the demo would replace {folder / name}, which is not of a demo: give "
