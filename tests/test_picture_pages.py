@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("failures",)
+PAGES = ("failures", "settings_pictures")
 CELL = re.compile(r"^```\{code-cell\} python\n((?::[^\n]*\n)*)(.*?)^```$", re.MULTILINE | re.DOTALL)
 BY_CAMERA = ("pure_rotation", "little_parallax", "no_motion")
 
@@ -145,3 +145,72 @@ def test_scale_is_what_a_pose_says(failures):
         assert factor == pytest.approx(1, abs=0.02)
     free = np.nanmedian(small.depth / failures["free"].depth)
     assert free == pytest.approx(0.05, rel=0.05)  # the length of the motion
+
+
+@pytest.fixture
+def settings(pages):
+    return pages("settings_pictures")[0]
+
+
+def errors(settings, name, scene, of="flow"):
+    return [settings["error"](result, settings[scene], of) for result in settings[name].values()]
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "of", "worse"),
+    [
+        ("smoothness", "patches", "flow", 2),
+        ("beta", "patches", "flow", 2),
+        ("contrast", "patches", "flow", 1.3),
+        ("image_edges", "patches", "flow", 1.1),
+        ("gradient", "patches", "flow", 1.1),
+        ("data_contrast", "blocks", "flow", 3),
+        ("normalization", "blocks", "flow", 1.05),
+        ("depth_smoothness", "noisy", "depth", 1.3),
+        ("depth_normalization", "noisy", "depth", 1),
+    ],
+)
+def test_the_value_in_the_middle_is_the_preset_s_and_the_best(settings, name, scene, of, worse):
+    low, middle, high = errors(settings, name, scene, of)
+    assert [title.endswith("*") for title in settings[name]] == [False, True, False]
+    assert min(low, high) > worse * middle
+
+
+def test_beta_and_smoothness_are_one_weight(settings):
+    pairs = zip(settings["smoothness"].values(), settings["beta"].values(), strict=True)
+    assert all(np.allclose(one.rho, other.rho, atol=1e-4) for one, other in pairs)
+
+
+def roughness(result):
+    """Return how much inverse depth differs from that of the pixel beside it, relatively."""
+    return np.median(np.abs(np.diff(result.inverse_depth))) / np.median(result.inverse_depth)
+
+
+def test_figure_6(settings):
+    small, paper, large = map(roughness, settings["figure_6"].values())
+    assert small > 1.2 * paper > 1.4 * large
+
+
+def test_figure_8(settings):
+    """Spots that are taken for far vanish; the edge of the block, between columns, goes soft."""
+    as_is, some, much = errors(settings, "figure_8", "patches", "depth")
+    assert as_is > 1.5 * max(some, much)
+    steepest = [np.abs(np.diff(r.inverse_depth)).max() for r in settings["figure_8"].values()]
+    assert steepest[0] > 1.5 * steepest[2]
+
+
+def test_levels_reach_far_and_warps_do_not(settings):
+    one, two, all_levels = errors(settings, "pyramid_levels", "far")
+    assert one > 10 * max(two, all_levels)
+    few, usual, many = errors(settings, "warps", "far")
+    assert few > usual > many > 10 * all_levels
+
+
+def test_coarser_ends_are_softer(settings):
+    finest, next_one, last = errors(settings, "finest_level", "blocks")
+    assert finest < next_one / 1.5 < last / 3
+
+
+def test_presets_from_the_paper_to_accurate(settings):
+    paper, fast, balanced, accurate = errors(settings, "presets", "blocks")
+    assert paper > 2 * fast > 2.5 * balanced > 2 * accurate
