@@ -1,16 +1,19 @@
-"""``python docs/picture.py``: draw the README's picture, ``docs/demo.png``, from a rendered scene.
+"""``python docs/picture.py``: draw the README's pictures from rendered scenes.
 
-It is the scene of ``tisfm demo``: two blocks on a floor, which move each on its own before a camera
-that moves sideways.
+``docs/demo.png`` is the scene of ``tisfm demo`` in which two blocks on a floor move each on its
+own before a camera that moves sideways. ``docs/demo.webp`` is the animation that the demo writes:
+three blocks at rest, seen by a camera that moves forward and turns.
 """
 
 from pathlib import Path
 
 import tisfm
-from tisfm.scenes import two_blocks
+from tisfm.cli.demo_animation import write_animation
+from tisfm.scenes import static_scene, two_blocks
 from tisfm.show import depth_grey, flow_to_color, label_overlay, panel_figure, save_figure
 
 PICTURE = Path(__file__).with_name("demo.png")
+ANIMATION = Path(__file__).with_name("demo.webp")
 DPI = 85  # keeps the file below 150 KB
 
 
@@ -29,5 +32,14 @@ def draw(path: Path, height: int = 240, width: int = 320) -> None:
     save_figure(path, panel_figure(panels, columns=4), dpi=DPI)
 
 
+def animate(path: Path, height: int = 240, width: int = 320) -> None:
+    """Interpret the scene at rest and write an animation of the result."""
+    scene = static_scene("forward+rotation", height, width)
+    settings = tisfm.Settings(motion="camera")
+    result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    write_animation(path, result)
+
+
 if __name__ == "__main__":
     draw(PICTURE)
+    animate(ANIMATION)

@@ -11,12 +11,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from PIL import Image
 
 import tisfm
 from tisfm.cli.command_line import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION, main
+from tisfm.cli.demo_animation import animation_frames
 from tisfm.outcome import Status
+from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
 ROOT = Path(__file__).parents[1]
@@ -39,9 +42,12 @@ COMMANDS = (
 )
 OF_TISFM = {"--version", "--help", "--completion"}
 LONGEST, LARGEST = 250, 150_000  # lines of the README, bytes of its picture
+LARGEST_ANIMATION = 600_000  # bytes
 # Pages with blocks of Python that do not run, and how many: they read files of another program.
 NOT_RUN = {"docs/exports.md": 1}
-FENCE = re.compile(r"(<!-- runnable -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r"(<!-- runnable -->\n)?```(\w*|\{[\w-]+\}.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
@@ -100,6 +106,22 @@ def test_the_picture_is_small_and_whole():
     with Image.open(picture) as image:
         image.load()
         assert image.width > 4 * image.height  # four panels side by side
+
+
+def test_the_animation_is_small_and_is_what_the_demo_writes():
+    animation = DOCS / "demo.webp"
+    assert f"]({animation.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
+    assert animation.stat().st_size < LARGEST_ANIMATION
+    scene = static_scene("forward+rotation", 240, 320)
+    settings = tisfm.Settings(motion="camera")
+    result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    made = animation_frames(result)
+    with Image.open(animation) as image:
+        assert image.n_frames == len(made)
+        for number, picture in enumerate(made):
+            image.seek(number)
+            kept = np.asarray(image.convert("RGB")).astype(float)
+            assert np.abs(kept - picture).mean() < 6  # grey levels: WebP, and other processors
 
 
 @pytest.mark.parametrize("path", sorted({*PAGES, *RESULTS.glob("*.md")}), ids=name_of)

@@ -20,6 +20,7 @@ DEMO_FILES = promised("demo") | {
     "figure_lambda.png",
     "figure_presmoothing.png",
     "figure_contrast.png",
+    "demo.webp",
 }
 
 
@@ -59,7 +60,7 @@ if __name__ == "__main__":
     with subprocess.Popen(
         [sys.executable, "script.py"], stderr=subprocess.PIPE, text=True
     ) as process:
-        while not list(out.glob("*.tmp")):  # it tells the processes that it goes on
+        while not (out / "objects").exists():
             assert process.poll() is None
             time.sleep(0.05)
         time.sleep(5)  # they have begun

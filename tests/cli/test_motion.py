@@ -427,7 +427,7 @@ def test_demo_interprets_no_pair_twice(place, monkeypatch):
         rows = demo_parts.done(
             demo_parts.Part(
                 work=work,
-                folder=place / work,
+                output=place / "out",
                 height=height,
                 width=width,
                 seed=0,

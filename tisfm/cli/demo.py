@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 from rich.table import Table
 
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.crew import crew
+from tisfm.cli.demo_animation import ANIMATION
 from tisfm.cli.demo_parts import (
     BALANCED,
     BASELINE,
@@ -15,6 +17,7 @@ from tisfm.cli.demo_parts import (
     NAME,
     OBJECTS,
     PAPER,
+    WORKS,
     Part,
     Rows,
     done,
@@ -23,7 +26,6 @@ from tisfm.cli.paper_figures import PAPER_FIGURES
 from tisfm.cli.run_record import ENDINGS, RECORD
 from tisfm.cores import usable_cores
 from tisfm.formats.flo import require_writable_flow
-from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import make_folder
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
@@ -35,9 +37,10 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     Parameters
     ----------
     output : Path
-        Receives every output for moving blocks under ``motion="field"`` and the paper's
-        comparisons, its folder ``camera`` those for a scene at rest under ``motion="camera"``, and
-        ``objects`` those for the moving blocks under ``motion="objects"``.
+        Receives every output for moving blocks under ``motion="field"``, the paper's comparisons
+        and the animation, its folder ``camera`` those for a scene at rest under
+        ``motion="camera"``, and ``objects`` those for the moving blocks under
+        ``motion="objects"``.
     height, width : int
         Size of the frames, px.
     seed : int
@@ -62,20 +65,19 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         make_folder(folder)
     workers, each = _shares(threads)
     rows: Rows = {}
-    with progress_bar() as progress, crew(workers) as processes, alive_in(output) as alive:
+    with progress_bar() as progress, crew(workers) as processes, NamedTemporaryFile() as alive:
         parts = [
             Part(
                 work=work,
-                folder=folder,
+                output=output,
                 height=height,
                 width=width,
                 seed=seed,
                 threads=each,
-                alive=alive,
+                alive=Path(alive.name),
             )
-            for work, folder in zip(("blocks", "camera", "objects"), folders, strict=True)
+            for work in WORKS
         ]
-        parts.reverse()  # what takes longest comes first
         task = progress.add_task("interpreting", total=len(parts))
         for _, found in processes.finished(done, parts):
             if isinstance(found, Exception):
@@ -89,6 +91,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     tell(
         f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
     )
+    tell(f"{output / ANIMATION} shows depth by a moving camera: open it in a browser.")
     tell("Your own frames: tisfm run VIDEO -o results --report, and open results/report.html.")
     return 0
 
@@ -108,7 +111,8 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
     for folder in folders:
         if (folder / RECORD).is_file():
             continue
-        for name in (*(f"{NAME}{ending}" for ending in ENDINGS.values()), *PAPER_FIGURES):
+        pairs = (f"{NAME}{ending}" for ending in ENDINGS.values())
+        for name in (*pairs, *PAPER_FIGURES, ANIMATION):
             if (folder / name).exists():
                 raise ValueError(
                     f"the demo would replace {folder / name}, which is not of a demo: give "

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm import runtime
+from tisfm.cli.demo_animation import ANIMATION, write_animation
 from tisfm.cli.outputs import USUAL, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.horn_schunck import horn_schunck
@@ -35,6 +36,7 @@ NAME = "demo"  # of its pairs
 NONE = "–"
 PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
 FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
+WORKS = "objects", "blocks", "camera"  # what takes longest comes first
 _CROP = 144, 96  # px: small, and yet it makes use of the kernels that the whole frame does
 _LOOK = 0.1  # s, from one look at whether the command goes on to the next
 
@@ -48,8 +50,8 @@ class Part:
     Attributes
     ----------
     work : {"blocks", "camera", "objects"}
-    folder : Path
-        Receives what is written.
+    output : Path
+        Folder of the demonstration.
     height, width, seed, threads
         As for `tisfm.cli.demo.demo`.
     alive : Path
@@ -57,12 +59,17 @@ class Part:
     """
 
     work: str
-    folder: Path
+    output: Path
     height: int
     width: int
     seed: int
     threads: int
     alive: Path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that receives what is written of a pair."""
+        return self.output if self.work == "blocks" else self.output / self.work
 
 
 def done(part: Part) -> Rows | Exception:
@@ -115,6 +122,7 @@ def _camera(part: Part) -> Rows:
     writer = _writer(part, still, settings)
     result, seconds = _interpreted(part, still, settings)
     _write(writer, still, result)
+    write_animation(part.output / ANIMATION, result)
     field, field_seconds = _interpreted(part, still, Settings())
     return {
         FIELD: (*_model_cells(field, still), field.status, field_seconds),

@@ -1,0 +1,216 @@
+"""The pages of pictures: their cells run, draw what they should, and what they claim is so."""
+
+import re
+from pathlib import Path
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = ("failures", "settings_pictures")
+CELL = re.compile(r"^```\{code-cell\} python\n((?::[^\n]*\n)*)(.*?)^```$", re.MULTILINE | re.DOTALL)
+BY_CAMERA = ("pure_rotation", "little_parallax", "no_motion")
+
+
+def cells(page):
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    assert text.startswith("---\nfile_format: mystnb\n")
+    found = [code for _, code in CELL.findall(text)]
+    assert len(found) == text.count("```{code-cell}")
+    return found
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """Run each page once, and return the names that its cells leave, with the figures."""
+    before, ran = matplotlib.get_backend(), {}
+    plt.switch_backend("agg")
+
+    def run(page):
+        if page not in ran:
+            names, figures = {}, []
+            with plt.rc_context():
+                for number, code in enumerate(cells(page)):
+                    exec(compile(code, f"{page}.md, cell {number}", "exec"), names)
+                    figures.append([plt.figure(n) for n in plt.get_fignums()])
+                    for figure in figures[-1]:
+                        figure.canvas.draw()
+                    plt.close("all")
+            ran[page] = names, figures
+        return ran[page]
+
+    yield run
+    plt.close("all")
+    plt.switch_backend(before)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_cell_but_the_first_draws(pages, page):
+    _, figures = pages(page)
+    assert figures[0] == [] and all(figures[1:])
+    for figure in (figure for drawn in figures for figure in drawn):
+        assert figure.axes
+        for axes in figure.axes:
+            assert axes.images or axes.lines or axes.collections
+            for line in axes.lines:
+                assert np.isfinite(line.get_ydata()).any()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_page_says_how_the_site_is_built(page):
+    assert "python -m sphinx docs build/docs" in (DOCS / f"{page}.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def failures(pages):
+    return pages("failures")[0]
+
+
+def relative_deviation(result):
+    seen = ~result.occlusion & (result.inverse_depth > 0)
+    return np.median(result.inverse_depth_std[seen] / result.inverse_depth[seen])
+
+
+def test_no_parallax_no_depth(failures):
+    none, little, enough = failures["parallax"].values()
+    assert none.status in BY_CAMERA and np.isnan(none.depth).all()
+    assert little.status == "uncertain" and enough.status == "converged"
+    assert relative_deviation(little) > 3 * relative_deviation(enough)
+    error, scene = failures["error"], failures["enough"]
+    assert error(little, scene) > 0.05 and error(enough, scene) < 0.03
+
+
+def test_a_wrong_focal_length_bends_and_says_nothing(failures):
+    error, scene = failures["error"], failures["corner"]
+    short, right, long = (error(result, scene) for result in failures["focal"].values())
+    assert short > 0.015 and right < 0.01 and long > 0.08
+    assert {result.status for result in failures["focal"].values()} == {"converged"}
+    depth = failures["scaled"]
+    corner = [depth(result, scene)[90, 118:122].mean() for result in failures["focal"].values()]
+    assert corner[0] < corner[1] < corner[2]  # flat to deep
+
+
+def test_depth_of_field_is_wrong_where_the_camera_goes_forward(failures):
+    rigid, translation, camera = failures["models"].values()
+    assert {rigid.status, translation.status, camera.status} == {"converged"}
+    error, scene = failures["error"], failures["forward"]
+    assert error(rigid, scene) > 0.1 and error(translation, scene) > 0.1
+    assert error(camera, scene) < 0.03
+
+
+def test_bare_walls(failures):
+    field, camera = failures["bare"].values()
+    scene, error = failures["bare_room"], failures["error"]
+    bare = ~scene.textured
+    assert error(field, scene, bare) > 1.5 * error(camera, scene, bare)
+    assert field.confidence[bare].mean() < 0.7 * field.confidence[scene.textured].mean()
+    seen = ~camera.occlusion & (camera.inverse_depth > 0)
+    relative = camera.inverse_depth_std[seen] / camera.inverse_depth[seen]
+    assert np.median(relative[bare[seen]]) > 1.2 * np.median(relative[scene.textured[seen]])
+
+
+def test_a_thing_that_moves_gets_a_wrong_depth(failures):
+    camera, objects = failures["mover"].values()
+    scene, error = failures["moving"], failures["error"]
+    mover = ~failures["at_rest"]
+    assert error(camera, scene, mover) > 0.1 > 0.05 > error(objects, scene, mover)
+    assert error(camera, scene, failures["at_rest"]) < 0.03
+    assert camera.status == objects.status == "converged"
+
+
+def test_one_plane_leaves_two_motions(failures):
+    alone, known = failures["planes"].values()
+    assert alone.status == "two_motions" and known.status == "converged"
+    assert failures["error"](known, failures["plane"]) < 0.02
+
+
+def test_light_and_blur(failures):
+    brightness, both, gradient, shaken = failures["light"].values()
+    error, scene = failures["error"], failures["lit"]
+    assert brightness.status == "converged" and error(brightness, scene) > 0.15
+    assert error(gradient, scene) < error(both, scene) < 0.06
+    assert shaken.status in ("little_parallax", "uncertain")
+
+
+def test_scale_is_what_a_pose_says(failures):
+    small, large = failures["small"], failures["large"]
+    assert np.array_equal(small.frame0, large.frame0)
+    assert np.array_equal(small.frame1, large.frame1)
+    ratio = failures["scales"][2].depth / failures["scales"][1].depth
+    assert np.nanmedian(ratio) == pytest.approx(2, rel=1e-3)
+    for size, scene in ((1, small), (2, large)):
+        factor = np.nanmedian(scene.depth / failures["scales"][size].depth)
+        assert factor == pytest.approx(1, abs=0.02)
+    free = np.nanmedian(small.depth / failures["free"].depth)
+    assert free == pytest.approx(0.05, rel=0.05)  # the length of the motion
+
+
+@pytest.fixture
+def settings(pages):
+    return pages("settings_pictures")[0]
+
+
+def errors(settings, name, scene, of="flow"):
+    return [settings["error"](result, settings[scene], of) for result in settings[name].values()]
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "of", "worse"),
+    [
+        ("smoothness", "patches", "flow", 2),
+        ("beta", "patches", "flow", 2),
+        ("contrast", "patches", "flow", 1.3),
+        ("image_edges", "patches", "flow", 1.1),
+        ("gradient", "patches", "flow", 1.1),
+        ("data_contrast", "blocks", "flow", 3),
+        ("normalization", "blocks", "flow", 1.05),
+        ("depth_smoothness", "noisy", "depth", 1.3),
+        ("depth_normalization", "noisy", "depth", 1),
+    ],
+)
+def test_the_value_in_the_middle_is_the_preset_s_and_the_best(settings, name, scene, of, worse):
+    low, middle, high = errors(settings, name, scene, of)
+    assert [title.endswith("*") for title in settings[name]] == [False, True, False]
+    assert min(low, high) > worse * middle
+
+
+def test_beta_and_smoothness_are_one_weight(settings):
+    pairs = zip(settings["smoothness"].values(), settings["beta"].values(), strict=True)
+    assert all(np.allclose(one.rho, other.rho, atol=1e-4) for one, other in pairs)
+
+
+def roughness(result):
+    """Return how much inverse depth differs from that of the pixel beside it, relatively."""
+    return np.median(np.abs(np.diff(result.inverse_depth))) / np.median(result.inverse_depth)
+
+
+def test_figure_6(settings):
+    small, paper, large = map(roughness, settings["figure_6"].values())
+    assert small > 1.2 * paper > 1.4 * large
+
+
+def test_figure_8(settings):
+    """Spots that are taken for far vanish; the edge of the block, between columns, goes soft."""
+    as_is, some, much = errors(settings, "figure_8", "patches", "depth")
+    assert as_is > 1.5 * max(some, much)
+    steepest = [np.abs(np.diff(r.inverse_depth)).max() for r in settings["figure_8"].values()]
+    assert steepest[0] > 1.5 * steepest[2]
+
+
+def test_levels_reach_far_and_warps_do_not(settings):
+    one, two, all_levels = errors(settings, "pyramid_levels", "far")
+    assert one > 10 * max(two, all_levels)
+    few, usual, many = errors(settings, "warps", "far")
+    assert few > usual > many > 10 * all_levels
+
+
+def test_coarser_ends_are_softer(settings):
+    finest, next_one, last = errors(settings, "finest_level", "blocks")
+    assert finest < next_one / 1.5 < last / 3
+
+
+def test_presets_from_the_paper_to_accurate(settings):
+    paper, fast, balanced, accurate = errors(settings, "presets", "blocks")
+    assert paper > 2 * fast > 2.5 * balanced > 2 * accurate
