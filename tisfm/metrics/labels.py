@@ -6,7 +6,6 @@ from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
 from tisfm.checks import unmasked
 
@@ -112,6 +111,8 @@ def label_scores(
     Evaluating multiple object tracking performance: the CLEAR MOT metrics, EURASIP Journal on
     Image and Video Processing 2008, doi 10.1155/2008/246309: mismatches.
     """
+    from scipy.optimize import linear_sum_assignment  # takes a while to load
+
     if not 0 < least <= 1:
         raise ValueError(f"least is {least!r}: expected a number above 0, and 1 at most")
     pairs = _overlaps(labels, truth)

@@ -54,9 +54,9 @@ class Controls:
 
     @property
     def redrawing(self) -> tuple[Any, ...]:
-        """Those whose change draws the frame anew."""
+        """Those whose change draws the frame anew, besides the slider."""
         return (
-            self.frame, self.color, self.shape, self.size, self.most, self.min_confidence,
+            self.color, self.shape, self.size, self.most, self.min_confidence,
             self.max_deviation, self.hidden, self.follow, self.box, self.box_low, self.box_high,
             *self.kinds,
         )  # fmt: skip
@@ -66,6 +66,7 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
     """Make the controls: a window with those of the scene, and one with pictures at the left."""
     gui = server.gui
     gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    gui.main_panel.dock_right()  # beside the scene, not over it
     found: dict[str, Any] = {}
     colors = [q for q in QUANTITIES if q in ("image", "depth", *result.quantities)]
     pictures = [k for k in KINDS if k in ("frame", "depth", "flow", "anaglyph", *result.quantities)]

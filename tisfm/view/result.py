@@ -64,7 +64,8 @@ class Result(Protocol):
         Returns
         -------
         {"grown", "replaced"} or None
-            Whether the frames that there were are the same, and others follow; or anything else.
+            Whether the frames that there were are the same, and there are others, between them
+            too; or anything else.
         """
         ...
 

@@ -54,7 +54,9 @@ class RunResult:
             reason = " ".join(str(error).split())
             raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
         self._seen = seen
-        return "grown" if self._files[: len(before)] == before else "replaced"
+        now = dict(self._files)
+        is_kept = all(name in now and now[name] == files for name, files in before)
+        return "grown" if is_kept else "replaced"
 
     def read(self, number: int) -> ViewFrame:
         """Read the interpretation of a pair."""
