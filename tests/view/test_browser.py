@@ -202,6 +202,39 @@ def test_the_view_goes_to_the_camera(look, tmp_path):
     assert abs(client.camera.wxyz @ quaternion(seen)) == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.parametrize("size", [(1700, 700), (760, 480), (400, 701)])
+def test_all_is_in_sight_in_any_window_until_the_view_is_moved(look, tmp_path, size):
+    write_reconstruction(tmp_path / "r")
+    page, tab = look(tmp_path / "r")
+    wait_until(tab, lambda: page.server.get_clients(), "nobody is there")
+    (client,) = page.server.get_clients().values()
+
+    def is_fitted():
+        expected, _ = page.scene.overview(page.frame, page.points, client.camera.aspect)
+        return np.linalg.norm(client.camera.position - expected[:3, 3]) < 0.15 * page.scene.depth
+
+    wait_until(tab, is_fitted, "it does not begin there")
+    before = client.camera.aspect
+    tab.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
+    wait_until(tab, lambda: abs(client.camera.aspect - before) > 0.05, "the window stays")
+    wait_until(tab, is_fitted, "it is not seen from farther")
+    fitted = np.array(client.camera.position)
+    box = tab.locator("canvas").first.bounding_box()
+    x, y = box["x"] + 0.15 * box["width"], box["y"] + 0.6 * box["height"]
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    tab.mouse.move(x + 30, y + 20, steps=5)
+    tab.mouse.up()
+    wait_until(
+        tab, lambda: np.linalg.norm(client.camera.position - fitted) > 0.05, "it is not dragged"
+    )
+    wait_until_still(tab)
+    dragged, aspect = np.array(client.camera.position), client.camera.aspect
+    tab.set_viewport_size({"width": size[0], "height": size[1] - 100})
+    wait_until(tab, lambda: abs(client.camera.aspect - aspect) > 0.01, "the window stays")
+    assert client.camera.position == pytest.approx(dragged, abs=0.02)
+
+
 def test_thresholds_and_colours(look, tmp_path):
     write_run(tmp_path / "r", 1)
     page, tab = look(tmp_path / "r")

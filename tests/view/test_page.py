@@ -11,6 +11,7 @@ import pytest
 
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats.folder_lock import locked_folder
+from tisfm.point_cloud import PointCloud
 from tisfm.view.opening import open_result
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
@@ -379,3 +380,53 @@ def test_a_page_waits_for_a_reconstruction_and_shows_how_far_it_is(opened, tmp_p
         assert page.frame.shape == shot.frames.shape[1:3]
     finally:
         page.stop()
+
+
+def test_the_whole_scene_is_a_layer(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    positions = np.random.default_rng(0).uniform(-1, 1, (40, 3)).astype(np.float32)
+    colors, confidence = np.full((40, 3), 99, np.uint8), np.ones(40, np.float32)
+    points = PointCloud(positions=positions, colors=colors, confidence=confidence)
+    points.save(tmp_path / "r" / "points.ply")
+    page = opened(tmp_path / "r")
+    assert "whole" not in page.scene._nodes
+    change(page, "whole", "points")
+    wait_for(lambda: "points.ply: 40 points" in page.controls.whole_note.content)
+    wait_for(lambda: "whole" in page.scene._nodes)
+    np.testing.assert_array_equal(page.scene._nodes["whole"].points, positions)
+    change(page, "with_frame", False)
+    wait_for(lambda: not page.scene._nodes["points"].visible)
+    page.controls.box_low.value, page.controls.box_high.value = (0, 0, 0), (1, 1, 1)
+    change(page, "box", True)
+    wait_for(lambda: len(page.scene._nodes["whole"].points) == (positions > 0).all(axis=1).sum())
+    change(page, "whole", "nothing")
+    wait_for(lambda: "whole" not in page.scene._nodes)
+    assert page.controls.whole_note.content == ""
+
+
+def test_a_whole_scene_that_cannot_be_had_is_told(opened, tmp_path):
+    write_reconstruction(tmp_path / "r", changes={"keyframes": ()})
+    page = opened(tmp_path / "r")
+    change(page, "whole", "surface")
+    wait_for(lambda: "no keyframes" in page.controls.whole_note.content)
+    change(page, "frame", 2)
+    wait_for(lambda: page.number == 2)  # the page goes on
+
+
+def test_handles_of_the_box_drag_its_corners(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    change(page, "box", True)
+    wait_for(lambda: len(page.box._handles) == 2)
+    change(page, "color", "depth")  # drawn anew, the handles stay
+    wait_for(lambda: not page._is_stale and not page._is_coarse)
+    for handle, corner in zip(page.box._handles, page.box._corners, strict=True):
+        np.testing.assert_allclose(handle.position, corner.value, atol=1e-6)
+    page.box._drag(1, np.array((0.25, 0.5, 2.125)))
+    wait_for(lambda: page.box.ends[1][1] == 0.5)
+    assert page.controls.box_high.value == (0.25, 0.5, 2.125)
+    page.controls.box_low.value = (-0.5, -0.5, 0)
+    page._change()
+    wait_for(lambda: np.allclose(page.box._handles[0].position, (-0.5, -0.5, 0)))
+    change(page, "box", False)
+    wait_for(lambda: not page.box._handles and "box" not in page.scene._nodes)

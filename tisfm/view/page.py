@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.view.box import ClippingBox
 from tisfm.view.cache import MOST_BYTES, FrameCache
 from tisfm.view.cloud import Choice, Cloud, cloud
 from tisfm.view.colors import legend, pixel_colors
@@ -26,15 +27,17 @@ from tisfm.view.scene import SceneView, quaternion, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.texts import legend_html, status_html
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT
+from tisfm.view.whole_layer import WholeLayer
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, ViserServer
+    from viser import CameraHandle, ClientHandle, ViserServer
 
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
 _LOOK = 1.0  # s between looks at the folder
 _GROWN = 1.2  # times as many frames, for the path to be drawn anew
-_NARROW = 0.9  # of the usual width over height: windows that show less than was thought
+_OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
+_TOUCHED = 1e-3  # of the depth: a view that was moved since
 _PICTURE = 420  # px, pictures beside the scene
 
 
@@ -95,10 +98,12 @@ class Page:
         depth = 1.0 if first is None else first.usual_depth
         self.scene = SceneView(self.server, result, depth)
         self.marks = Marks(self.controls, self.scene, result)
+        self.box = ClippingBox(self.server, self.controls, self.scene)
+        self.box.begin_around(self.scene.pose_of(number))
         if first is not None:
             self.scene.place_browsers(first, self._points_of(first, COARSE))
-        self._place_box(number)
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self.whole = WholeLayer(self.controls, self.scene, result, self._put_and_redraw)
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._is_stale, self._is_coarse, self._changed_at = True, True, 0.0
         self._playing_since: tuple[float, int] | None = None
@@ -136,7 +141,7 @@ class Page:
         return Choice(
             min_confidence=controls.min_confidence.value,
             max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
-            box=self._box(),
+            box=self.box.ends,
             most_points=asked if most is None else min(most, asked),
             with_hidden=controls.hidden.value,
         )
@@ -161,8 +166,11 @@ class Page:
                     self.scene.show_surface(self.points, frame, colors)
                 else:
                     self.scene.show_points(self.points, frame, size=controls.size.value)
+                self.scene.set_visible("points", controls.with_frame.value)
                 self.scene.show_here(frame, visible=not controls.follow.value)
-                self.scene.show_box(self._box())
+                spacing = self.scene.depth / frame.camera.focal
+                self.whole.update(number, self.box.ends, controls.size.value * spacing)
+                self.box.show()
             self._show_path(number)
         return self.points
 
@@ -192,6 +200,11 @@ class Page:
         controls.static.on_click(lambda event: self._do(save_static, event.client))
         self.server.scene.on_click()(lambda event: self._clicked(event))
         self.server.on_client_connect(self._welcome)
+
+    def _put_and_redraw(self, job: Callable[[], None]) -> None:
+        """Have a job done by the thread that draws, and what is shown drawn anew after it."""
+        self._jobs.put(job)
+        self._change()
 
     def _change(self, *, path: bool = False) -> None:
         if path:
@@ -225,9 +238,22 @@ class Page:
             client.camera.fov = FOV
 
     def _welcome(self, client: "ClientHandle") -> None:
-        """Let a narrow window begin farther back, where all is in sight."""
-        if client.camera.aspect < _NARROW * USUAL_ASPECT:
-            self._go(client)
+        """Let all be in sight in the window of a browser, until somebody moves the view."""
+        fitted, has_come, is_touched = USUAL_ASPECT, False, False
+        home = np.asarray(self.server.initial_camera.position)
+
+        def fit(camera: "CameraHandle") -> None:
+            nonlocal fitted, home, has_come, is_touched
+            is_home = bool(np.linalg.norm(camera.position - home) <= _TOUCHED * self.scene.depth)
+            has_come |= is_home  # before that, it has not been told yet where to begin
+            is_touched |= has_come and not is_home
+            if is_home and not is_touched and abs(np.log(camera.aspect / fitted)) > _OTHER_SHAPE:
+                fitted = camera.aspect
+                self._go(client)
+                home = np.array(camera.position)
+
+        client.camera.on_update(fit)
+        fit(client.camera)
 
     def _toggle_play(self) -> None:
         playing = self._playing_since is None
@@ -364,6 +390,7 @@ class Page:
             self._take_place(number, pose)
             return
         self.cache.clear()
+        self.whole.forget()
         self.number = -1
         self.controls.frame.value = number
         self._restart_play()
@@ -448,20 +475,6 @@ class Page:
     def _mark(self, row: int, column: int) -> None:
         self.marks.mark(row, column)
         self._show_pictures()
-
-    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        controls = self.controls
-        if not controls.box.value:
-            return None
-        ends = np.array([controls.box_low.value, controls.box_high.value], np.float64)
-        return ends.min(axis=0), ends.max(axis=0)
-
-    def _place_box(self, number: int) -> None:
-        """Let the clipping box begin around what a frame shows."""
-        pose, depth = self.scene.pose_of(number), self.scene.depth
-        middle = pose[:3, 3] + depth * pose[:3, 2]
-        self.controls.box_low.value = tuple(np.round(middle - depth, 3))
-        self.controls.box_high.value = tuple(np.round(middle + depth, 3))
 
     def _follow(self) -> None:
         """Let all browsers look from where the camera was."""

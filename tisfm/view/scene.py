@@ -11,8 +11,9 @@ from tisfm.view.colors import thing_colors
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import field_of_view, frustum_scale
 from tisfm.view.result import Result
-from tisfm.view.surface import surface_file, triangles_between
+from tisfm.view.surface import colored_file, surface_file, triangles_between
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
+from tisfm.view.whole import Whole
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -123,6 +124,35 @@ class SceneView:
             wxyz=quaternion(pose),
             position=pose[:3, 3],
         )
+
+    def show_whole(self, whole: Whole | None, *, size: float) -> None:
+        """Show points or the surface of several frames, None to remove them.
+
+        Parameters
+        ----------
+        whole : Whole or None
+        size : float
+            Of points, in the unit of the scene.
+        """
+        if whole is None or not len(whole.positions):
+            self.remove("whole")
+        elif whole.faces is None:
+            self._nodes["whole"] = self._server.scene.add_point_cloud(
+                "/whole",
+                whole.positions,
+                whole.colors,
+                point_size=size / whole.left**0.5,
+                point_shape="square",
+                point_shading="flat",
+                precision="float32",
+            )
+        else:
+            self._nodes["whole"] = self._server.scene.add_glb(
+                "/whole",
+                colored_file(whole.positions, whole.faces, whole.colors),
+                cast_shadow=False,
+                receive_shadow=False,
+            )
 
     def show_here(self, frame: ViewFrame, *, visible: bool) -> None:
         """Show the frustum of a frame, with its picture."""
@@ -242,6 +272,12 @@ class SceneView:
             self._nodes["box"] = self._server.scene.add_line_segments(
                 "/box", box_edges(*box), (120, 120, 120), thickness=1.0, thickness_units="screen"
             )
+
+    def set_visible(self, name: str, visible: bool) -> None:
+        """Let a node be seen or not, if it is there."""
+        node = self._nodes.get(name)
+        if node is not None and node.visible != visible:
+            node.visible = visible
 
     def remove(self, name: str) -> None:
         """Remove a node if it is there."""

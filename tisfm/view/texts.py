@@ -76,6 +76,11 @@ def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str
     return _block(f'<div data-testid="status">{"<br>".join(parts)}</div>')
 
 
+def note_html(text: str) -> str:
+    """Return a note below a control."""
+    return _block(f'<div data-testid="note">{html.escape(text)}</div>') if text else ""
+
+
 def waiting_html(reason: str, how_far: str) -> str:
     """Return why there is nothing to look at yet, and how far it is."""
     parts = [f"<b>{html.escape(reason)}.</b>"]

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FOV = 0.9  # of browsers, rad, from top to bottom
-USUAL_ASPECT = 1.2  # width over height of what browsers show between their panels
+USUAL_ASPECT = 0.85  # width over height of what browsers show between their panels
 _TOWARDS = (-0.13, 0.22, 1.0)  # in the axes of the camera: from its right, from above
-_NEAR = 3.0  # median depths: what is farther may be out of sight
+_NEAR = 2.0  # median depths: what is farther may be out of sight
 _BEHIND = 0.5  # median depths behind the camera at least: it is in sight, and not in the way
 _OUTSIDE = 2.0  # percent of the points that may be beyond each side
 _MOST = 500  # points that are reckoned with
