@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
+_ARRIVAL = 1.5  # s in which a browser draws what there is, before more is done
 _LOOK = 1.0  # s between looks at the folder
 _GROWN = 1.2  # times as many frames, for the path to be drawn anew
 _OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
@@ -94,7 +95,7 @@ class Page:
                 server.gui.reset()
             self.controls = build_controls(self.server, result, most_points=most_points)
         first = self._read(number)
-        self.ranges = ranges_of([] if first is None else [first])
+        self.ranges = ranges_of([] if first is None else [first], with_flow=False)
         depth = 1.0 if first is None else first.usual_depth
         self.scene = SceneView(self.server, result, depth)
         self.marks = Marks(self.controls, self.scene, result)
@@ -105,7 +106,7 @@ class Page:
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self.whole = WholeLayer(self.controls, self.scene, result, self._put_and_redraw)
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._is_stale, self._is_coarse, self._changed_at = True, True, 0.0
+        self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
         self._playing_since: tuple[float, int] | None = None
         self._looked_at = time.monotonic()
         self._shown_path: tuple[int, bool] | None = None
@@ -117,7 +118,6 @@ class Page:
         for client in self.server.get_clients().values():  # they look at what was shown before
             self._go(client)
         self._jobs.put(self._widen_ranges)
-        self._wake.set()
         self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
         self._thread.start()
 
@@ -292,6 +292,7 @@ class Page:
     # What the thread does.
 
     def _work(self) -> None:
+        self._wake.wait(_ARRIVAL)
         while not self._stopping.is_set():
             self._wake.wait(self._pause())
             self._wake.clear()
