@@ -13,7 +13,7 @@ from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server, stop_server
 
 _CAPTION = (
-    "position:fixed;left:0;bottom:0;max-width:60%;padding:0.3em 0.7em;font:12px sans-serif;"
+    "position:fixed;left:0;bottom:44px;max-width:60%;padding:0.3em 0.7em;font:12px sans-serif;"
     "color:#333;background:rgba(255,255,255,0.8);pointer-events:none"
 )
 
