@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 
 import pytest
@@ -13,6 +12,7 @@ import pytest
 from tests.cli.command_line import TISFM, assert_one_line
 from tests.view.results import write_reconstruction, write_record_of, write_run
 from tisfm.cli.command_line import main
+from tisfm.formats.folder_lock import locked_folder
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
@@ -70,19 +70,47 @@ def begun(*arguments):
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
 def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place):
     (place / "r").mkdir()
-    (place / "r" / ".tisfm.lock").touch()
-    process = begun("r")
+    with locked_folder(place / "r"):
+        process = begun("r")
+        try:
+            line = process.stderr.readline()
+            assert "waiting for it" in line
+            url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
+            assert_answers(url)
+            shot = write_run(place / "r", 2)
+            write_record_of(place / "r", shot, [0], "camera")
+            assert f"r at {url}" in process.stderr.readline()
+            assert_answers(url)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=100)
+        finally:
+            process.kill()
+    assert process.returncode == 0 and out == "" and err == ""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
+def test_it_waits_for_a_run_no_longer_than_that_goes_on(place):
+    (place / "r").mkdir()
+    with locked_folder(place / "r"):
+        (place / "r" / "reconstruction.begun").touch()
+        process = begun("r")
+        assert "no complete reconstruction yet: waiting" in process.stderr.readline()
     try:
-        assert "waiting for it" in process.stderr.readline()
-        shot = write_run(place / "r", 2)
-        write_record_of(place / "r", shot, [0], "camera")
-        line = process.stderr.readline()
-        url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
-        with urllib.request.urlopen(url, timeout=20) as answer:
-            assert b"<html" in answer.read()
-        time.sleep(0.2)
-        process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=100)
     finally:
         process.kill()
-    assert process.returncode == 0 and out == "" and err == ""
+    assert process.returncode == 1 and out == "" and "nobody goes on with it" in err
+
+
+def assert_answers(url):
+    with urllib.request.urlopen(url, timeout=60) as answer:
+        assert b"<html" in answer.read()
+
+
+def test_a_page_that_leaves_out_frames_says_so(place, capsys):
+    write_reconstruction(place / "r")
+    (place / "r" / "frames" / "000002.jpg").unlink()
+    assert main(["view", "r", "--html", "view.html"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "" and "4 of 5 frames in view.html" in err
+    assert "left out, as it cannot be read: f2:" in err

@@ -114,7 +114,7 @@ class Frames:
     """A result of so many frames, which counts how often they are read."""
 
     def __init__(self, count):
-        self.names, self.read_ones = ["<a>"] * count, []
+        self.names, self.read_ones = [f"<a>{k}" for k in range(count)], []
         self.times, self.has_one_scale, self.piece = [0.5] * count, True, np.full(count, -1)
 
     def read(self, number):
@@ -137,6 +137,22 @@ def test_few_frames_are_kept():
     assert tiny[7].number == 7 and len(tiny) == 1
 
 
+def test_all_that_a_frame_keeps_is_counted():
+    frame = full()
+    before = frame.nbytes
+    assert frame.relative_deviation is not None and frame.flow is not None
+    arrays = {id(v): v.nbytes for v in vars(frame).values() if isinstance(v, np.ndarray)}
+    assert sum(arrays.values()) <= before == frame.nbytes
+
+
+def test_a_frame_keeps_its_data_when_others_come_before_it():
+    result = Frames(5)
+    cache = FrameCache(result)
+    cache[1]
+    result.names.insert(0, "before")
+    assert cache[2].number == 2 and result.read_ones == [1]
+
+
 def test_samples_leave_out_what_cannot_be_read():
     result = Frames(3)
     assert [frame.number for frame in sampled(FrameCache(result), 3)] == [0, 1]
@@ -145,7 +161,7 @@ def test_samples_leave_out_what_cannot_be_read():
 def test_texts_escape_names_and_tell_faults():
     frame = full(status=Status("uncertain", "move <more>"))
     text = status_html(Frames(3), frame, 1)
-    assert "&lt;a&gt;" in text and "move &lt;more&gt;" in text and "no pose" in text
+    assert "&lt;a&gt;1" in text and "move &lt;more&gt;" in text and "no pose" in text
     assert "2 of 3" in text and "0.500 s" in text
     assert "it is gone" in status_html(Frames(3), None, 1, "it is gone")
 

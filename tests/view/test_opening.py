@@ -7,7 +7,8 @@ import pytest
 
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats import FormatError
-from tisfm.view.opening import NothingYetError, open_result
+from tisfm.formats.folder_lock import LOCK, locked_folder
+from tisfm.view.opening import NothingYetError, how_far, open_result
 
 
 def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):
@@ -20,6 +21,10 @@ def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):
     assert len(result.statuses) == len(result.times) == len(result.poses) == 4
     assert result.times == pytest.approx([0, 0.1, 0.2, 0.3])
     assert result.refresh() is None
+    write_record_of(tmp_path, shot, [0, 2], "camera")
+    assert result.refresh() == "replaced"
+    write_record_of(tmp_path, shot, [0, 1, 2], "camera")  # workers finish out of order
+    assert result.refresh() == "grown" and result.names == ["f0", "f1", "f2"]
     write_record_of(tmp_path, shot, [1, 2, 3], "camera")  # a run from another frame on
     assert result.refresh() == "replaced"
 
@@ -82,18 +87,38 @@ def test_a_reconstruction_that_is_being_replaced_stays(tmp_path):
     assert result.refresh() == "replaced" and result.names[0] == "another"
 
 
-@pytest.mark.parametrize("begun", ["reconstruction.begun", ".tisfm.lock"])
-def test_what_has_just_begun_is_waited_for(tmp_path, begun):
-    (tmp_path / begun).touch()
-    with pytest.raises(NothingYetError, match="yet"):
+RECORD = json.dumps({"version": "1", "settings": {"motion": "field"}, "pairs": {}})
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "yet", "ended"),
+    [
+        ("reconstruction.begun", "", "no complete reconstruction yet", "nobody goes on with it"),
+        ("run.json", RECORD, "no finished pair yet", "no run writes to it"),
+        (None, "", "no finished pair yet", "neither run.json nor reconstruction.json"),
+    ],
+)
+def test_what_is_being_made_is_waited_for_and_what_was_killed_is_not(
+    tmp_path, name, text, yet, ended
+):
+    if name is not None:
+        (tmp_path / name).write_text(text)
+    with locked_folder(tmp_path), pytest.raises(NothingYetError, match=yet):
+        open_result(tmp_path)
+    (tmp_path / LOCK).touch()  # a killed run leaves the file, and nobody holds it
+    with pytest.raises(FileNotFoundError, match=ended):
         open_result(tmp_path)
 
 
-def test_a_run_without_pairs_is_waited_for(tmp_path):
-    about = {"version": "1", "settings": {"motion": "field"}, "pairs": {}}
-    (tmp_path / "run.json").write_text(json.dumps(about))
-    with pytest.raises(NothingYetError, match="no finished pair"):
-        open_result(tmp_path)
+def test_how_far_a_reconstruction_is(tmp_path):
+    assert how_far(tmp_path) == ""
+    (tmp_path / "reconstruction.begun").touch()
+    assert "read" in how_far(tmp_path)
+    for part, count, ending in (("frames", 5, "jpg"), ("depth", 2, "npz")):
+        (tmp_path / part).mkdir()
+        for k in range(count):
+            (tmp_path / part / f"{k:06d}.{ending}").touch()
+    assert how_far(tmp_path) == "5 frames are read, 2 of them have depth"
 
 
 def test_other_folders_are_refused(tmp_path):

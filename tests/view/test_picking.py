@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.view.test_cloud import RANGES, made
 from tisfm.view.cloud import Choice, cloud
-from tisfm.view.picking import field_of_view, picked_pixel, picked_point, picture_distance
+from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picked_point
 
 
 @given(seed=st.integers(0, 999), row=st.integers(0, 10), column=st.integers(0, 22))
@@ -49,6 +49,6 @@ def test_outside_of_the_picture_nothing_is_hit():
 
 def test_a_frustum_has_the_volume_of_its_scale():
     fov, aspect = field_of_view(made(np.ones((11, 23))))
-    distance = picture_distance(fov, aspect, 0.5)
+    distance = 0.7
     y = distance * np.tan(fov / 2)
-    assert y * y * aspect * distance / 3 == pytest.approx(0.5**3)
+    assert frustum_scale(fov, aspect, distance) ** 3 == pytest.approx(y * y * aspect * distance / 3)

@@ -11,10 +11,10 @@ from tyro.conf import Positional, arg
 class View:
     """Look at a result in the browser: points, the camera's path, pictures, numbers at a pixel.
 
-    DIR is what `tisfm run` or `tisfm reconstruct` wrote, or what `tisfm run` is writing: pairs
-    appear as they are finished. Frames are read when they are looked at. Only this computer can
-    open the page, unless --host says otherwise: whoever can reach it sees the result. It needs
-    pip install 'tisfm[view]'. Ctrl-C ends it.
+    DIR is what `tisfm run` or `tisfm reconstruct` wrote, or is writing: pairs appear as they are
+    finished, a reconstruction at its end. Frames are read when they are looked at. Only this
+    computer can open the page, unless --host says otherwise: whoever can reach it sees the result.
+    It needs pip install 'tisfm[view]'. Ctrl-C ends it.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]

@@ -3,6 +3,7 @@
 import time
 import webbrowser
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tisfm.cli.console import tell
 from tisfm.formats import atomic_write
@@ -12,21 +13,23 @@ from tisfm.view.opening import NothingYetError, open_result
 from tisfm.view.page import Page
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
+from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.static import static_page
+from tisfm.view.waiting import WaitingPage
 
-_WAIT = 0.5  # s between looks at a folder that has nothing yet
+if TYPE_CHECKING:
+    from viser import ViserServer
 
 
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
     """Show a result in the browser until Ctrl-C."""
     if points < 1:
         raise ValueError(f"--points is {points}: expected a positive number")
-    result = _opened(folder)
-    _require_frame(result, frame)
-    page = Page(result, host=host, port=port, number=frame, most_points=points)
+    result, server = _opened(folder, frame, host=host, port=port, browser=browser)
+    page = Page(result, host=host, port=port, number=frame, most_points=points, server=server)
     try:
         tell(f"{folder} at {page.url}: Ctrl-C ends it")
-        if browser:
+        if browser and server is None:
             webbrowser.open(page.url)
         while True:  # a wait without an end cannot be interrupted on Windows
             time.sleep(0.5)
@@ -46,7 +49,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
         raise FileNotFoundError(f"there is no folder {path.parent} to write {path.name} to")
     result = open_result(folder)
     ranges = ranges_of(sampled(FrameCache(result), len(result.names)))
-    text = static_page(
+    page = static_page(
         result,
         quantity="image",
         ranges=ranges,
@@ -55,23 +58,37 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
         frames_per_second=8,
     )
     with atomic_write(path) as file:
-        file.write(text.encode())
-    shown = min(frames, len(result.names))
-    tell(f"{shown} of {len(result.names)} frames in {path}, {len(text) / 1e6:.1f} MB")
+        file.write(page.text.encode())
+    size = len(page.text) / 1e6
+    tell(f"{page.frames} of {len(result.names)} frames in {path}, {size:.1f} MB")
+    for unread in page.unread:
+        tell(f"left out, as it cannot be read: {unread}")
     return 0
 
 
-def _opened(folder: Path) -> Result:
-    """Open a result; wait for the first frame where one is being made."""
-    is_told = False
-    while True:
-        try:
-            return open_result(folder)
-        except NothingYetError as error:
-            if not is_told:
-                tell(f"{error}: waiting for it, Ctrl-C ends that")
-            is_told = True
-            time.sleep(_WAIT)
+def _opened(
+    folder: Path, frame: int, *, host: str, port: int, browser: bool
+) -> "tuple[Result, ViserServer | None]":
+    """Open a result; wait for its first frame where one is being made, and say so on a page.
+
+    That page's server is returned as well.
+    """
+    try:
+        result = open_result(folder)
+        _require_frame(result, frame)
+        return result, None
+    except NothingYetError as error:
+        server = start_server(host, port)
+        tell(f"{error}: waiting for it at {url_of(server)}, Ctrl-C ends that")
+    try:
+        if browser:
+            webbrowser.open(url_of(server))
+        result = WaitingPage(server, folder).wait()
+        _require_frame(result, frame)
+    except BaseException:
+        stop_server(server)
+        raise
+    return result, server
 
 
 def _require_frame(result: Result, frame: int) -> None:

@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
 
 LOCK = ".tisfm.lock"
+_PATIENCE, _POLL = 0.2, 0.02  # s: who only looks whether a lock is held has it for a moment
 _of_thread = threading.local()  # the folders that it has locked
 
 
@@ -45,7 +46,7 @@ def locked_folder(folder: str | os.PathLike[str], *, with_inner: bool = False) -
         return
     lock = FileLock(path / LOCK)
     try:
-        lock.acquire(timeout=0)
+        lock.acquire(timeout=_PATIENCE, poll_interval=_POLL)
     except Timeout:
         raise FolderInUseError(
             f"another run writes to {path}: wait until it ends, or give another folder with -o"
@@ -64,6 +65,26 @@ def locked_folder(folder: str | os.PathLike[str], *, with_inner: bool = False) -
         with contextlib.suppress(OSError):  # Windows removes no open file
             os.unlink(path / LOCK)
         lock.release()
+
+
+def is_written_to(folder: str | os.PathLike[str]) -> bool:
+    """Return whether another run holds the lock of a folder; the file alone says nothing.
+
+    True also where that cannot be known: the file system has no locks, or the file is of somebody
+    else.
+    """
+    path = Path(folder) / LOCK
+    if not path.is_file():
+        return False
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except (Timeout, NotImplementedError, PermissionError):
+        return True
+    except OSError:  # the folder has just gone
+        return False
+    lock.release()
+    return False
 
 
 @contextlib.contextmanager

@@ -6,7 +6,6 @@ from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
 from tisfm.checks import unmasked
 
@@ -143,6 +142,8 @@ def label_scores(
     >>> scores.iou, scores.switches
     (1.0, 0)
     """
+    from scipy.optimize import linear_sum_assignment  # takes a while to load
+
     if not 0 < least <= 1:
         raise ValueError(f"least is {least!r}: expected a number above 0, and 1 at most")
     pairs = _overlaps(labels, truth)

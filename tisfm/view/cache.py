@@ -1,6 +1,7 @@
 """Frames that were read, as many as fit into a number of bytes."""
 
 from collections import OrderedDict
+from dataclasses import replace
 
 from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Result
@@ -20,7 +21,7 @@ class FrameCache:
 
     def __init__(self, result: Result, most_bytes: int = MOST_BYTES) -> None:
         self._result, self._most = result, most_bytes
-        self._frames: OrderedDict[int, ViewFrame] = OrderedDict()
+        self._frames: OrderedDict[str, ViewFrame] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -38,10 +39,13 @@ class FrameCache:
         OSError, ValueError
             If it cannot be read.
         """
-        frame = self._frames.pop(number, None)
+        name = self._result.names[number]
+        frame = self._frames.pop(name, None)
         if frame is None:
             frame = self._result.read(number)
-        self._frames[number] = frame
+        elif frame.number != number:  # others came before it
+            frame = replace(frame, number=number)
+        self._frames[name] = frame
         while len(self._frames) > 1 and self.nbytes > self._most:
             self._frames.popitem(last=False)
         return frame

@@ -8,10 +8,12 @@ import numpy as np
 from tisfm.view.colors import QUANTITIES
 from tisfm.view.pictures import KINDS
 from tisfm.view.result import Result
+from tisfm.view.whole import KINDS as WHOLES
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
+NO_WHOLE = "nothing"
 ANY_DEVIATION = 100.0  # percent, from which on every deviation passes
 
 
@@ -33,6 +35,9 @@ class Controls:
     min_confidence: Any
     max_deviation: Any
     hidden: Any
+    whole: Any
+    whole_note: Any
+    with_frame: Any
     path: Any
     frusta: Any
     pictures: Any
@@ -54,10 +59,11 @@ class Controls:
 
     @property
     def redrawing(self) -> tuple[Any, ...]:
-        """Those whose change draws the frame anew."""
+        """Those whose change draws the frame anew, besides the slider."""
         return (
-            self.frame, self.color, self.shape, self.size, self.most, self.min_confidence,
+            self.color, self.shape, self.size, self.most, self.min_confidence,
             self.max_deviation, self.hidden, self.follow, self.box, self.box_low, self.box_high,
+            self.whole, self.with_frame,
             *self.kinds,
         )  # fmt: skip
 
@@ -66,6 +72,7 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
     """Make the controls: a window with those of the scene, and one with pictures at the left."""
     gui = server.gui
     gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    gui.main_panel.dock_right()  # beside the scene, not over it
     found: dict[str, Any] = {}
     colors = [q for q in QUANTITIES if q in ("image", "depth", *result.quantities)]
     pictures = [k for k in KINDS if k in ("frame", "depth", "flow", "anaglyph", *result.quantities)]
@@ -109,6 +116,10 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
         found["hidden"] = gui.add_checkbox(
             "Hidden in the next frame", True, visible="confidence" in result.quantities
         )
+    with gui.add_folder("Whole scene", expand_by_default=False, visible=result.has_whole):
+        found["whole"] = gui.add_dropdown("All frames", (NO_WHOLE, *WHOLES), initial_value=NO_WHOLE)
+        found["whole_note"] = gui.add_html("")
+        found["with_frame"] = gui.add_checkbox("Points of the frame", initial_value=True)
     with gui.add_folder("Path", expand_by_default=False):
         found["path"] = gui.add_checkbox("Path of the camera", initial_value=True)
         found["frusta"] = gui.add_checkbox("Frusta along it", initial_value=True)

@@ -72,12 +72,13 @@ class ViewFrame:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that its arrays take, flow that is made from depth and motion included."""
+        """Bytes that its arrays take, those that are made when they are looked at included."""
         arrays: list[NDArray[Any] | None] = [
             self.picture, self.inverse_depth, self.inverse_depth_std, self.confidence, self.labels,
             self.hidden, self.rho, self.stored_flow,
         ]  # fmt: skip
         made = 8 * self.inverse_depth.size if self.stored_flow is None else 0
+        made += 4 * self.inverse_depth.size if self.inverse_depth_std is not None else 0
         return sum(array.nbytes for array in arrays if array is not None) + made
 
     @property

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from tisfm.formats.folder_lock import LOCK
-from tisfm.reconstruction.folder import BEGUN
+from tisfm.formats.folder_lock import is_written_to
+from tisfm.reconstruction.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
 from tisfm.view.reconstruction_result import ReconstructionResult
 from tisfm.view.result import Result
@@ -21,7 +21,7 @@ def open_result(folder: Path) -> Result:
     Raises
     ------
     FileNotFoundError, NotADirectoryError
-        If there is no such folder, or it has no result.
+        If there is no such folder, or it has no result, and none is being made.
     NothingYetError
         A ValueError: if a result is being made, and nothing of it is complete.
     tisfm.formats.FormatError
@@ -35,13 +35,35 @@ def open_result(folder: Path) -> Result:
         return ReconstructionResult(folder)
     if (folder / RUN).is_file():
         result = RunResult(folder)
-        if not result.names:
-            raise NothingYetError(f"{folder} has no finished pair yet")
-        return result
+        if result.names:
+            return result
+    _require_being_made(folder)
     if (folder / BEGUN).is_file():
         raise NothingYetError(f"{folder} has no complete reconstruction yet")
-    if (folder / LOCK).is_file():
-        raise NothingYetError(f"{folder} has no finished pair yet")
+    raise NothingYetError(f"{folder} has no finished pair yet")
+
+
+def how_far(folder: Path) -> str:
+    """Return what there is of a reconstruction that is being made, in words; nothing of a run."""
+    if not (folder / BEGUN).is_file():
+        return ""
+    pictures, depths = (len(list((folder / part).glob("*.*"))) for part in (PICTURES, DEPTH))
+    if not pictures:
+        return "frames are read, and its path is found"
+    return f"{pictures} frames are read, {depths} of them have depth"
+
+
+def _require_being_made(folder: Path) -> None:
+    """Raise FileNotFoundError if nobody writes to a folder without a result."""
+    if is_written_to(folder):
+        return
+    if (folder / BEGUN).is_file():
+        raise FileNotFoundError(
+            f"the reconstruction in {folder} is not complete, and nobody goes on with it: run the "
+            "command again that made it"
+        )
+    if (folder / RUN).is_file():
+        raise FileNotFoundError(f"{folder} has no finished pair, and no run writes to it")
     raise FileNotFoundError(
         f"{folder} is no result of tisfm: it has neither {RUN} nor {RECONSTRUCTION}"
     )

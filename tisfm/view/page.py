@@ -1,7 +1,6 @@
 """The page: what the controls ask for is drawn, coarse first, then in full."""
 
 import contextlib
-import io
 import threading
 import time
 import traceback
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.view.box import ClippingBox
 from tisfm.view.cache import MOST_BYTES, FrameCache
 from tisfm.view.cloud import Choice, Cloud, cloud
 from tisfm.view.colors import legend, pixel_colors
@@ -23,17 +23,22 @@ from tisfm.view.pictures import caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static
-from tisfm.view.scene import START_FOV, SceneView, behind, quaternion, thumbnail
-from tisfm.view.server import start_server
+from tisfm.view.scene import SceneView, quaternion, thumbnail
+from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.texts import legend_html, status_html
+from tisfm.view.viewpoint import FOV, USUAL_ASPECT
+from tisfm.view.whole_layer import WholeLayer
 
 if TYPE_CHECKING:
-    from viser import ClientHandle
+    from viser import CameraHandle, ClientHandle, ViserServer
 
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
+_ARRIVAL = 1.5  # s in which a browser draws what there is, before more is done
 _LOOK = 1.0  # s between looks at the folder
 _GROWN = 1.2  # times as many frames, for the path to be drawn anew
+_OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
+_TOUCHED = 1e-3  # of the depth: a view that was moved since
 _PICTURE = 420  # px, pictures beside the scene
 
 
@@ -57,6 +62,8 @@ class Page:
         Of a frame, at first.
     most_bytes : int
         Of frames that are kept in memory.
+    server : ViserServer, optional
+        One that has shown something else so far, in place of one at `host` and `port`.
 
     Raises
     ------
@@ -75,25 +82,31 @@ class Page:
         number: int = 0,
         most_points: int = 200_000,
         most_bytes: int = MOST_BYTES,
+        server: "ViserServer | None" = None,
     ) -> None:
         self.result = result
         self.cache = FrameCache(result, most_bytes)
         self.number, self.fault = -1, ""
         self.frame: ViewFrame | None = None
         self.points: Cloud | None = None
-        self.server = start_server(host, port)
+        self.server = start_server(host, port) if server is None else server
         with self.server.atomic():
+            if server is not None:
+                server.gui.reset()
             self.controls = build_controls(self.server, result, most_points=most_points)
         first = self._read(number)
-        self.ranges = ranges_of([] if first is None else [first])
+        self.ranges = ranges_of([] if first is None else [first], with_flow=False)
         depth = 1.0 if first is None else first.usual_depth
         self.scene = SceneView(self.server, result, depth)
         self.marks = Marks(self.controls, self.scene, result)
-        self.scene.place_browsers(number)
-        self._place_box(number)
+        self.box = ClippingBox(self.server, self.controls, self.scene)
+        self.box.begin_around(self.scene.pose_of(number))
+        if first is not None:
+            self.scene.place_browsers(first, self._points_of(first, COARSE))
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self.whole = WholeLayer(self.controls, self.scene, result, self._put_and_redraw)
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._is_stale, self._is_coarse, self._changed_at = True, True, 0.0
+        self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
         self._playing_since: tuple[float, int] | None = None
         self._looked_at = time.monotonic()
         self._shown_path: tuple[int, bool] | None = None
@@ -102,25 +115,23 @@ class Page:
         self.controls.frame.value = number
         self._listen()
         self._draw(most=COARSE)
+        for client in self.server.get_clients().values():  # they look at what was shown before
+            self._go(client)
         self._jobs.put(self._widen_ranges)
-        self._wake.set()
         self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
         self._thread.start()
 
     @property
     def url(self) -> str:
         """Where a browser finds it."""
-        host = self.server.get_host()
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.server.get_port()}"
+        return url_of(self.server)
 
     def stop(self) -> None:
         """End the page; browsers keep what they show."""
         self._stopping.set()
         self._wake.set()
         self._thread.join(timeout=10)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+        stop_server(self.server)
 
     def choice(self, most: int | None = None) -> Choice:
         """Return which points the controls ask for, at most so many."""
@@ -130,7 +141,7 @@ class Page:
         return Choice(
             min_confidence=controls.min_confidence.value,
             max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
-            box=self._box(),
+            box=self.box.ends,
             most_points=asked if most is None else min(most, asked),
             with_hidden=controls.hidden.value,
         )
@@ -148,18 +159,25 @@ class Page:
                 self.points = None
                 self.scene.remove("points")
             else:
-                pose = self.scene.pose_of(number)
                 quantity = controls.color.value
-                self.points = cloud(frame, quantity, self.ranges, self.choice(most), pose)
+                self.points = self._points_of(frame, most)
                 if controls.shape.value == "surface":
                     colors = pixel_colors(frame, quantity, self.ranges)
                     self.scene.show_surface(self.points, frame, colors)
                 else:
                     self.scene.show_points(self.points, frame, size=controls.size.value)
+                self.scene.set_visible("points", controls.with_frame.value)
                 self.scene.show_here(frame, visible=not controls.follow.value)
-                self.scene.show_box(self._box())
+                spacing = self.scene.depth / frame.camera.focal
+                self.whole.update(number, self.box.ends, controls.size.value * spacing)
+                self.box.show()
             self._show_path(number)
         return self.points
+
+    def _points_of(self, frame: ViewFrame, most: int | None) -> Cloud:
+        """Return the points of a frame that the controls ask for, at most so many."""
+        pose = self.scene.pose_of(frame.number)
+        return cloud(frame, self.controls.color.value, self.ranges, self.choice(most), pose)
 
     # What a browser asks for.
 
@@ -168,7 +186,7 @@ class Page:
         controls = self.controls
         for control in controls.redrawing:
             control.on_update(lambda _: self._change())
-        controls.frame.on_update(self._take_up)
+        controls.frame.on_update(self._slid)
         for control in (controls.path, controls.frusta, controls.things, controls.pictures):
             control.on_update(lambda _: self._change(path=True))
         controls.play.on_click(lambda _: self._toggle_play())
@@ -181,6 +199,12 @@ class Page:
         controls.film.on_click(lambda event: self._do(save_film, event.client))
         controls.static.on_click(lambda event: self._do(save_static, event.client))
         self.server.scene.on_click()(lambda event: self._clicked(event))
+        self.server.on_client_connect(self._welcome)
+
+    def _put_and_redraw(self, job: Callable[[], None]) -> None:
+        """Have a job done by the thread that draws, and what is shown drawn anew after it."""
+        self._jobs.put(job)
+        self._change()
 
     def _change(self, *, path: bool = False) -> None:
         if path:
@@ -202,13 +226,34 @@ class Page:
         self._wake.set()
 
     def _go(self, client: "ClientHandle") -> None:
-        """Bring a browser to a little behind the frame that is shown."""
-        pose = behind(self.scene.pose_of(max(self.number, 0)), self.scene.depth)
+        """Bring a browser to where the frame that is shown and its points are in sight."""
+        if self.frame is None:
+            return
+        pose, distance = self.scene.overview(self.frame, self.points, client.camera.aspect)
         with client.atomic():
+            client.camera.up_direction = self.scene.up
             client.camera.wxyz = quaternion(pose)
             client.camera.position = pose[:3, 3]
-            client.camera.look_at = pose[:3, 3] + self.scene.depth * pose[:3, 2]
-            client.camera.fov = START_FOV
+            client.camera.look_at = pose[:3, 3] + distance * pose[:3, 2]
+            client.camera.fov = FOV
+
+    def _welcome(self, client: "ClientHandle") -> None:
+        """Let all be in sight in the window of a browser, until somebody moves the view."""
+        fitted, has_come, is_touched = USUAL_ASPECT, False, False
+        home = np.asarray(self.server.initial_camera.position)
+
+        def fit(camera: "CameraHandle") -> None:
+            nonlocal fitted, home, has_come, is_touched
+            is_home = bool(np.linalg.norm(camera.position - home) <= _TOUCHED * self.scene.depth)
+            has_come |= is_home  # before that, it has not been told yet where to begin
+            is_touched |= has_come and not is_home
+            if is_home and not is_touched and abs(np.log(camera.aspect / fitted)) > _OTHER_SHAPE:
+                fitted = camera.aspect
+                self._go(client)
+                home = np.array(camera.position)
+
+        client.camera.on_update(fit)
+        fit(client.camera)
 
     def _toggle_play(self) -> None:
         playing = self._playing_since is None
@@ -218,8 +263,10 @@ class Page:
         )
         self._wake.set()
 
-    def _take_up(self, event: Any) -> None:
-        """Let playing go on from where somebody moved the slider."""
+    def _slid(self, event: Any) -> None:
+        """Draw another frame, and let playing go on from where somebody moved the slider."""
+        if int(self.controls.frame.value) != self.number:
+            self._change()
         if event.client is not None:
             self._restart_play()
 
@@ -245,6 +292,7 @@ class Page:
     # What the thread does.
 
     def _work(self) -> None:
+        self._wake.wait(_ARRIVAL)
         while not self._stopping.is_set():
             self._wake.wait(self._pause())
             self._wake.clear()
@@ -328,7 +376,8 @@ class Page:
 
     def _look(self) -> None:
         """Take over what the folder has more than before."""
-        name = self.result.names[max(self.number, 0)]
+        number = max(self.number, 0)
+        name, pose = self.result.names[number], self.scene.pose_of(number)
         try:
             change = self.result.refresh()
         except (OSError, ValueError):  # it is replaced, or gone: what is there stays
@@ -337,17 +386,38 @@ class Page:
             return
         names = self.result.names
         self.controls.frame.max = max(1, len(names) - 1)
+        number = names.index(name) if name in names else 0
         if change == "grown":
-            self._show_status()
-            if len(names) >= _GROWN * self._path_of and self.result.has_one_scale:
-                self._change(path=True)
+            self._take_place(number, pose)
             return
         self.cache.clear()
-        number = names.index(name) if name in names else 0
+        self.whole.forget()
         self.number = -1
         self.controls.frame.value = number
         self._restart_play()
         self._change(path=True)
+
+    def _take_place(self, number: int, pose: NDArray[np.float64]) -> None:
+        """Let the frame that is shown have the number that it has among more frames.
+
+        It is drawn anew if it is at another place than its former pose; the path is, if need be.
+        """
+        is_moved = number != self.number
+        if is_moved:
+            self.number = number
+            self.frame = self._read(number)
+            self.marks.frame = self.frame
+            self.controls.frame.value = number
+            self._restart_play()
+        self._show_status()
+        if not self.result.has_one_scale:
+            return
+        if not np.array_equal(self.scene.pose_of(number), pose):
+            self._change(path=True)
+        elif is_moved or len(self.result.names) >= _GROWN * self._path_of:
+            self._shown_path = None
+            with self.server.atomic():
+                self._show_path(number)
 
     def _widen_ranges(self) -> None:
         """Take ranges of colours from a few frames of the whole result."""
@@ -394,7 +464,8 @@ class Page:
         frame = self.frame
         if not things and frame is not None and frame.labels is not None:
             things = tuple(int(k) for k in np.unique(frame.labels) if k)
-        unit = self.result.unit if self.result.has_one_scale else "mean depth of the frame"
+        own = "harmonic mean depths of the frame"
+        unit = self.result.unit if self.result.has_one_scale else own
         shown = legend(self.controls.color.value, self.ranges, unit, things)
         self.controls.legend.content = legend_html(shown)
 
@@ -405,20 +476,6 @@ class Page:
     def _mark(self, row: int, column: int) -> None:
         self.marks.mark(row, column)
         self._show_pictures()
-
-    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        controls = self.controls
-        if not controls.box.value:
-            return None
-        ends = np.array([controls.box_low.value, controls.box_high.value], np.float64)
-        return ends.min(axis=0), ends.max(axis=0)
-
-    def _place_box(self, number: int) -> None:
-        """Let the clipping box begin around what a frame shows."""
-        pose, depth = self.scene.pose_of(number), self.scene.depth
-        middle = pose[:3, 3] + depth * pose[:3, 2]
-        self.controls.box_low.value = tuple(np.round(middle - depth, 3))
-        self.controls.box_high.value = tuple(np.round(middle + depth, 3))
 
     def _follow(self) -> None:
         """Let all browsers look from where the camera was."""

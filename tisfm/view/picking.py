@@ -85,10 +85,10 @@ def field_of_view(frame: ViewFrame) -> tuple[float, float]:
     return 2 * math.atan(height / (2 * frame.camera.focal)), width / height
 
 
-def picture_distance(fov: float, aspect: float, scale: float) -> float:
-    """Return how far before the camera the picture of a frustum lies, as the browser draws it.
+def frustum_scale(fov: float, aspect: float, distance: float) -> float:
+    """Return the scale of a frustum whose picture lies so far before the camera.
 
-    A frustum of scale 1 has a volume that does not depend on the field of view.
+    The browser draws one of scale 1 with a volume that does not depend on the field of view.
     """
     y = math.tan(fov / 2)
-    return scale / (y * y * aspect / 3) ** (1 / 3)
+    return distance * (y * y * aspect / 3) ** (1 / 3)

@@ -10,11 +10,12 @@ from tisfm.view.colors import Ranges
 from tisfm.view.frame import ViewFrame
 
 
-def ranges_of(frames: Sequence[ViewFrame]) -> Ranges:
-    """Return ranges that suit frames; 1 for what none of them has."""
+def ranges_of(frames: Sequence[ViewFrame], *, with_flow: bool = True) -> Ranges:
+    """Return ranges that suit frames; 1 for what none of them has, or is not looked at."""
     depths = [inverse_depth_limit(frame.inverse_depth) / frame.scale for frame in frames]
-    flows = [usual_length(frame.flow) for frame in frames if frame.flow is not None]
-    return Ranges(inverse_depth=_middle(depths), flow=_middle(flows))
+    flows = [frame.flow for frame in frames] if with_flow else []
+    lengths = [usual_length(flow) for flow in flows if flow is not None]
+    return Ranges(inverse_depth=_middle(depths), flow=_middle(lengths))
 
 
 def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ViewFrame]:

@@ -12,6 +12,7 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_twist
 from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Change, as_rgb
+from tisfm.view.whole import Whole, WholeKind, fused_whole, stored_whole, thinned
 
 
 class ReconstructionResult:
@@ -26,7 +27,7 @@ class ReconstructionResult:
     """
 
     unit = "the unit of the path"
-    has_one_scale = True
+    has_one_scale = has_whole = True
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -64,6 +65,16 @@ class ReconstructionResult:
             labels=result.labels(number) if has_labels else None,
             motions=self._motions(number),
         )
+
+    def whole(self, kind: WholeKind, number: int) -> Whole:
+        """Return what was written of the largest piece, or else fuse the keyframes around a frame.
+
+        Its points are thinned.
+        """
+        result, found = self._result, None
+        if self.piece[number] == result.largest_piece:
+            found = stored_whole(self.folder, kind)
+        return thinned(fused_whole(result, kind, number) if found is None else found)
 
     def _take(self, result: Reconstruction) -> None:
         """Take over what a reconstruction says."""

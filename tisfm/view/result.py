@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.view.frame import ViewFrame
+from tisfm.view.whole import Whole, WholeKind
 
 Change = Literal["grown", "replaced"]
 
@@ -35,6 +36,8 @@ class Result(Protocol):
         Whether depth of all frames of a piece is of one scale.
     quantities : tuple of str
         What points may be coloured by, besides image and depth.
+    has_whole : bool
+        Whether several frames can be shown together.
     """
 
     folder: Path
@@ -47,6 +50,7 @@ class Result(Protocol):
     unit: str
     has_one_scale: bool
     quantities: tuple[str, ...]
+    has_whole: bool
 
     def read(self, number: int) -> ViewFrame:
         """Read a frame.
@@ -58,13 +62,24 @@ class Result(Protocol):
         """
         ...
 
+    def whole(self, kind: WholeKind, number: int) -> Whole:
+        """Return what the frames around one show together, as points or as a surface; it may last.
+
+        Raises
+        ------
+        ImportError, OSError, ValueError
+            If there is nothing of that kind, a library is missing, or a file is damaged.
+        """
+        ...
+
     def refresh(self) -> Change | None:
         """Look whether the folder has changed, and take over what it has now.
 
         Returns
         -------
         {"grown", "replaced"} or None
-            Whether the frames that there were are the same, and others follow; or anything else.
+            Whether the frames that there were are the same, and there are others, between them
+            too; or anything else.
         """
         ...
 

@@ -15,6 +15,7 @@ from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.rigid import pose_matrix
 from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Change, as_rgb
+from tisfm.view.whole import Whole, WholeKind
 
 RECORD = "run.json"
 _UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
@@ -30,6 +31,8 @@ class RunResult:
     OSError
         If it cannot be read.
     """
+
+    has_whole = False
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -54,7 +57,9 @@ class RunResult:
             reason = " ".join(str(error).split())
             raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
         self._seen = seen
-        return "grown" if self._files[: len(before)] == before else "replaced"
+        now = dict(self._files)
+        is_kept = all(name in now and now[name] == files for name, files in before)
+        return "grown" if is_kept else "replaced"
 
     def read(self, number: int) -> ViewFrame:
         """Read the interpretation of a pair."""
@@ -84,6 +89,10 @@ class RunResult:
             stored_flow=result.flow,
             motions=motions,
         )
+
+    def whole(self, kind: WholeKind, number: int) -> Whole:
+        """Raise ValueError: pairs are not fused."""
+        raise ValueError("pairs of tisfm run are not shown together: see tisfm reconstruct")
 
     def _take(self, record: Any) -> None:
         """Take over what a record says."""

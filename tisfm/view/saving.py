@@ -1,14 +1,16 @@
 """What a browser can save: a screenshot, a fly-through, a page that plays by itself."""
 
 import io
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.view.scene import START_FOV, behind, quaternion
+from tisfm.view.scene import behind, quaternion
 from tisfm.view.static import static_page
+from tisfm.view.viewpoint import FOV
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -45,37 +47,31 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
     RuntimeError, TimeoutError
         If the browser does not draw.
     """
-    require_video()
+    from tisfm.exports.video_file import check_video, video_file  # it takes a while to load
+
+    check_video()
     count = len(page.result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).astype(int))
-    before = page.number
-    pictures = []
-    try:
-        for k, number in enumerate(numbers):
-            page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
-            page.show(int(number))
-            pose = behind(page.scene.pose_of(int(number)), page.scene.depth)
-            if not page.result.has_one_scale:
-                pose = _swung(pose, page.scene.depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
-            pictures.append(
-                client.get_render(
-                    *FILM_SIZE,
-                    wxyz=quaternion(pose),
-                    position=pose[:3, 3],
-                    fov=START_FOV,
-                    transport_format="jpeg",
-                    timeout=_TIMEOUT,
-                )
-            )
-    finally:
-        page.show(max(before, 0))
-    film = encoded_film(pictures, frames_per_second=int(page.controls.speed.value))
-    client.send_file_download("fly-through.mp4", film, save_immediately=True)
+    before, depth = page.number, page.scene.depth
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "film.mp4")
+        try:
+            with video_file(path, page.controls.speed.value) as film:
+                for k, number in enumerate(map(int, numbers)):
+                    page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
+                    page.show(number)
+                    pose = behind(page.scene.pose_of(number), depth)
+                    if not page.result.has_one_scale:
+                        pose = _swung(pose, depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
+                    film.add(_drawn(client, pose))
+        finally:
+            page.show(max(before, 0))
+        client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)
 
 
 def save_static(page: "Page", client: "ClientHandle") -> None:
     """Give a browser a page that plays without Python, as HTML."""
-    text = static_page(
+    made = static_page(
         page.result,
         quantity=page.controls.color.value,
         ranges=page.ranges,
@@ -84,34 +80,23 @@ def save_static(page: "Page", client: "ClientHandle") -> None:
         frames_per_second=page.controls.speed.value,
         size=page.controls.size.value,
     )
-    client.send_file_download("view.html", text.encode(), save_immediately=True)
+    client.send_file_download("view.html", made.text.encode(), save_immediately=True)
+    if made.unread:
+        left = f"{len(made.unread)} frames cannot be read: {made.unread[0]}"
+        client.add_notification("The page is not complete", left)
 
 
-def require_video() -> None:
-    """Raise ImportError if there is no PyAV."""
-    try:
-        import av  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "a film needs PyAV, which is not installed: pip install 'tisfm[video]'"
-        ) from error
-
-
-def encoded_film(pictures: list[NDArray[np.uint8]], *, frames_per_second: int) -> bytes:
-    """Return pictures, (H, W, 3) uint8 of one size, as an MP4 file of H.264."""
-    import av
-
-    height, width = (side - side % 2 for side in pictures[0].shape[:2])  # as its colours need
-    file = io.BytesIO()
-    with av.open(file, "w", format="mp4") as container:
-        stream: Any = container.add_stream("libx264", rate=Fraction(frames_per_second))
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.options = {"crf": "20"}
-        for picture in pictures:
-            shown = np.ascontiguousarray(picture[:height, :width, :3])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(shown, format="rgb24")))
-        container.mux(stream.encode(None))
-    return file.getvalue()
+def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return what a browser draws as seen from a pose, (H, W, 3) uint8."""
+    picture = client.get_render(
+        *FILM_SIZE,
+        wxyz=quaternion(pose),
+        position=pose[:3, 3],
+        fov=FOV,
+        transport_format="jpeg",
+        timeout=_TIMEOUT,
+    )
+    return np.asarray(picture[..., :3], np.uint8)
 
 
 def _swung(pose: NDArray[np.float64], depth: float, angle: float) -> NDArray[np.float64]:

@@ -9,18 +9,21 @@ from numpy.typing import NDArray
 from tisfm.show import label_colors
 from tisfm.view.cloud import Cloud
 from tisfm.view.frame import ViewFrame
-from tisfm.view.picking import field_of_view, picture_distance
+from tisfm.view.picking import field_of_view, frustum_scale
 from tisfm.view.result import Result
-from tisfm.view.surface import surface_file, triangles_between
+from tisfm.view.surface import colored_file, surface_file, triangles_between
+from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
+from tisfm.view.whole import Whole
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 PATH_COLOR, HERE, MARK = (0, 114, 178), (213, 94, 0), (230, 159, 0)
 MOST_FRUSTA = 40
-START_FOV = 0.9  # of browsers, rad
 _THUMB, _PICTURE = 96, 480  # px, of pictures in frusta
-_SIZE = 0.07  # of frusta, over the median depth
+_WIDE, _LONG = 0.13, 0.16  # diagonal and length of the frustum at most, over the median depth
+_ALONG = 0.35  # size of frusta along the path, over that of the frame that is looked at
+_APART = 0.6  # of their length, or they are left out
 
 
 class SceneView:
@@ -32,6 +35,11 @@ class SceneView:
     result : Result
     depth : float
         A usual depth in the scene, which sizes of frusta and marks follow.
+
+    Attributes
+    ----------
+    up : (3,) float64
+        What points upwards in the world, as cameras are mostly held.
     """
 
     def __init__(self, server: "ViserServer", result: Result, depth: float) -> None:
@@ -39,21 +47,43 @@ class SceneView:
         self.depth = depth
         self._nodes: dict[str, Any] = {}
         self.frusta: dict[int, Any] = {}
-        server.scene.set_up_direction("-y")
+        self.up = _usual_up(result.poses)
+        server.scene.set_up_direction(tuple(self.up))
 
     def pose_of(self, number: int) -> NDArray[np.float64]:
         """Return the pose of a frame, that of the origin where it has none."""
         pose = self._result.poses[number]
         return pose if np.isfinite(pose).all() else np.eye(4)
 
-    def place_browsers(self, number: int) -> None:
-        """Let browsers begin a little behind a frame, looking the way that it looks."""
-        pose, start = behind(self.pose_of(number), self.depth), self._server.initial_camera
+    def place_browsers(self, frame: ViewFrame, points: Cloud) -> None:
+        """Let browsers begin where a frame and its points are in sight."""
+        pose, distance = self.overview(frame, points)
+        start = self._server.initial_camera
         start.position = pose[:3, 3]
-        start.look_at = pose[:3, 3] + self.depth * pose[:3, 2]
-        start.up = -pose[:3, 1]
+        start.look_at = pose[:3, 3] + distance * pose[:3, 2]
+        start.up = self.up
         start.near, start.far = 1e-3 * self.depth, 1e3 * self.depth
-        start.fov = START_FOV
+        start.fov = FOV
+
+    def overview(
+        self, frame: ViewFrame, points: Cloud | None, aspect: float = USUAL_ASPECT
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return the pose in the world that a frame is looked at from, and how far its points are.
+
+        Parameters
+        ----------
+        frame : ViewFrame
+        points : Cloud or None
+        aspect : float
+            Width over height of what the browser shows.
+        """
+        pose = self.pose_of(frame.number)
+        height, width = frame.shape
+        corners = frame.rays(np.array([0, 0, height, height]), np.array([0, width, 0, width]))
+        frustum = np.concatenate([np.zeros((1, 3)), self.picture_distance(frame) * corners])
+        positions = np.zeros((0, 3)) if points is None else points.positions
+        seen, distance = overview(positions, frustum, up=pose[:3, :3].T @ self.up, aspect=aspect)
+        return pose @ seen, distance
 
     def show_surface(self, points: Cloud, frame: ViewFrame, colors: NDArray[np.uint8]) -> None:
         """Show the surface between points in place of what was shown last.
@@ -95,6 +125,35 @@ class SceneView:
             position=pose[:3, 3],
         )
 
+    def show_whole(self, whole: Whole | None, *, size: float) -> None:
+        """Show points or the surface of several frames, None to remove them.
+
+        Parameters
+        ----------
+        whole : Whole or None
+        size : float
+            Of points, in the unit of the scene.
+        """
+        if whole is None or not len(whole.positions):
+            self.remove("whole")
+        elif whole.faces is None:
+            self._nodes["whole"] = self._server.scene.add_point_cloud(
+                "/whole",
+                whole.positions,
+                whole.colors,
+                point_size=size / whole.left**0.5,
+                point_shape="square",
+                point_shading="flat",
+                precision="float32",
+            )
+        else:
+            self._nodes["whole"] = self._server.scene.add_glb(
+                "/whole",
+                colored_file(whole.positions, whole.faces, whole.colors),
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
     def show_here(self, frame: ViewFrame, *, visible: bool) -> None:
         """Show the frustum of a frame, with its picture."""
         pose = self.pose_of(frame.number)
@@ -103,7 +162,7 @@ class SceneView:
             "/here",
             fov,
             aspect,
-            scale=self.frustum_scale,
+            scale=frustum_scale(fov, aspect, self.picture_distance(frame)),
             color=HERE,
             thickness=2.0,
             thickness_units="screen",
@@ -115,14 +174,10 @@ class SceneView:
             receive_shadow=False,
         )
 
-    @property
-    def frustum_scale(self) -> float:
-        """The scale of the frustum of the frame that is looked at."""
-        return _SIZE * self.depth
-
     def picture_distance(self, frame: ViewFrame) -> float:
         """Return how far before the camera the picture in the frustum is."""
-        return picture_distance(*field_of_view(frame), self.frustum_scale)
+        diagonal = float(np.hypot(*frame.shape)) / frame.camera.focal
+        return self.depth * min(_LONG, _WIDE / diagonal)
 
     def show_path(self, number: int, frame: ViewFrame, *, path: bool, frusta: bool) -> None:
         """Show the path of the piece that a frame belongs to, and frusta along it."""
@@ -145,14 +200,14 @@ class SceneView:
             )
         if frusta and len(placed) > 1:
             fov, aspect = field_of_view(frame)
-            every = np.unique(np.linspace(0, len(placed) - 1, MOST_FRUSTA).astype(int))
-            for k in placed[every]:
+            length = _ALONG * self.picture_distance(frame)
+            for k in placed[_spread(centers, _APART * length)]:
                 pose = self._result.poses[k]
                 self.frusta[int(k)] = self._server.scene.add_camera_frustum(
                     f"/frusta/{k}",
                     fov,
                     aspect,
-                    scale=0.4 * self.frustum_scale,
+                    scale=frustum_scale(fov, aspect, length),
                     color=PATH_COLOR,
                     thickness=1.0,
                     thickness_units="screen",
@@ -218,11 +273,38 @@ class SceneView:
                 "/box", box_edges(*box), (120, 120, 120), thickness=1.0, thickness_units="screen"
             )
 
+    def set_visible(self, name: str, visible: bool) -> None:
+        """Let a node be seen or not, if it is there."""
+        node = self._nodes.get(name)
+        if node is not None and node.visible != visible:
+            node.visible = visible
+
     def remove(self, name: str) -> None:
         """Remove a node if it is there."""
         node = self._nodes.pop(name, None)
         if node is not None:
             node.remove()
+
+
+def _spread(centers: NDArray[np.float64], apart: float) -> NDArray[np.int_]:
+    """Return which of the places of a path get a frustum: not too many, and none too near.
+
+    The first one does.
+    """
+    every = np.unique(np.linspace(0, len(centers) - 1, MOST_FRUSTA).astype(int))
+    taken = [int(every[0])]
+    for k in every[1:]:
+        if np.linalg.norm(centers[k] - centers[taken[-1]]) >= apart:
+            taken.append(int(k))
+    return np.array(taken)
+
+
+def _usual_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean direction that points upwards in frames, (3,); −Y if there is none."""
+    placed = poses[np.isfinite(poses).all(axis=(1, 2))]
+    mean = -placed[:, :3, 1].mean(axis=0) if len(placed) else np.zeros(3)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 1e-3 else np.array((0.0, -1.0, 0.0))
 
 
 def quaternion(pose: NDArray[np.float64]) -> NDArray[np.float64]:

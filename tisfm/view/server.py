@@ -45,6 +45,19 @@ def start_server(host: str, port: int) -> "ViserServer":
     return server
 
 
+def url_of(server: "ViserServer") -> str:
+    """Return where a browser of this computer finds a server."""
+    host = server.get_host()
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+
+
+def stop_server(server: "ViserServer") -> None:
+    """End a server, without a word on standard output."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
 @contextlib.contextmanager
 def _from_here_alone() -> Iterator[None]:
     """Let a server that starts in the block refuse what pages of other hosts ask for.

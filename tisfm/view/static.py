@@ -1,15 +1,40 @@
 """A page that plays a result without Python and without a network."""
 
-import contextlib
-import io
+import html
+from dataclasses import dataclass
 
 import numpy as np
 
 from tisfm.view.cloud import Choice, cloud
 from tisfm.view.colors import Quantity, Ranges
+from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
-from tisfm.view.server import start_server
+from tisfm.view.server import start_server, stop_server
+
+_CAPTION = (
+    "position:fixed;left:0;bottom:44px;max-width:60%;padding:0.3em 0.7em;font:12px sans-serif;"
+    "color:#333;background:rgba(255,255,255,0.8);pointer-events:none"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticPage:
+    """A page that plays by itself.
+
+    Attributes
+    ----------
+    text : str
+        The HTML file.
+    frames : int
+        Frames in it.
+    unread : tuple of str
+        Names of frames that could not be read, each with what is wrong.
+    """
+
+    text: str
+    frames: int
+    unread: tuple[str, ...]
 
 
 def static_page(
@@ -21,8 +46,10 @@ def static_page(
     most_frames: int,
     frames_per_second: float,
     size: float = 1.2,
-) -> str:
+) -> StaticPage:
     """Return one HTML file with points, frusta and paths of frames, which any browser plays.
+
+    Frames that cannot be read are left out; a line at its foot names them.
 
     Parameters
     ----------
@@ -47,27 +74,53 @@ def static_page(
     """
     count = len(result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, most_frames)).astype(int))
+    unread: list[str] = []
+    first: ViewFrame | None = None
     server = start_server("127.0.0.1", 0)
     try:
-        scene = None
         for number in map(int, numbers):
             try:
                 frame = result.read(number)
-            except (OSError, ValueError):  # it is gone, or damaged: the others are shown
+            except (OSError, ValueError) as error:  # it is gone, or damaged: the others are shown
+                unread.append(f"{result.names[number]}: {' '.join(str(error).split())}")
                 continue
-            if scene is None:
+            if first is None:
+                first, piece = frame, int(result.piece[number])
                 scene = SceneView(server, result, frame.usual_depth)
-                scene.place_browsers(number)
                 scene.show_path(number, frame, path=True, frusta=True)
-                recording = server.get_scene_serializer()
+            elif result.piece[number] != piece:
+                piece = int(result.piece[number])
+                scene.show_path(number, frame, path=True, frusta=True)
             points = cloud(frame, quantity, ranges, choice, scene.pose_of(number))
+            if frame is first:
+                scene.place_browsers(frame, points)
+                recording = server.get_scene_serializer()
             scene.show_points(points, frame, size=size)
             scene.show_here(frame, visible=True)
             scene.show_things(number, visible=True)
             recording.insert_sleep(1 / frames_per_second)
-        if scene is None:
-            raise ValueError(f"{result.folder} has no frame that can be read")
-        return recording.as_html()
+        if first is None:
+            raise ValueError(f"{result.folder} has no frame that can be read: {unread[0]}")
+        if piece != result.piece[first.number]:  # it begins anew after its end
+            scene.show_path(first.number, first, path=True, frusta=True)
+        shown = len(numbers) - len(unread)
+        text = _captioned(recording.as_html(), _caption(result, shown, unread))
+        return StaticPage(text=text, frames=shown, unread=tuple(unread))
     finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
+        stop_server(server)
+
+
+def _caption(result: Result, shown: int, unread: list[str]) -> str:
+    """Return what the page says of itself."""
+    said = f"{result.folder.resolve().name}: {shown} of {len(result.names)} frames"
+    if unread:
+        more = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
+        said += f". Left out, as it cannot be read: {unread[0]}{more}"
+    return said
+
+
+def _captioned(page: str, caption: str) -> str:
+    """Return a page with a line at its foot."""
+    block = f'<div style="{_CAPTION}">{html.escape(caption)}</div>'
+    before, end, after = page.rpartition("</body>")
+    return f"{before}{block}{end}{after}" if end else page + block

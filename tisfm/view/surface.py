@@ -65,6 +65,33 @@ def surface_file(points: Cloud, triangles: NDArray[np.int32], colors: NDArray[np
     return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_unlit))
 
 
+def colored_file(
+    positions: NDArray[np.float32], triangles: NDArray[np.int32], colors: NDArray[np.uint8]
+) -> bytes:
+    """Return a surface with a colour at each vertex as a GLB file.
+
+    Parameters
+    ----------
+    positions : (N, 3) float32
+    triangles : (M, 3) int32
+    colors : (N, 3) uint8
+    """
+    from trimesh import Trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    mesh = Trimesh(vertices=positions, faces=triangles, vertex_colors=colors, process=False)
+    return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_plain))
+
+
+def _plain(tree: dict[str, Any]) -> None:
+    """Let colours of vertices be seen from both sides, without light."""
+    tree["materials"] = [{"doubleSided": True}]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
+    _unlit(tree)
+
+
 def _unlit(tree: dict[str, Any]) -> None:
     tree.setdefault("extensionsUsed", []).append(_UNLIT)
     for material in tree["materials"]:

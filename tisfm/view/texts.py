@@ -76,6 +76,20 @@ def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str
     return _block(f'<div data-testid="status">{"<br>".join(parts)}</div>')
 
 
+def note_html(text: str) -> str:
+    """Return a note below a control."""
+    return _block(f'<div data-testid="note">{html.escape(text)}</div>') if text else ""
+
+
+def waiting_html(reason: str, how_far: str) -> str:
+    """Return why there is nothing to look at yet, and how far it is."""
+    parts = [f"<b>{html.escape(reason)}.</b>"]
+    if how_far:
+        parts.append(f"{html.escape(how_far)}.")
+    parts.append("This page shows it as soon as it is there.")
+    return _block(f'<div data-testid="waiting">{"<br>".join(parts)}</div>')
+
+
 def distance_html(points: list[np.ndarray], scale: float, unit: str) -> str:
     """Return the distance of two points in the scene, in the unit of the result."""
     if not points:

@@ -1,0 +1,79 @@
+"""The box that the scene is clipped to, by numbers and by handles at two of its corners."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.view.controls import Controls
+from tisfm.view.scene import SceneView
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+Box = tuple[NDArray[np.float64], NDArray[np.float64]]
+_HANDLE = 0.2  # length of the arrows, over the median depth
+
+
+class ClippingBox:
+    """The box as the controls have it.
+
+    Parameters
+    ----------
+    server : ViserServer
+    controls : Controls
+        A handle that is dragged changes their numbers.
+    scene : SceneView
+    """
+
+    def __init__(self, server: "ViserServer", controls: Controls, scene: SceneView) -> None:
+        self._server, self._scene = server, scene
+        self._is_on, self._corners = controls.box, (controls.box_low, controls.box_high)
+        self._handles: list[Any] = []
+        self._dragged_to: list[tuple[float, ...]] = [(), ()]
+
+    @property
+    def ends(self) -> Box | None:
+        """Least and greatest coordinates, (3,) each; None if nothing is clipped."""
+        if not self._is_on.value:
+            return None
+        corners = np.array([corner.value for corner in self._corners], np.float64)
+        return corners.min(axis=0), corners.max(axis=0)
+
+    def begin_around(self, pose: NDArray[np.float64]) -> None:
+        """Let it begin around what a frame with a pose, (4, 4), shows."""
+        depth = self._scene.depth
+        middle = pose[:3, 3] + depth * pose[:3, 2]
+        for corner, sign in zip(self._corners, (-1, 1), strict=True):
+            corner.value = tuple(np.round(middle + sign * depth, 3))
+
+    def show(self) -> None:
+        """Show its edges and handles; nothing if it is off."""
+        self._scene.show_box(self.ends)
+        if not self._is_on.value:
+            for handle in self._handles:
+                handle.remove()
+            self._handles = []
+            return
+        if not self._handles:
+            self._handles = [self._handle(k) for k in range(2)]
+        for k, (handle, corner) in enumerate(zip(self._handles, self._corners, strict=True)):
+            # What is being dragged is where the hand is, ahead of what is drawn.
+            if tuple(corner.value) != self._dragged_to[k]:
+                handle.position = corner.value
+
+    def _handle(self, k: int) -> Any:
+        """Return arrows by which a corner is dragged."""
+        handle = self._server.scene.add_transform_controls(
+            f"/handles/corner{k}",
+            scale=_HANDLE * self._scene.depth,
+            disable_rotations=True,
+            depth_test=False,
+            position=self._corners[k].value,
+        )
+        handle.on_update(lambda event: self._drag(k, event.target.position))
+        return handle
+
+    def _drag(self, k: int, position: NDArray[np.float64]) -> None:
+        self._dragged_to[k] = tuple(round(float(part), 3) for part in position)
+        self._corners[k].value = self._dragged_to[k]
