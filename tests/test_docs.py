@@ -327,7 +327,7 @@ def test_exit_codes_are_those_of_the_code():
     ("run frame0.png frame1.png -o out --smoothnes 1", 2),
     ("run frame0.png frame1.png -o out --smoothness much", 2),
     ("run frame0.png frame1.png -o out --preset quick", 2),
-    ("--completion fish", 2),
+    ("--completion powershell", 2),
     ("nothing", 2),
     ("reconstruct", 2),
 ])  # fmt: skip
