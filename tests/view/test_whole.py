@@ -11,6 +11,7 @@ from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.view.opening import open_result
+from tisfm.view.surface import colored_file
 from tisfm.view.whole import Whole, clipped, fused_whole, stored_whole, thinned
 
 
@@ -150,3 +151,17 @@ def test_what_was_written_is_taken_before_anything_is_fused(tmp_path):
     points = some_points()
     points.save(tmp_path / "r" / "points.ply")
     assert len(open_result(tmp_path / "r").whole("points", 3).positions) == len(points)
+
+
+def test_the_surface_in_the_browser_has_the_colours_it_was_given():
+    from io import BytesIO
+
+    from trimesh import load_scene
+
+    whole = sheet(3)
+    data = colored_file(whole.positions, whole.faces, whole.colors)
+    (mesh,) = load_scene(BytesIO(data), file_type="glb", process=False).geometry.values()
+    light = np.asarray(mesh.visual.vertex_attributes["color"])[:, :3] / 255
+    shown = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(255 * shown, whole.colors, atol=3)  # 8 bits of light
+    assert b"KHR_materials_unlit" in data and len(mesh.faces) == len(whole.faces)

@@ -20,13 +20,23 @@ from tisfm.view.waiting import WaitingPage
 if TYPE_CHECKING:
     from viser import ViserServer
 
+_PATIENCE = 10.0  # s for a browser to come, before more than a first picture is made
+
 
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
     """Show a result in the browser until Ctrl-C."""
     if points < 1:
         raise ValueError(f"--points is {points}: expected a positive number")
     result, server = _opened(folder, frame, host=host, port=port, browser=browser)
-    page = Page(result, host=host, port=port, number=frame, most_points=points, server=server)
+    page = Page(
+        result,
+        host=host,
+        port=port,
+        number=frame,
+        most_points=points,
+        patience=_PATIENCE,
+        server=server,
+    )
     try:
         tell(f"{folder} at {page.url}: Ctrl-C ends it")
         if browser and server is None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
-_ARRIVAL = 1.5  # s in which a browser draws what there is, before more is done
+_CHECK, _SETTLED = 0.05, 1.0  # s: between looks for a browser, and until one has drawn
 _LOOK = 1.0  # s between looks at the folder
 _GROWN = 1.2  # times as many frames, for the path to be drawn anew
 _OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
@@ -62,6 +62,8 @@ class Page:
         Of a frame, at first.
     most_bytes : int
         Of frames that are kept in memory.
+    patience : float
+        For how long, s, only the first picture is made, unless a browser comes.
     server : ViserServer, optional
         One that has shown something else so far, in place of one at `host` and `port`.
 
@@ -82,11 +84,12 @@ class Page:
         number: int = 0,
         most_points: int = 200_000,
         most_bytes: int = MOST_BYTES,
+        patience: float = 0.0,
         server: "ViserServer | None" = None,
     ) -> None:
         self.result = result
         self.cache = FrameCache(result, most_bytes)
-        self.number, self.fault = -1, ""
+        self.number, self.fault, self._patience = -1, "", patience
         self.frame: ViewFrame | None = None
         self.points: Cloud | None = None
         self.server = start_server(host, port) if server is None else server
@@ -292,7 +295,7 @@ class Page:
     # What the thread does.
 
     def _work(self) -> None:
-        self._wake.wait(_ARRIVAL)
+        self._await_browser()
         while not self._stopping.is_set():
             self._wake.wait(self._pause())
             self._wake.clear()
@@ -302,6 +305,15 @@ class Page:
                 self._step()
             except Exception:  # a bug: it is told, and the page goes on
                 traceback.print_exc()
+
+    def _await_browser(self) -> None:
+        """Leave the processor to a browser until it shows the first picture, or asks for more."""
+        end = time.monotonic() + self._patience
+        while time.monotonic() < end and not self.server.get_clients():
+            if self._wake.wait(_CHECK):
+                return
+        if self._patience > 0:
+            self._wake.wait(_SETTLED)
 
     def _step(self) -> None:
         """Do what is to be done now."""
@@ -446,7 +458,7 @@ class Page:
         handle = self.scene.frusta.get(number)
         if handle is not None:
             with contextlib.suppress(OSError, ValueError):
-                handle.image = thumbnail(self.result.read(number).picture)
+                handle.image = thumbnail(self.result.picture(number))
 
     def _show_status(self) -> None:
         self.controls.status.content = status_html(self.result, self.frame, self.number, self.fault)

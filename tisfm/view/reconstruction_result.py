@@ -57,7 +57,7 @@ class ReconstructionResult:
         has_labels = result.settings.motion == "objects"
         return ViewFrame(
             number=number,
-            picture=as_rgb(result.picture(number)),
+            picture=self.picture(number),
             camera=result.camera,
             inverse_depth=result.inverse_depth(number),
             inverse_depth_std=result.inverse_depth_std(number),
@@ -65,6 +65,10 @@ class ReconstructionResult:
             labels=result.labels(number) if has_labels else None,
             motions=self._motions(number),
         )
+
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the picture of a frame."""
+        return as_rgb(self._result.picture(number))
 
     def whole(self, kind: WholeKind, number: int) -> Whole:
         """Return what was written of the largest piece, or else fuse the keyframes around a frame.

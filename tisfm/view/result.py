@@ -62,6 +62,16 @@ class Result(Protocol):
         """
         ...
 
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Return the picture of a frame alone, (H, W, 3).
+
+        Raises
+        ------
+        OSError, ValueError
+            As `read`.
+        """
+        ...
+
     def whole(self, kind: WholeKind, number: int) -> Whole:
         """Return what the frames around one show together, as points or as a surface; it may last.
 

@@ -90,6 +90,10 @@ class RunResult:
             motions=motions,
         )
 
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the picture of a pair's first frame."""
+        return self.read(number).picture
+
     def whole(self, kind: WholeKind, number: int) -> Whole:
         """Raise ValueError: pairs are not fused."""
         raise ValueError("pairs of tisfm run are not shown together: see tisfm reconstruct")

@@ -49,6 +49,9 @@ class SceneView:
         self.frusta: dict[int, Any] = {}
         self.up = _usual_up(result.poses)
         server.scene.set_up_direction(tuple(self.up))
+        # What is shown has its own light: these would cost, and show nothing.
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
 
     def pose_of(self, number: int) -> NDArray[np.float64]:
         """Return the pose of a frame, that of the origin where it has none."""

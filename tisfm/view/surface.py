@@ -79,8 +79,16 @@ def colored_file(
     from trimesh import Trimesh
     from trimesh.exchange.gltf import export_glb
 
-    mesh = Trimesh(vertices=positions, faces=triangles, vertex_colors=colors, process=False)
+    light = _linear(colors)  # which is what such files keep at vertices
+    mesh = Trimesh(vertices=positions, faces=triangles, vertex_colors=light, process=False)
     return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_plain))
+
+
+def _linear(colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return sRGB colours as shares of light, (N, 3) uint8."""
+    share = np.arange(256) / 255
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.rint(255 * light).astype(np.uint8)[colors]
 
 
 def _plain(tree: dict[str, Any]) -> None:
