@@ -195,6 +195,19 @@ def test_without_a_pose_there_is_no_depth_to_ask_for(tisfm_run, place):
     assert_one_line(code, err, "none has a pose either")
 
 
+def test_a_unit_is_of_frames_with_a_pose(tisfm_run, place):
+    made(place / "walk", piece=[0, -1, 0], count=3)
+    code, _, err = tisfm_run("export", "walk", "--to", "tum", "-o", "o", "--scale", "0", "1", "2")
+    assert_one_line(code, err, "frame 1 has no pose")
+
+
+def test_depth_that_is_gone_is_told(tisfm_run, place):
+    made(place / "walk")
+    shutil.rmtree(place / "walk" / "depth")
+    code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
+    assert_one_line(code, err, "its folder depth is gone")
+
+
 def test_folders_that_are_none(tisfm_run, place):
     (place / "empty").mkdir()
     for folder, words in (("nowhere", "there is no folder"), ("empty", "has neither")):

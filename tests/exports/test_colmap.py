@@ -303,6 +303,17 @@ def test_without_two_poses_there_is_no_model(found, tmp_path):
         measured_tracks(found, 3)
 
 
+def test_what_fails_leaves_no_empty_folder(copied, tmp_path):
+    (copied.folder / "frames" / "000000.jpg").unlink()
+    with pytest.raises(FileNotFoundError, match="not complete"):
+        write_colmap(copied, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(FileNotFoundError):
+        write_colmap(copied, tmp_path / "mine")
+    assert (tmp_path / "mine").exists()
+
+
 def test_a_lost_folder_is_told(copied, tmp_path):
     shutil.rmtree(copied.folder / "depth")
     with pytest.raises(FileNotFoundError, match="the folder is not complete"):

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,9 @@ NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterator[Path]:
     """Give a folder to write an export to, which is moved to its place when the block ends.
 
-    An earlier export stays until then, and is still there if an exception leaves the block. Of a
-    process that was killed, what it left is removed by the next one.
+    An earlier export stays until then, and is still there if an exception leaves the block; where
+    there was no folder, there is none then. Of a process that was killed, what it left is removed
+    by the next one.
 
     Parameters
     ----------
@@ -47,7 +48,21 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
     OSError
         If it cannot be made or written to, or another run writes to it.
     """
+    is_new = not Path(folder).exists()
     path = make_folder(folder)
+    try:
+        with _renewed(path, about) as new:
+            yield new
+    except BaseException:
+        if is_new:
+            with suppress(OSError):  # something else is in it by now
+                path.rmdir()
+        raise
+
+
+@contextmanager
+def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
+    """Do so in a folder that exists."""
     with locked_folder(path):
         refuse_others(path)
         shutil.rmtree(path / NEW, ignore_errors=True)

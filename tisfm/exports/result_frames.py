@@ -12,7 +12,7 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
-from tisfm.reconstruction.folder import depth_path
+from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
 
@@ -89,6 +89,8 @@ class SequenceFrames:
         self.advice = "reconstruct with --depth-of all"
         if not (result.piece >= 0).any():
             self.advice = "none has a pose either; the statuses of the reconstruction say why"
+        elif not (self.folder / DEPTH).is_dir():
+            self.advice = f"its folder {DEPTH} is gone"
 
     def __len__(self) -> int:
         return len(self._result)

@@ -268,7 +268,8 @@ class Reconstruction:
         Raises
         ------
         ValueError
-            If the frames are of different pieces, or of one place, or the distance is not positive.
+            If a frame has no pose, both are of different pieces or of one place, or the distance is
+            not positive.
 
         Examples
         --------
@@ -281,7 +282,10 @@ class Reconstruction:
         """
         first, second = self._number(frame0), self._number(frame1)
         piece = int(self.piece[first])
-        if piece < 0 or piece != self.piece[second]:
+        for frame in (first, second):
+            if self.piece[frame] < 0:
+                raise ValueError(f"frame {frame} has no pose: give two that have one, of one piece")
+        if piece != self.piece[second]:
             raise ValueError(
                 f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
                 "expected one piece, as its scale is its own"
