@@ -141,6 +141,8 @@ def test_legends_have_units():
     _, inverse_depth, flow = scene(60, 80)
     depth = words(draw_depth(inverse_depth, limit=0.5, unit="m"))
     assert "depth Z (m)" in depth and "∞" in depth and "≤ 2" in depth and "| 4 |" in depth
+    far = words(draw_depth(inverse_depth, limit=1 / 1234.0))
+    assert "≤ 1230" in far and "| 4940 |" in far and "e+" not in far
     assert "rim: ≥ 2.5\npx/frame" in words(draw_flow(flow, limit=2.5))
     assert "rim: ≥ 120\npx/frame" in words(draw_flow(flow, limit=120.4))
     assert "confidence (share)" in words(draw_confidence(inverse_depth))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CurveQuantity = Literal["energy", "change"]
+_BELOW_NAMES = 0.0, 0.0, 1.0, 0.88  # where a legend may lie, of the axes
 _LEAST_CHANGE = 1e-12  # of a logarithmic axis, below which nothing is computed
 
 
@@ -99,7 +100,13 @@ def draw_energy(
     target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
     _draw_levels(target, history.level, sizes.text)
     if energy:
-        target.legend(loc="best", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
+        target.legend(
+            loc="best",
+            bbox_to_anchor=_BELOW_NAMES,
+            fontsize=sizes.text,
+            labelcolor=INK,
+            framealpha=0.8,
+        )
     return target
 
 
