@@ -114,9 +114,7 @@ def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
     """Shade every other level, and number those that have room for it, the rows above the plot."""
     starts = [0, *(np.flatnonzero(np.diff(level)) + 1), len(level)]
     box = axes.get_window_extent()
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    character = 0.6 * text / 72 * figure.dpi
+    character = 0.6 * text / 72 * axes.figure.dpi
     for number, (start, stop) in enumerate(pairwise(starts)):
         if number % 2 == 0:
             axes.axvspan(start - 0.5, stop - 0.5, color=FAINT, alpha=0.12, linewidth=0)

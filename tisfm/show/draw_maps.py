@@ -307,10 +307,8 @@ def with_bar(
 
 def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
     """Draw the wheel of colours beside a picture, and what its rim stands for."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
     box = axes.get_window_extent()
-    height, width = (side / figure.dpi for side in (box.height, box.width))
+    height, width = (side / axes.figure.dpi for side in (box.height, box.width))
     rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
     texts = [f"rim: ≥ {rim}", "px/frame"]
     diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
