@@ -165,6 +165,12 @@ def test_pairs_have_no_path(tisfm_run, place, name):
         (["--to", "tum", "--step", "0"], ["--step 0"]),
         (["--to", "tum", "--fps", "0"], ["frames_per_second is 0"]),
         (["--to", "video-wiggle", "--disparity", "3"], ["disparity is 3"]),
+        (["--to", "video-wiggle", "--screen", "3"], ["screen is 3.0, expected a quantile"]),
+        (["--to", "video-wiggle", "--screen-depth", "-3"], ["screen_depth is -3.0"]),
+        (
+            ["--to", "video-anaglyph", "--screen", "0.5", "--screen-depth", "3"],
+            ["give one of them"],
+        ),
         (["--to", "tum", "--scale", "0", "0", "1"], ["of one place"]),
         # What comes last is refused before anything is written.
         (["--to", "tum,masks"], ["--motion objects"]),

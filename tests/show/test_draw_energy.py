@@ -70,6 +70,8 @@ def test_it_is_read_at_any_size(size):
     heights = {t.get_fontsize() / 72 * 100 for t in (*axes.texts, axes.xaxis.label)}
     assert min(heights) >= 8.9 and (size[0] < 10 or min(heights) > 40)
     boxes = [t.get_window_extent() for t in axes.texts]
+    legend = axes.get_legend().get_window_extent()
+    assert all(legend.y1 <= box.y0 + 1 for box in boxes)
     for before, after in pairwise(boxes):
         assert before.x1 <= after.x0 + 1
 

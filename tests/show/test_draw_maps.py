@@ -63,7 +63,7 @@ NAMES = tuple(parts())
 
 def texts(axes):
     """Return all that is written in the figure of axes, but for what is empty."""
-    figure = axes.get_figure(root=True)
+    figure = axes.figure
     figure.canvas.draw()
     return [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
 
@@ -141,6 +141,8 @@ def test_legends_have_units():
     _, inverse_depth, flow = scene(60, 80)
     depth = words(draw_depth(inverse_depth, limit=0.5, unit="m"))
     assert "depth Z (m)" in depth and "∞" in depth and "≤ 2" in depth and "| 4 |" in depth
+    far = words(draw_depth(inverse_depth, limit=1 / 1234.0))
+    assert "≤ 1230" in far and "| 4940 |" in far and "e+" not in far
     assert "rim: ≥ 2.5\npx/frame" in words(draw_flow(flow, limit=2.5))
     assert "rim: ≥ 120\npx/frame" in words(draw_flow(flow, limit=120.4))
     assert "confidence (share)" in words(draw_confidence(inverse_depth))
@@ -159,7 +161,7 @@ def test_legends_have_units():
 def test_bars_have_the_colours_of_the_picture():
     """What a bar says is what the picture shows: its ends and its middle."""
     axes = draw_depth(np.ones((40, 50)), limit=2.0)
-    figure = axes.get_figure(root=True)
+    figure = axes.figure
     figure.canvas.draw()
     bar = next(a for a in figure.axes if a is not axes and a.get_images())
     drawn = np.asarray(bar.get_images()[0].get_array())
@@ -168,13 +170,13 @@ def test_bars_have_the_colours_of_the_picture():
     assert place["∞"] == 0 and place["≤ 0.5"] == 1 and place["1"] == 0.5
     assert np.array_equal(shown(axes)[5, 5], color_ramp("depth")[128])
     wide = draw_depth(np.ones((20, 90)), limit=2.0)
-    bar = next(a for a in wide.get_figure(root=True).axes if a is not wide and a.get_images())
+    bar = next(a for a in wide.figure.axes if a is not wide and a.get_images())
     assert np.array_equal(np.asarray(bar.get_images()[0].get_array())[0], color_ramp("depth"))
 
 
 def test_a_wheel_shows_the_colours_of_flow():
     axes = draw_flow(np.ones((30, 40, 2)), limit=3.0)
-    figure = axes.get_figure(root=True)
+    figure = axes.figure
     wheels = [a for a in figure.findobj(type(axes)) if a is not axes and a.get_images()]
     (wheel,) = [np.asarray(a.get_images()[0].get_array()) for a in wheels]
     side = len(wheel)
@@ -195,10 +197,25 @@ def test_odd_sizes_and_nothing_known(shape):
         draw_depth_error(nothing, nothing),
     ):
         assert (shown(axes) == UNKNOWN_COLOR).all()
-        save_figure_works(axes.get_figure(root=True))
+        save_figure_works(axes.figure)
     assert (shown(draw_flow(no_flow)) == 0).all()
-    save_figure_works(draw_labels(np.zeros(shape), np.zeros(shape, int)).get_figure(root=True))
+    save_figure_works(draw_labels(np.zeros(shape), np.zeros(shape, int)).figure)
     assert "no truth" in draw_depth_error(nothing, nothing).get_title()
+
+
+def test_axes_are_drawn_into_again():
+    """As for an animation: the legend is that of the last picture, and takes no more room."""
+    figure = empty()
+    axes = figure.add_subplot()
+    for limit in (1.0, 0.5, 0.25):
+        axes.clear()
+        draw_depth(np.full((30, 40), 0.1), axes=axes, limit=limit)
+        figure.canvas.draw()
+        sizes = axes.get_window_extent().bounds, len(figure.axes)
+    draw_depth(np.full((30, 40), 0.1), axes=(once := empty().add_subplot()), limit=0.25)
+    once.figure.canvas.draw()
+    assert sizes == (once.get_window_extent().bounds, len(once.figure.axes))
+    assert "≤ 4" in words(axes) and "≤ 2" not in words(axes)
 
 
 def test_large_pictures_are_reduced_by_means():
@@ -213,7 +230,7 @@ def test_large_pictures_are_reduced_by_means():
 def test_figures_of_their_own_hold_everything(tmp_path):
     for name, (draw, arrays, _) in parts().items():
         axes = draw(*arrays, title=name)
-        figure = axes.get_figure(root=True)
+        figure = axes.figure
         for text in texts(axes):
             box = text.get_window_extent()
             assert box.x0 >= 0 and box.x1 <= figure.bbox.x1, name

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -31,6 +31,17 @@ _FLATTEST = 12  # ratio of the sides of a picture: flatter ones are stretched, t
 WIDE = 2.0  # ratio from which a bar lies below a picture
 
 
+@dataclass
+class _Place:
+    """How the place of axes is divided, and among which others."""
+
+    divider: Any
+    rooms: list[Axes] = field(default_factory=list)
+
+
+_PLACE = "_tisfm_place"  # the attribute of axes that keeps it as long as they live
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Sizes in proportion to axes, points."""
@@ -46,11 +57,9 @@ class Sizes:
 
 def sizes_for(axes: Axes, share: float = _TEXT_OF_PICTURE) -> Sizes:
     """Return sizes of text and lines that are read in axes, from a thumbnail to a whole screen."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None  # of axes that were not removed
     box = axes.get_window_extent()
     pixels = max(_LEAST_TEXT, share * math.sqrt(max(box.width * box.height, 1.0)))
-    points = pixels * 72 / figure.dpi
+    points = pixels * 72 / axes.figure.dpi
     return Sizes(text=points, line=points / 7)
 
 
@@ -83,6 +92,7 @@ def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None)
     title : str, optional
         Text above it.
     """
+    _remove_rooms(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
     box = axes.get_window_extent()
@@ -138,10 +148,8 @@ def few_ticks(axes: Axes, sizes: Sizes) -> None:
     """Leave as many ticks as their labels have room for."""
     from matplotlib.ticker import MaxNLocator
 
-    figure = axes.get_figure(root=True)
-    assert figure is not None
     box = axes.get_window_extent()
-    character = sizes.inch * figure.dpi
+    character = sizes.inch * axes.figure.dpi
     for axis, room in ((axes.xaxis, box.width / 6), (axes.yaxis, box.height / 3)):
         axis.set_major_locator(MaxNLocator(nbins=int(np.clip(room / character, 2, 8))))
 
@@ -217,6 +225,17 @@ def draw_bar(
     return bar
 
 
+def _remove_rooms(axes: Axes) -> None:
+    """Remove the legend of what was drawn into axes before, and give them their place back."""
+    place = getattr(axes, _PLACE, None)
+    if place is not None:
+        delattr(axes, _PLACE)
+        for room in place.rooms:
+            room.remove()
+        axes.set_axes_locator(None)  # type: ignore[arg-type]
+        axes.reset_position()
+
+
 def legend_room(axes: Axes, width: float, gap: float) -> Axes:
     """Return empty axes beside a picture, so many inches wide, within the room of its axes."""
     room = _room(axes, "right", width, gap)
@@ -228,20 +247,19 @@ def _room(axes: Axes, side: str, size: float, gap: float) -> Axes:
     """Return axes at a side of others, which give way: their position is found when drawn."""
     from mpl_toolkits.axes_grid1.axes_divider import make_axes_locatable
 
-    divider = getattr(axes, "_tisfm_divider", None)
-    if divider is None:
-        divider = make_axes_locatable(axes)
-        axes._tisfm_divider = divider  # type: ignore[attr-defined]
-    room: Axes = divider.append_axes(side, size=size, pad=gap)
+    place = getattr(axes, _PLACE, None)
+    if place is None:
+        place = _Place(divider=make_axes_locatable(axes))
+        setattr(axes, _PLACE, place)
+    room: Axes = place.divider.append_axes(side, size=size, pad=gap)
+    place.rooms.append(room)
     return room
 
 
 def _shown_size(axes: Axes) -> tuple[float, float]:
     """Return the width and height, inches, that a picture has in its axes without a legend."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
     box = axes.get_window_extent()
-    width, height = max(box.width, 1.0) / figure.dpi, max(box.height, 1.0) / figure.dpi
+    width, height = max(box.width, 1.0) / axes.figure.dpi, max(box.height, 1.0) / axes.figure.dpi
     if axes.get_aspect() == "auto":
         return width, height
     columns, rows = (abs(end - start) for start, end in (axes.get_xlim(), axes.get_ylim()))

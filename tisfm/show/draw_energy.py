@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CurveQuantity = Literal["energy", "change"]
+_BELOW_NAMES = 0.0, 0.0, 1.0, 0.88  # where a legend may lie, of the axes
 _LEAST_CHANGE = 1e-12  # of a logarithmic axis, below which nothing is computed
 
 
@@ -99,7 +100,13 @@ def draw_energy(
     target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
     _draw_levels(target, history.level, sizes.text)
     if energy:
-        target.legend(loc="best", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
+        target.legend(
+            loc="best",
+            bbox_to_anchor=_BELOW_NAMES,
+            fontsize=sizes.text,
+            labelcolor=INK,
+            framealpha=0.8,
+        )
     return target
 
 
@@ -107,9 +114,7 @@ def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
     """Shade every other level, and number those that have room for it, the rows above the plot."""
     starts = [0, *(np.flatnonzero(np.diff(level)) + 1), len(level)]
     box = axes.get_window_extent()
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    character = 0.6 * text / 72 * figure.dpi
+    character = 0.6 * text / 72 * axes.figure.dpi
     for number, (start, stop) in enumerate(pairwise(starts)):
         if number % 2 == 0:
             axes.axvspan(start - 0.5, stop - 0.5, color=FAINT, alpha=0.12, linewidth=0)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WHEEL_PIXELS = 400
+_LEAST_USUAL, _MOST_USUAL = 1e-3, 1e6  # numbers that are read without an exponent
 _MOST_SWATCHES = 16  # labels beyond are counted
 
 
@@ -66,7 +67,7 @@ def draw_depth(
     ticks = [(0.0, "∞")]
     if top > 0:
         shares = (0.25, 0.5, 0.75, 1.0)
-        ticks += [(s, f"{'≤ ' * (s == 1)}{1 / (s * top):.3g}") for s in shares]
+        ticks += [(s, f"{'≤ ' * (s == 1)}{as_read(1 / (s * top))}") for s in shares]
     else:
         ticks.append((1.0, "none"))
     return with_bar(picture, "depth", ticks, (f"depth Z ({unit})", f"Z ({unit})"), axes, title)
@@ -272,6 +273,13 @@ def doublings(limits: tuple[float, float], unit: str) -> list[tuple[float, str]]
     return [(0.0, f"≤ {low:.3g} {unit}"), *ticks, (1.0, f"≥ {high:.3g} {unit}")]
 
 
+def as_read(value: float) -> str:
+    """Return a number with three digits, without an exponent unless it is very large or small."""
+    rounded = float(f"{value:.3g}")
+    is_usual = _LEAST_USUAL <= abs(rounded) < _MOST_USUAL
+    return np.format_float_positional(rounded, trim="-") if is_usual else f"{rounded:.3g}"
+
+
 def with_bar(
     picture: NDArray[np.uint8],
     quantity: Quantity,
@@ -299,10 +307,8 @@ def with_bar(
 
 def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
     """Draw the wheel of colours beside a picture, and what its rim stands for."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
     box = axes.get_window_extent()
-    height, width = (side / figure.dpi for side in (box.height, box.width))
+    height, width = (side / axes.figure.dpi for side in (box.height, box.width))
     rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
     texts = [f"rim: ≥ {rim}", "px/frame"]
     diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))

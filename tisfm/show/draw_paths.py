@@ -297,9 +297,7 @@ def _legend(
     """Say what lines are: where there is room, else above the axes."""
     given = (handles, names) if handles is not None else ()
     longest = max(map(len, names or axes.get_legend_handles_labels()[1]))
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    needed = (longest * 0.6 + 4) * sizes.inch * figure.dpi
+    needed = (longest * 0.6 + 4) * sizes.inch * axes.figure.dpi
     place: dict[str, Any] = {"loc": "best"}
     if needed > _MOST_LEGEND * axes.get_window_extent().width:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
