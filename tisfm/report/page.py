@@ -10,6 +10,7 @@ from tisfm.report.statuses import StatusCount, color_of
 from tisfm.report.style import SCRIPT, STYLE
 from tisfm.version import __version__
 
+_NARROWEST, _LOWEST = 200, 110  # px: a picture is no smaller, where a screen has room for it
 _LONG = 60  # characters: a value of more has a line of its own
 
 
@@ -209,11 +210,12 @@ def _slide(slide: Slide, index: int, there: Container[str]) -> str:
         for view in slide.views
         if view.title in there
     )
+    width = max(_NARROWEST, round(_LOWEST * slide.shape[1] / slide.shape[0]))
     return (
         f'<div class="slide"{" hidden" if index else ""}>'
         f"<p><b>{escape(slide.name)}</b> <span>number {slide.number}</span> {_chip(slide.status)} "
         f'<span class="said">{escape(slide.message)}</span></p>'
-        f'<div class="views">{views}</div></div>'
+        f'<div class="views" style="--w:{width}px">{views}</div></div>'
     )
 
 

@@ -35,7 +35,7 @@ margin-bottom:12px}
 button{width:40px;height:32px;border:1px solid var(--line);border-radius:8px;
 background:var(--hold);color:inherit;font:inherit;cursor:pointer}
 .slide>p{overflow-wrap:anywhere}.slide>p span:not(.chip){color:var(--soft)}
-.views{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,200px),1fr));gap:10px}
+.views{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,var(--w)),1fr));gap:10px}
 figure{margin:0;min-width:0}
 figure img{width:100%;display:block;border-radius:6px;background:var(--hold)}
 figcaption{color:var(--soft);font-size:.85rem}
