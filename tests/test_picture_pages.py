@@ -129,6 +129,10 @@ def a_thing_that_moves_gets_a_wrong_depth(failures):
 
 
 def one_plane_leaves_two_motions(failures):
+    one, other = failures["walls"]
+    assert np.abs(one / other - 1).max() > 0.1
+    true = failures["plane"].depth[90]
+    assert min(np.abs(wall / true - 1).max() for wall in (one, other)) < 0.02
     alone, known = failures["planes"].values()
     assert alone.status == "two_motions" and known.status == "converged"
     assert failures["error"](known, failures["plane"]) < 0.02

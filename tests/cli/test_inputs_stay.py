@@ -215,7 +215,9 @@ def test_the_record_of_eval(tisfm_run, benchmark_folder, place, nothing_interpre
     assert_refused(tisfm_run, place, "eval", "flows", "-o", "out", words=("eval.json",))
 
 
-@pytest.mark.parametrize("name", ["demo_depth.png", "figure_lambda.png", "camera/demo.npz"])
+@pytest.mark.parametrize(
+    "name", ["demo_depth.png", "figure_lambda.png", "demo.webp", "camera/demo.npz"]
+)
 def test_the_demo_keeps_what_no_demo_wrote(tisfm_run, d, place, nothing_interpreted, name):
     target = place / "out" / name
     target.parent.mkdir(parents=True)
