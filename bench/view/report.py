@@ -11,8 +11,8 @@ BAR = 3.0  # s until points are seen
 NAMES = {"run": "`tisfm run`", "reconstruction": "`tisfm reconstruct`"}
 _HEAD = (
     "| | frames | page served, s | points seen, s | in the slowest start, s |"
-    " processor until then, s | all points, s | step of the slider, s | all points of it, s |"
-    " memory, MB | peak, MB |"
+    " processor until then, s | all points have come, s | step of the slider, s |"
+    " its points have come, s | memory, MB | peak, MB |"
 )
 
 

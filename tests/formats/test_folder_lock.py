@@ -1,0 +1,45 @@
+"""Whether somebody writes to a folder: the lock tells, not its file."""
+
+import threading
+import time
+
+import pytest
+
+from tisfm.formats.folder_lock import LOCK, FolderInUseError, is_written_to, locked_folder
+
+
+def test_it_is_written_to_while_the_lock_is_held(tmp_path):
+    assert not is_written_to(tmp_path) and not is_written_to(tmp_path / "nowhere")
+    assert not list(tmp_path.iterdir())  # looking leaves nothing
+    with locked_folder(tmp_path):
+        assert is_written_to(tmp_path)
+        with pytest.raises(FolderInUseError), locked_folder(tmp_path):
+            pass
+    assert not is_written_to(tmp_path)
+
+
+def test_the_file_of_a_killed_run_says_nothing(tmp_path):
+    (tmp_path / LOCK).touch()
+    assert not is_written_to(tmp_path)
+    with locked_folder(tmp_path):
+        assert is_written_to(tmp_path)
+
+
+def test_who_looks_keeps_no_run_from_its_folder(tmp_path):
+    ended = threading.Event()
+
+    def look():
+        while not ended.wait(0.01):
+            is_written_to(tmp_path)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        end = time.monotonic() + 2
+        while time.monotonic() < end:
+            (tmp_path / LOCK).touch()
+            with locked_folder(tmp_path):
+                pass
+    finally:
+        ended.set()
+        looking.join()
