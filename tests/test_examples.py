@@ -16,7 +16,6 @@ METHODS = {
 }
 NEEDS = {"tisfm.Reconstruction.mesh": "skimage", "tisfm.exports.write_meshes": "skimage",
          "tisfm.exports.write_video": "av"}  # fmt: skip
-STILL_WITHOUT = ("tisfm.show.",)  # their examples are not written yet
 
 
 def with_examples():
@@ -29,10 +28,7 @@ def with_examples():
                 continue  # a constant, or a type of literals
             if inspect.isclass(value) and issubclass(value, Exception):
                 continue
-            if not f"{module}.".startswith(STILL_WITHOUT) or "\nExamples\n" in inspect.getdoc(
-                value
-            ):
-                found[f"{module}.{name}"] = value
+            found[f"{module}.{name}"] = value
             for method in METHODS.get(f"{module}.{name}", ()):
                 found[f"{module}.{name}.{method}"] = getattr(value, method)
     return found

@@ -67,6 +67,14 @@ def dubois(
     ----------
     E. Dubois, "A projection method to generate anaglyph stereo images", ICASSP 2001, vol. 3,
     1661-1664, doi:10.1109/ICASSP.2001.941256 (reference 31 of the paper).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import dubois
+    >>> grey = np.full((4, 6), 128, np.uint8)
+    >>> bool((abs(dubois(grey, grey).astype(int) - 128) < 3).all())  # grey stays grey
+    True
     """
     views = as_image("left", left), as_image("right", right)
     require_same_size("right", views[1], "left", views[0])
@@ -125,6 +133,14 @@ def anaglyph(
     ------
     ValueError
         If a shape is wrong, the sizes differ, or an option is out of its range.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import anaglyph
+    >>> scene = two_blocks(48, 64)
+    >>> anaglyph(scene.frame0, scene.inverse_depth).shape
+    (48, 64, 3)
     """
     left, right = (
         stereo_view(

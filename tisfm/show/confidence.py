@@ -24,5 +24,12 @@ def confidence_to_color(confidence: ArrayLike) -> NDArray[np.uint8]:
     ------
     ValueError
         If `confidence` is not (H, W).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import confidence_to_color
+    >>> confidence_to_color(np.linspace(0, 1, 6).reshape(2, 3)).shape
+    (2, 3, 3)
     """
     return colors_of(as_map("confidence", confidence), "confidence")

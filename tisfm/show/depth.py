@@ -28,6 +28,13 @@ def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERC
     ------
     ValueError
         If `inverse_depth` is not (H, W) or `percentile` is outside 0 to 100.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import inverse_depth_limit
+    >>> 0.9 < inverse_depth_limit(np.linspace(0, 1, 101)[None]) < 1
+    True
     """
     values = as_map("inverse_depth", inverse_depth)
     if not 0 <= percentile <= 100:
@@ -64,6 +71,13 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
     ----------
     H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, section 6,
     doi:10.1016/j.robot.2006.11.006.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import depth_grey
+    >>> depth_grey(np.array([[0.0, 0.5, 1.0]]), limit=1.0).tolist()  # near is bright
+    [[0, 128, 255]]
     """
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
@@ -100,6 +114,13 @@ def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> N
     ------
     ValueError
         If `inverse_depth` is not (H, W) or `limit` is negative or not finite.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import depth_to_color
+    >>> depth_to_color(two_blocks(48, 64).inverse_depth).shape
+    (48, 64, 3)
     """
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)

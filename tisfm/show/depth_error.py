@@ -55,6 +55,13 @@ def depth_error_figure(
         positive and in order.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import depth_error_figure, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> save_figure("depth.png", depth_error_figure(scene.depth**1.1, scene.depth), dpi=60)
     """
     recovered, true = as_map("depth", depth), as_map("truth", truth)
     require_same_size("truth", true, "depth", recovered)

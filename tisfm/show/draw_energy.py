@@ -55,6 +55,15 @@ def draw_energy(
         If `quantity` is another.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_energy, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera)
+    >>> save_figure("energy.png", draw_energy(result.history).figure, dpi=60)
     """
     if quantity not in get_args(CurveQuantity):
         expected = ", ".join(get_args(CurveQuantity))

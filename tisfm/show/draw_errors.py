@@ -57,6 +57,13 @@ def draw_flow_error(
         If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_flow_error, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> save_figure("error.png", draw_flow_error(1.1 * scene.flow, scene.flow).figure, dpi=60)
     """
     recovered, true = as_flow("flow", flow), as_flow("truth", truth)
     require_same_size("truth", true, "flow", recovered)
@@ -101,6 +108,13 @@ def draw_depth_error(
         If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_depth_error, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> save_figure("error.png", draw_depth_error(scene.depth**1.1, scene.depth).figure, dpi=60)
     """
     recovered, true = as_map("depth", depth), as_map("truth", truth)
     require_same_size("truth", true, "depth", recovered)
@@ -149,6 +163,17 @@ def draw_calibration(
         As `tisfm.metrics.std_coverage`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_calibration, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> deviation = 0.05 * scene.inverse_depth
+    >>> noise = np.random.default_rng(0).normal(size=deviation.shape)
+    >>> axes = draw_calibration(scene.inverse_depth + noise * deviation, deviation, scene.depth)
+    >>> save_figure("calibration.png", axes.figure, dpi=60)
     """
     found, deviation = (
         as_map("inverse_depth", inverse_depth),

@@ -60,6 +60,13 @@ def draw_depth(
         As `depth_to_color`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_depth, save_figure
+    >>> axes = draw_depth(two_blocks(48, 64).inverse_depth, unit="m")  # a figure of its own
+    >>> save_figure("depth.png", axes.figure, dpi=60)
     """
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
@@ -109,6 +116,15 @@ def draw_flow(
         As `flow_to_color`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_flow, save_figure
+    >>> figure = Figure()
+    >>> axes = draw_flow(two_blocks(48, 64).flow, axes=figure.subplots(), title="Image motion")
+    >>> save_figure("flow.png", figure, dpi=60)
     """
     values = as_flow("flow", flow)
     top = usual_length(values) if limit is None else check_limit("limit", limit)
@@ -143,6 +159,13 @@ def draw_confidence(
         If `confidence` is not (H, W).
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import draw_confidence, save_figure
+    >>> axes = draw_confidence(np.linspace(0, 1, 48 * 64).reshape(48, 64))
+    >>> save_figure("confidence.png", axes.figure, dpi=60)
     """
     ticks = [(share, f"{share:g}") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     picture = confidence_to_color(confidence)
@@ -181,6 +204,14 @@ def draw_uncertainty(
         As `uncertainty_to_color`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_uncertainty, save_figure
+    >>> inverse_depth = two_blocks(48, 64).inverse_depth
+    >>> axes = draw_uncertainty(inverse_depth, 0.05 * inverse_depth)
+    >>> save_figure("deviation.png", axes.figure, dpi=60)
     """
     picture = uncertainty_to_color(inverse_depth, inverse_depth_std, limits=limits)
     ticks = doublings((100 * limits[0], 100 * limits[1]), "%")
@@ -222,6 +253,15 @@ def draw_labels(
         As `label_overlay`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_labels, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> names = ["wall", "floor", "large block", "small block"]
+    >>> axes = draw_labels(scene.frame0, scene.labels, names=names)
+    >>> save_figure("labels.png", axes.figure, dpi=60)
     """
     picture = label_overlay(image, labels)
     found = [int(label) for label in np.unique(np.asarray(labels))]

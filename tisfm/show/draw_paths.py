@@ -78,6 +78,14 @@ def draw_path(
         If a shape is wrong, numbers of frames differ, or `view` is another.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.show import draw_path, save_figure
+    >>> result = tisfm.Reconstruction.load("walk")
+    >>> axes = draw_path(result.poses, view="above", piece=result.piece)
+    >>> save_figure("path.png", axes.figure, dpi=60)
     """
     _check_view(view)
     given = _poses("poses", poses)
@@ -158,6 +166,14 @@ def draw_object_paths(
         If a shape is wrong, a number is negative, or `view` is another.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import bodies_film, bodies_path
+    >>> from tisfm.show import draw_object_paths, save_figure
+    >>> film = bodies_film(bodies_path(5), 24, 32)
+    >>> axes = draw_object_paths(dict(enumerate(film.body_poses, 1)), camera=film.poses)
+    >>> save_figure("things.png", axes.figure, dpi=60)
     """
     _check_view(view)
     if any(number < 0 for number in objects):

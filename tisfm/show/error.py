@@ -54,6 +54,13 @@ def error_to_color(
     ------
     ValueError
         If `error` is not (H, W) or the limits are not finite, positive and in order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import error_to_color
+    >>> error_to_color(np.array([[0.1, 1.0, 10.0]])).shape
+    (1, 3, 3)
     """
     values = as_map("error", error)
     low, high = check_error_limits(limits)
@@ -89,6 +96,15 @@ def error_figure(
         As `error_to_color`.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.metrics import endpoint_error_map
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import error_figure, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> error = endpoint_error_map(1.1 * scene.flow, scene.flow)
+    >>> save_figure("error.png", error_figure(error), dpi=60)
     """
     values = as_map("error", error)
     low, high = check_error_limits(limits)
@@ -131,6 +147,13 @@ def flow_figure(
         If a shape is wrong, sizes differ, or the limit is negative or not finite.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import flow_figure, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> save_figure("flow.png", flow_figure(1.1 * scene.flow, scene.flow), dpi=60)
     """
     recovered, true = as_flow("flow", flow), as_flow("truth", truth)
     require_same_size("truth", true, "flow", recovered)

@@ -105,6 +105,14 @@ def comparison_figure(
     ----------
     H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, Fig. 3 to 8,
     doi:10.1016/j.robot.2006.11.006.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import comparison_figure, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> figure = comparison_figure(scene.frame0, scene.inverse_depth, scene.flow)
+    >>> save_figure("figure.png", figure, dpi=60)
     """
     labels = _labels(names)
     picture = as_image("frame", frame)
@@ -179,6 +187,14 @@ def panel_figure(
         If there are no panels, a shape is wrong, or `columns` is less than 1.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import panel_figure, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> figure = panel_figure([("before", scene.frame0), ("after", scene.frame1)])
+    >>> save_figure("panels.png", figure, dpi=60)
     """
     shown = [(name, as_uint8(as_image(f"panel {name!r}", image))[0]) for name, image in panels]
     if not shown:
@@ -209,6 +225,12 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
         If the suffix is none of these or `dpi` is not positive.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import panel_figure, save_figure
+    >>> save_figure("panel.png", panel_figure([("frame", two_blocks(48, 64).frame0)]), dpi=60)
     """
     suffix = os.path.splitext(os.fspath(path))[1].lower()
     if suffix not in _SUFFIXES:

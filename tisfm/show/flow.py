@@ -25,7 +25,16 @@ _BEYOND = 0.75
 
 
 class Arrows(NamedTuple):
-    """Arrows of a flow field on a regular grid, four arrays of one length N."""
+    """Arrows of a flow field on a regular grid, four arrays of one length N.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import quiver_points
+    >>> arrows = quiver_points(np.ones((48, 64, 2)), 16)
+    >>> bool((arrows.u == 1).all() and (arrows.v == 1).all())
+    True
+    """
 
     x: NDArray[np.intp]  # column of the tail
     y: NDArray[np.intp]  # row of the tail
@@ -45,6 +54,13 @@ def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
     -------
     (H, W) floating ndarray
         Length, px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import flow_radius
+    >>> flow_radius(np.array([[[3.0, 4.0]]])).tolist()
+    [[5.0]]
     """
     values = as_flow("flow", flow)
     known = is_known(values[..., 0]) & is_known(values[..., 1])
@@ -66,6 +82,13 @@ def usual_length(flow: ArrayLike) -> float:
     -------
     float
         The 98th percentile of the lengths, px; 0.0 if no vector is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import usual_length
+    >>> 0 < usual_length(np.full((12, 16, 2), 3.0)) < 5
+    True
     """
     radius = flow_radius(flow)
     known = radius[np.isfinite(radius)]
@@ -114,6 +137,13 @@ def flow_to_color(
     ----------
     S. Baker et al., "A database and evaluation methodology for optical flow", International
     Journal of Computer Vision 92 (2011) 1-31, doi:10.1007/s11263-010-0390-2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import flow_to_color
+    >>> flow_to_color(np.zeros((1, 1, 2))).tolist()  # no motion is white
+    [[[255, 255, 255]]]
     """
     values = as_flow("flow", flow)
     if beyond not in ("darker", "same"):
@@ -153,6 +183,12 @@ def color_wheel(size: int) -> NDArray[np.uint8]:
     ------
     ValueError
         If `size` is less than 1.
+
+    Examples
+    --------
+    >>> from tisfm.show import color_wheel
+    >>> color_wheel(64).shape[:2]
+    (64, 64)
     """
     if size < 1:
         raise ValueError(f"size is {size}, expected 1 or more pixels")
@@ -184,6 +220,14 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
     ------
     ValueError
         If `flow` is not (H, W, 2) or `step` is less than 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import quiver_points
+    >>> arrows = quiver_points(np.ones((48, 64, 2)), 16)
+    >>> len(arrows.x) == len(arrows.u)
+    True
     """
     values = as_flow("flow", flow)
     if step < 1:

@@ -32,6 +32,12 @@ def label_colors(count: int) -> NDArray[np.uint8]:
     ------
     ValueError
         If `count` is less than 1.
+
+    Examples
+    --------
+    >>> from tisfm.show import label_colors
+    >>> label_colors(4).shape
+    (4, 3)
     """
     if count < 1:
         raise ValueError(f"count is {count}, expected 1 or more labels")
@@ -59,6 +65,14 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     ------
     TypeError, ValueError
         If a shape is wrong, sizes differ, a value is masked, or labels are not integers from 0.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import label_overlay
+    >>> scene = two_blocks(48, 64)
+    >>> label_overlay(scene.frame0, scene.labels).shape
+    (48, 64, 3)
     """
     (picture,) = as_uint8(as_image("image", image))
     label = unmasked(labels, "labels", advice="fill them first, for instance by labels.filled(0)")

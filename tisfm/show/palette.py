@@ -81,6 +81,12 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
     ------
     ValueError
         If `quantity` is another.
+
+    Examples
+    --------
+    >>> from tisfm.show import color_ramp
+    >>> color_ramp("depth").shape
+    (256, 3)
     """
     if quantity not in _MAPS:
         expected = ", ".join(get_args(Quantity))

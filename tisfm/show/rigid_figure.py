@@ -92,6 +92,21 @@ def rigid_figure(
         finite.
     ImportError
         If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.scenes import static_scene
+    >>> from tisfm.show import rigid_figure, save_figure
+    >>> scene = static_scene("sideways", 48, 64)
+    >>> figure = rigid_figure(
+    ...     scene.frame0,
+    ...     scene.inverse_depth,
+    ...     scene.flow,
+    ...     inverse_depth_std=0.05 * scene.inverse_depth,
+    ...     confidence=np.ones((48, 64)),
+    ... )
+    >>> save_figure("figure.png", figure, dpi=60)
     """
     picture = as_image("frame", frame)
     depth, deviation = (

@@ -58,6 +58,14 @@ def second_view(
     ----------
     H. Sekkati and A. Mitiche, Robotics and Autonomous Systems 55 (2007) 597-607, appendix,
     doi:10.1016/j.robot.2006.11.006.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import second_view
+    >>> scene = two_blocks(48, 64)
+    >>> second_view(scene.frame0, scene.inverse_depth, displacement=4.0).shape
+    (48, 64)
     """
     picture = as_image("image", image)
     depth = as_map("inverse_depth", inverse_depth)

@@ -79,6 +79,14 @@ def stereo_view(
     ValueError
         If a shape is wrong, the sizes differ, an option is out of its range or not finite, or both
         `screen` and `screen_depth` are given.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import stereo_view
+    >>> scene = two_blocks(48, 64)
+    >>> stereo_view(scene.frame0, scene.inverse_depth).shape[0]
+    48
     """
     picture = as_image("image", image)
     depth = as_map("inverse_depth", inverse_depth)

@@ -39,6 +39,13 @@ def uncertainty_to_color(
     ------
     ValueError
         If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.show import uncertainty_to_color
+    >>> uncertainty_to_color(np.ones((2, 3)), np.full((2, 3), 0.05)).shape
+    (2, 3, 3)
     """
     value, deviation = (
         as_map("inverse_depth", inverse_depth),
