@@ -28,7 +28,6 @@ _MOST_PIXELS = 2  # of a picture per pixel of the axes: what is finer is reduced
 _AROUND, _ROOM_ASIDE, _ROOM_BELOW = 0.3, 1.0, 0.4  # inches, of a picture in a figure of its own
 _CHARACTER = 0.6  # width of a mean character, in its height
 _FLATTEST = 12  # ratio of the sides of a picture: flatter ones are stretched, to stay visible
-WIDE = 2.0  # ratio from which a bar lies below a picture
 
 
 @dataclass

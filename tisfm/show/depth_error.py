@@ -11,7 +11,8 @@ from tisfm.metrics import depth_error_map, depth_errors
 from tisfm.show.arrays import as_map, require_same_size
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.drawing import BAR_SIZE, draw_color_bar, draw_panels
-from tisfm.show.error import WIDE, check_error_limits, error_to_color
+from tisfm.show.error import check_error_limits, error_to_color
+from tisfm.show.layout import WIDE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_flow, as_map, check_limit
-from tisfm.show.canvas import WIDE, Sizes, draw_bar, legend_room, picture_axes, show_picture
+from tisfm.show.canvas import Sizes, draw_bar, legend_room, picture_axes, show_picture
 from tisfm.show.confidence import confidence_to_color
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.flow import color_wheel, flow_to_color, usual_length
 from tisfm.show.labels import label_colors, label_overlay
+from tisfm.show.layout import WIDE
 from tisfm.show.palette import FAINT, INK, Quantity, as_hex, color_ramp
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 

@@ -17,6 +17,7 @@ from tisfm.show.drawing import (
     draw_wheel,
 )
 from tisfm.show.flow import flow_to_color, usual_length
+from tisfm.show.layout import WIDE
 from tisfm.show.palette import colors_of
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 ERROR_RANGE = (1 / 16, 16.0)
 """Default ends of the scale of errors, px: eight doublings, with 1 px in the middle."""
-
-WIDE = 2  # width over height from which pictures go below one another
 
 
 def error_to_color(

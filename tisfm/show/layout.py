@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height, as shares of the figure
 
+WIDE = 2.0  # width over height from which pictures, and legends, go below one another
 TITLE_SIZE = 9.0  # points
 HEADING_SIZE = 12.0  # points
 

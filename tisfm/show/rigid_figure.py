@@ -22,11 +22,11 @@ from tisfm.show.drawing import (
     draw_swatches,
     swatches_size,
 )
-from tisfm.show.error import WIDE, error_to_color
+from tisfm.show.error import error_to_color
 from tisfm.show.figures import tint
 from tisfm.show.flow import flow_to_color, usual_length
 from tisfm.show.labels import label_colors, label_overlay
-from tisfm.show.layout import stack_legends, stacked_size
+from tisfm.show.layout import WIDE, stack_legends, stacked_size
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 if TYPE_CHECKING:
