@@ -9,6 +9,7 @@ import numpy as np
 
 from tisfm.exports.pieces import piece_files, pieces_of
 from tisfm.formats import atomic_write
+from tisfm.formats.glb import glb_points
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result import Reconstruction
 
@@ -132,14 +133,9 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
     if suffix != ".glb" or not len(points):
         what = "a GLB file cannot hold no points" if suffix == ".glb" else "expected .ply or .glb"
         raise ValueError(f"path is {os.fspath(path)}: {what}")
-    from trimesh import PointCloud as Cloud  # takes a while to load
-    from trimesh import Scene
-    from trimesh.exchange.gltf import export_glb
-
-    colors = np.column_stack([points.colors, np.full(len(points), 255, np.uint8)])
-    cloud = Cloud(points.positions * np.array([1, -1, -1], np.float32), colors=colors)
+    content = glb_points(points.positions * np.array([1, -1, -1], np.float32), points.colors)
     with atomic_write(path) as file:
-        file.write(export_glb(Scene(cloud)))
+        file.write(content)
 
 
 def _fused(result: Reconstruction, piece: list[int]) -> list[int]:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import refuse_masked
+from tisfm.formats import atomic_write
+from tisfm.formats.glb import glb_surface
 
 SUFFIXES = (".ply", ".glb")
 
@@ -79,24 +81,25 @@ class Mesh:
         OSError
             If the folder does not exist or cannot be written to.
         """
-        from trimesh import Trimesh  # takes a while to load
-        from trimesh.exchange.gltf import export_glb
-        from trimesh.exchange.ply import export_ply
-
-        from tisfm.formats import atomic_write
-
         suffix = Path(path).suffix.lower()
         if suffix not in SUFFIXES:
             raise ValueError(f"path is {os.fspath(path)}: expected a name in .ply or .glb")
         if suffix == ".glb" and not len(self.faces):
             raise ValueError(f"path is {os.fspath(path)}: a GLB file cannot hold an empty mesh")
-        up = suffix == ".glb"
-        vertices = self.vertices * np.array([1, -1, -1], np.float32) if up else self.vertices
-        mesh = Trimesh(
-            vertices=vertices, faces=self.faces, vertex_colors=self.colors, process=False
-        )
-        content = (
-            export_glb(mesh.scene()) if up else export_ply(mesh, "binary", vertex_normal=False)
-        )
+        content = self._glb() if suffix == ".glb" else self._ply()
         with atomic_write(path) as file:
             file.write(content)
+
+    def _glb(self) -> bytes:
+        return glb_surface(
+            self.vertices * np.array([1, -1, -1], np.float32), self.faces, self.colors
+        )
+
+    def _ply(self) -> bytes:
+        from trimesh import Trimesh  # takes a while to load
+        from trimesh.exchange.ply import export_ply
+
+        mesh = Trimesh(
+            vertices=self.vertices, faces=self.faces, vertex_colors=self.colors, process=False
+        )
+        return bytes(export_ply(mesh, "binary", vertex_normal=False))

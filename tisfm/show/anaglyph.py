@@ -1,12 +1,12 @@
 """Two views in one picture for red-cyan glasses."""
 
-import functools
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 from tisfm.show.arrays import as_image, as_rgb, as_uint8, require_same_size
 from tisfm.show.stereo import DISPARITY, stereo_view
 
@@ -80,7 +80,7 @@ def dubois(
     require_same_size("right", views[1], "left", views[0])
     if matrices not in _MATRICES:
         raise ValueError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
-    decode = _linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
+    decode = linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
     # Amounts of light have more steps than coded values, whose darkest ones lie close together.
     most, kind = (65535, cv2.CV_16U) if linear else (255, cv2.CV_8U)
     weights = np.array(_MATRICES[matrices], dtype=np.float32) * np.float32(most)
@@ -91,7 +91,7 @@ def dubois(
     light_left, light_right = lights
     mixed = cv2.add(light_left, light_right, None, None, kind)  # rounded and clipped
     if linear:
-        mixed = cv2.LUT(mixed, _srgb_from_linear()[None])
+        mixed = cv2.LUT(mixed, srgb_from_linear()[None])
     return np.asarray(mixed, np.uint8)
 
 
@@ -157,21 +157,3 @@ def anaglyph(
         for eye in (0.0, 1.0)
     )
     return dubois(left, right, matrices=matrices, linear=linear)
-
-
-@functools.cache
-def _linear_from_srgb() -> NDArray[np.float32]:
-    """Return the light of each of the 256 coded values, from 0 to 1."""
-    coded = np.arange(256) / 255
-    low = coded / 12.92
-    high = ((coded + 0.055) / 1.055) ** 2.4
-    return np.where(coded <= 0.04045, low, high).astype(np.float32)
-
-
-@functools.cache
-def _srgb_from_linear() -> NDArray[np.uint8]:
-    """Return the coded value of 65536 amounts of light: a step is 1/20 of a code at the darkest."""
-    light = np.arange(65536) / 65535
-    low = light * 12.92
-    high = 1.055 * light ** (1 / 2.4) - 0.055
-    return np.rint(np.where(light <= 0.0031308, low, high) * 255).astype(np.uint8)

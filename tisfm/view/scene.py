@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.formats.glb import glb_surface
 from tisfm.show import label_colors
 from tisfm.view.cloud import Cloud
 from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import field_of_view, frustum_scale
 from tisfm.view.result import Result
-from tisfm.view.surface import colored_file, surface_file, triangles_between
+from tisfm.view.surface import surface_file, triangles_between
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
 from tisfm.view.whole import Whole
 
@@ -152,7 +153,7 @@ class SceneView:
         else:
             self._nodes["whole"] = self._server.scene.add_glb(
                 "/whole",
-                colored_file(whole.positions, whole.faces, whole.colors),
+                glb_surface(whole.positions, whole.faces, whole.colors),
                 cast_shadow=False,
                 receive_shadow=False,
             )

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
+from tisfm.formats.glb import colors_of
 from tisfm.reconstruction.result import Reconstruction
 
 WholeKind = Literal["points", "surface"]
@@ -61,13 +62,15 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
     try:
         scene = load_scene(path, process=False)
         (geometry,) = scene.geometry.values()
-        colors = geometry.colors if kind == "points" else geometry.visual.vertex_colors
+        colors = geometry.colors if kind == "points" else _vertex_colors(geometry.visual)
         positions = np.asarray(geometry.vertices, np.float32)
-        if path.suffix == ".glb":  # there Y points up
+        colors = np.asarray(colors, np.uint8).reshape(-1, np.shape(colors)[-1])[:, :3]
+        if path.suffix == ".glb":  # there Y points up, and colours are amounts of light
             positions = positions * np.array((1, -1, -1), np.float32)
+            colors = colors_of(colors)
         found = Whole(
             positions=positions,
-            colors=np.asarray(colors, np.uint8).reshape(-1, np.shape(colors)[-1])[:, :3],
+            colors=colors,
             faces=None if kind == "points" else np.asarray(geometry.faces, np.int32),
             origin=path.name,
         )
@@ -77,6 +80,13 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
     if found.colors.shape != found.positions.shape:
         raise FormatError(f"{path} has {len(found.colors)} colours of {len(positions)} points")
     return found
+
+
+def _vertex_colors(visual: Any) -> Any:
+    """Return the colours of vertices, which trimesh keeps elsewhere where there is a material."""
+    if hasattr(visual, "vertex_colors"):
+        return visual.vertex_colors
+    return visual.vertex_attributes["color"]
 
 
 def fused_whole(result: Reconstruction, kind: WholeKind, number: int) -> Whole:
