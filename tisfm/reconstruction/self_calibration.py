@@ -41,7 +41,7 @@ UNSEEN_SAID = (
     "the motion does not show the focal length, as where the camera goes straight on without "
     "turning or all lies in one plane"
 )
-BENT_SAID = "the lens seems to distort, which calibrate radial finds as well"
+BENT_SAID = 'the lens seems to distort: calibrate="radial" (--calibrate radial) finds that as well'
 HARDLY_SAID = "the motion hardly shows it"
 ADVICE = "give it if you know it, for instance from a calibration"
 
