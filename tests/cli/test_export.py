@@ -171,6 +171,8 @@ def test_pairs_have_no_path(tisfm_run, place, name):
             ["--to", "video-anaglyph", "--screen", "0.5", "--screen-depth", "3"],
             ["give one of them"],
         ),
+        (["--to", "tum", "--screen", "0.5"], ["--screen is of video-anaglyph and video-wiggle"]),
+        (["--to", "ply,tum", "--disparity", "0.1"], ["--disparity is of", "leave it out"]),
         (["--to", "tum", "--scale", "0", "0", "1"], ["of one place"]),
         # What comes last is refused before anything is written.
         (["--to", "tum,masks"], ["--motion objects"]),
@@ -184,6 +186,15 @@ def test_what_cannot_be_is_refused_first(tisfm_run, place, arguments, words):
     tisfm.camera_file.write_camera(place / "walk" / "camera.json", tisfm.Camera(40.0), (31, 45))
     code, _, err = tisfm_run("export", "walk", "-o", "out", *arguments)
     assert_one_line(code, err, *words)
+    assert not (place / "out").exists()
+
+
+def test_pairs_with_units_of_their_own_have_no_depth_of_the_screen(tisfm_run, place):
+    run_of(place / "pairs")
+    code, _, err = tisfm_run(
+        "export", "pairs", "-o", "out", "--to", "video-anaglyph", "--screen-depth", "3"
+    )
+    assert_one_line(code, err, "--screen-depth", "unit of its own", "--screen")
     assert not (place / "out").exists()
 
 

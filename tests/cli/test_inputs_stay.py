@@ -13,6 +13,7 @@ from tisfm import pair
 from tisfm.cli import demo, outputs
 from tisfm.evaluation import pairs
 from tisfm.formats import write_flo, write_png
+from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.outputs import InputFiles
 
 
@@ -224,3 +225,19 @@ def test_the_demo_keeps_what_no_demo_wrote(tisfm_run, d, place, nothing_interpre
     shutil.copy("d/x.png", target)
     words = ("would replace", target.name, "not of a demo")
     assert_refused(tisfm_run, place, "demo", "-o", "out", words=words)
+
+
+def test_the_demo_keeps_a_run(tisfm_run, d, place):
+    assert tisfm_run("run", "d/x.png", "d/y.png", "-o", "out", "--preset", "fast")[0] == 0
+    assert_refused(tisfm_run, place, "demo", "-o", "out", words=("would replace the run in out",))
+
+
+def test_a_demo_that_was_killed_is_replaced(place):
+    out = place / "out"
+    for folder in (out, out / "camera", out / "objects"):
+        folder.mkdir()
+    write_png(out / "demo_depth.png", FRAMES[0])
+    with pytest.raises(ValueError, match="not of a demo"):
+        demo._refuse_foreign([out])
+    (out / LOCK).touch()
+    demo._refuse_foreign([out, out / "camera", out / "objects"])

@@ -1,5 +1,6 @@
 """`tisfm run` again: going on after Ctrl-C, with nothing lost and nothing mixed."""
 
+import json
 import os
 import signal
 import subprocess
@@ -25,6 +26,8 @@ from tisfm import interpretation_file, pair, runtime
 from tisfm.cli import pair_work
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
+
+PLAIN = ("run", "frames", "-o", "out", "--preset", "fast")
 
 
 def test_resume_skips_what_is_finished(tisfm_run, frames, monkeypatch):
@@ -84,6 +87,21 @@ def test_resume_refuses_another_kind_of_processor(tisfm_run, frames, monkeypatch
     monkeypatch.setattr(runtime, "lanes", lambda: 24 - lanes)
     code, _, err = tisfm_run(*arguments, "--resume")
     assert_one_line(code, err, f"lanes was {lanes}, now {24 - lanes}")
+
+
+def test_resume_refuses_a_run_of_an_earlier_tisfm(tisfm_run, frames):
+    assert tisfm_run(*PLAIN)[0] == 0
+    about = json.loads(Path("out", "run.json").read_text())
+    del about["disparity"]
+    Path("out", "run.json").write_text(json.dumps(about))
+    code, _, err = tisfm_run(*PLAIN, "--resume")
+    assert_one_line(code, err, "a run of an earlier tisfm", "without --resume")
+
+
+def test_resume_does_not_ask_for_what_no_output_uses(tisfm_run, frames):
+    some = (*PLAIN, "--outputs", "depth")
+    assert tisfm_run(*some, "--disparity", "0.1")[0] == 0
+    assert tisfm_run(*some, "--resume")[0] == 0
 
 
 def test_resume_refuses_other_frames(tisfm_run, frames):

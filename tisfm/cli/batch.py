@@ -17,6 +17,7 @@ from typing import Literal
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.run_record import RECORD
+from tisfm.cores import usable_cores
 from tisfm.reconstruction.folder import ASKED
 from tisfm.reconstruction.renewal import CHUNKS
 
@@ -106,7 +107,7 @@ def batch(
     if threads is not None and threads < 1:
         raise ValueError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
-    each = threads or max(1, (os.cpu_count() or 1) // workers)
+    each = threads or max(1, usable_cores() // workers)
     calls = [_arguments(job, command, each, resume=resume) for job in jobs]
     for job, call in zip(jobs, calls, strict=True):
         try:

@@ -23,9 +23,10 @@ from tisfm.cli.demo_parts import (
     done,
 )
 from tisfm.cli.paper_figures import PAPER_FIGURES
-from tisfm.cli.run_record import ENDINGS, RECORD
+from tisfm.cli.run_record import ENDINGS, read_record
 from tisfm.cores import usable_cores
 from tisfm.formats.flo import require_writable_flow
+from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.outputs import make_folder
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
@@ -107,9 +108,16 @@ def _shares(threads: int | None) -> tuple[int, int]:
 
 
 def _refuse_foreign(folders: Iterable[Path]) -> None:
-    """Refuse to replace files where no record says that a demo, or a run, wrote them."""
+    """Refuse to replace a run, and files where nothing says that a demo wrote them."""
     for folder in folders:
-        if (folder / RECORD).is_file():
+        record = read_record(folder)
+        if record is not None:
+            if not record["pairs"].keys() <= {NAME}:
+                raise ValueError(
+                    f"the demo would replace the run in {folder}: give another folder with -o"
+                )
+            continue
+        if (folder / LOCK).exists():  # one was killed here before there was a record
             continue
         pairs = (f"{NAME}{ending}" for ending in ENDINGS.values())
         for name in (*pairs, *PAPER_FIGURES, ANIMATION):

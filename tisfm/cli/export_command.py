@@ -21,6 +21,7 @@ from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen
 
+_WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
 _LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
 
 
@@ -47,8 +48,20 @@ def export(
     if disparity is not None:
         check_disparity(disparity)
     check_screen(screen, screen_depth)
+    depths = {"disparity": disparity, "screen": screen, "screen-depth": screen_depth}
+    given = [f"--{name}" for name, value in depths.items() if value is not None]
+    if given and not wanted.keys() & _WITH_SCREEN:
+        raise ValueError(
+            f"{given[0]} is of {' and '.join(sorted(_WITH_SCREEN))}: ask for one with --to, or "
+            "leave it out"
+        )
     _refuse_inside(output, folder)
     result, found = _opened(folder, scale)
+    if screen_depth is not None and not found.is_posed:
+        raise ValueError(
+            f"--screen-depth is a depth, and each pair of {folder} has a unit of its own: give "
+            "--screen, a quantile"
+        )
     asked = Export(
         result=result,
         frames=found,
@@ -88,7 +101,8 @@ def _formats(names: Sequence[str]) -> dict[str, Format]:
     if unknown or not names:
         meant = hint(unknown[0], FORMATS) if unknown else ""
         what = f"{unknown[0]!r} is no format{meant}" if unknown else "no format is given"
-        raise ValueError(f"--to: {what}: expected some of {', '.join(FORMATS)}")
+        listed = "" if meant else f": expected some of {', '.join(FORMATS)}"
+        raise ValueError(f"--to: {what}{listed}")
     return {name: FORMATS[name] for name in names}
 
 

@@ -121,8 +121,8 @@ class PairWriter:
             "figures": self.files.figures,
             "start": start,
             "step": step,
-            "disparity": disparity,
-            "screen": screen,
+            "disparity": disparity if "anaglyph" in chosen else None,
+            "screen": screen if "anaglyph" in chosen else None,
         }
         self._earlier: list[Path] = []
         self._record = RunRecord(self.folder, asked)

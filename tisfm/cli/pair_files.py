@@ -78,7 +78,8 @@ class Ranges:
         depth = inverse_depth_limit(result.inverse_depth) / level
         plane = depth / 2
         if screen is not None:
-            plane = float(np.quantile(np.maximum(result.inverse_depth, 0), screen)) / level
+            known = result.inverse_depth[result.inverse_depth > 0]
+            plane = float(np.quantile(known, screen)) / level
         return cls(
             depth=depth,
             depth16=choose_depth_scale(result.depth),

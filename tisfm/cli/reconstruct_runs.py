@@ -1,6 +1,5 @@
 """How `tisfm reconstruct` makes its result: in this process, or in chunks by several."""
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -10,6 +9,7 @@ from typing import Any, Protocol
 import tisfm
 from tisfm import runtime
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.cores import usable_cores
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.reconstruction.asked import (
     Asked,
@@ -153,7 +153,7 @@ class ChunksRun:
     ) -> None:
         taken = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
         if workers > 1 and cluster is None:  # each has its share of the cores
-            threads = threads or max(1, (os.cpu_count() or 1) // workers)
+            threads = threads or max(1, usable_cores() // workers)
         self._run = ChunkedRun(
             source,
             folder,

@@ -27,6 +27,7 @@ from tisfm.cli.report_command import report_run
 from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
+from tisfm.cores import usable_cores
 from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.folder_lock import alive_in
 from tisfm.formats.outputs import InputFiles
@@ -154,7 +155,7 @@ def run(
             if cluster is not None:
                 whole = whole.anywhere()
             elif threads is None:
-                whole = replace(whole, threads=max(1, (os.cpu_count() or 1) // workers))
+                whole = replace(whole, threads=max(1, usable_cores() // workers))
             for chunk in _shared(whole, writer, many):
                 here.seconds += _take(chunk, writer, progress)
                 here.foretell()

@@ -104,6 +104,11 @@ class RunRecord:
             raise before
         if before is None:
             return
+        if not before.keys() >= set(ASKED):
+            raise ValueError(
+                f"{self._folder} holds a run of an earlier tisfm: run without --resume to start "
+                "again"
+            )
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
         differences = said(differing({key: before.get(key) for key in ASKED}, asked))
         if differences:

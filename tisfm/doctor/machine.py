@@ -34,7 +34,7 @@ def about_cores() -> Finding:
             name="Cores",
             verdict="warning",
             text=text,
-            advice=f"give --threads {most}: by default there are {there}, which wait for another",
+            advice=f"give --threads {most}: by default {there} threads start, and share them",
         )
     return Finding(name="Cores", verdict="ok", text=text)
 

@@ -37,6 +37,8 @@ class ResultFrames(Protocol):
         What to do where there is no depth.
     unit_advice : str
         What to do where depth does not fit into a file, in its unit.
+    is_posed : bool
+        Whether depth has the unit of poses, and not each frame one of its own.
     """
 
     folder: Path
@@ -45,6 +47,7 @@ class ResultFrames(Protocol):
     shape: tuple[int, int]
     advice: str
     unit_advice: str
+    is_posed: bool
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -81,6 +84,7 @@ class SequenceFrames:
     """
 
     unit_advice = "give another unit by --scale"
+    is_posed = True
 
     def __init__(self, result: Reconstruction) -> None:
         self._result = result

@@ -91,6 +91,10 @@ def write_video(
     if disparity is not None:
         check_disparity(disparity)
     check_screen(screen, screen_depth)
+    if screen_depth is not None and not frames.is_posed:
+        raise ValueError(
+            "screen_depth is a depth, and each pair has a unit of its own: give screen, a quantile"
+        )
     taken = chosen_frames(chosen, len(frames))
     if kind != "flow":
         taken = frames_with_depth(frames, taken)
