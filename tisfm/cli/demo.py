@@ -92,7 +92,10 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     tell(
         f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
     )
-    tell(f"{output / ANIMATION} shows depth by a moving camera: open it in a browser.")
+    tell(
+        f"{output / ANIMATION} shows depth by a moving camera: open it in a browser. "
+        f"tisfm view {output} shows it all around (pip install 'tisfm[view]')."
+    )
     tell("Your own frames: tisfm run VIDEO -o results --report, and open results/report.html.")
     return 0
 
