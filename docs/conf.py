@@ -144,9 +144,9 @@ def formula(to: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
 
 def from_elsewhere(text: str) -> list[str]:
     """Return the addresses that a browser fetches from another host to show a page or a style."""
-    fetched = re.findall(r"<(?:script|img|link|iframe|source|video|audio)\b[^>]*>", text)
-    fetched += re.findall(r"@import[^;]*;|url\([^)]*\)", text)
-    return [found for part in fetched for found in re.findall(r"(?:https?:)?//[\w.-]+\.\w+", part)]
+    tags = r"<(?:script|img|link|iframe|source|video|audio)\b[^>]*?\b(?:src|href)="
+    styles = r"@import\s+|url\(\s*"
+    return re.findall(rf"(?:{tags}|{styles})[\"']?((?:https?:)?//[\w.:-]+)", text)
 
 
 def ask_nobody(app: Sphinx, problem: Exception | None) -> None:
