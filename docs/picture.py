@@ -10,11 +10,11 @@ from pathlib import Path
 import tisfm
 from tisfm.cli.demo_animation import write_animation
 from tisfm.scenes import static_scene, two_blocks
-from tisfm.show import depth_grey, flow_to_color, label_overlay, panel_figure, save_figure
+from tisfm.show import depth_to_color, flow_to_color, label_overlay, panel_figure, save_figure
 
 PICTURE = Path(__file__).with_name("demo.png")
 ANIMATION = Path(__file__).with_name("demo.webp")
-DPI = 85  # keeps the file below 150 KB
+DPI = 78  # keeps the file below 150 KB
 
 
 def draw(path: Path, height: int = 240, width: int = 320) -> None:
@@ -26,7 +26,7 @@ def draw(path: Path, height: int = 240, width: int = 320) -> None:
     panels = [
         ("The first of two frames", result.frame),
         ("What moves on its own", label_overlay(result.frame, result.labels)),
-        ("Depth, near is bright", depth_grey(result.inverse_depth)),
+        ("Depth, near is bright", depth_to_color(result.inverse_depth)),
         ("Image motion, hue for direction", flow_to_color(result.flow)),
     ]
     save_figure(path, panel_figure(panels, columns=4), dpi=DPI)

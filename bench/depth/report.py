@@ -26,6 +26,7 @@ HALF = 0.5  # relative error
 PARALLAX = 3.0  # px
 COMMON = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
+TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # of files of some of the pairs
 
 Reduce = Callable[[Sequence[float]], float]
 
@@ -161,7 +162,8 @@ def show(contest: DepthContest, console: Console) -> None:
 
 def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> None:
     """Write PATH.md and PATH.json."""
-    lines = ["# Depth and motion of the camera, beside two stages", ""]
+    title = TITLES.get(path.stem, "Depth and motion of the camera, beside two stages")
+    lines = [f"# {title}", ""]
     lines += [f"- {name}: {value}" for name, value in contest.conditions.items()]
     lines += ["", *summary(contest).markdown(), ""]
     lines += [f"- {note}" for note in (*remarks, *notes(contest))]
