@@ -20,6 +20,7 @@ from tisfm.show.palette import FAINT, INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.legend import Legend
 
 # Height of text as a share of the mean side of the axes.
 _TEXT_OF_PICTURE, _TEXT_OF_PLOT = 0.028, 0.036
@@ -85,13 +86,13 @@ def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None)
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        Modified in place.
+        Modified in place; what was in them is removed.
     image : (H, W) or (H, W, 3) uint8 ndarray
         What is finer than the axes is reduced: a mean of pixels, not every so many.
     title : str, optional
         Text above it.
     """
-    _remove_rooms(axes)
+    _empty(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
     box = axes.get_window_extent()
@@ -125,7 +126,9 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
 
 
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
-    """Make axes for curves look like all others, and return the sizes for what is in them."""
+    """Empty axes, make them look like all plots, and return the sizes for what is in them."""
+    _empty(axes)
+    axes.set_aspect("auto")
     sizes = sizes_for(axes, _TEXT_OF_PLOT)
     axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
@@ -135,6 +138,12 @@ def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     if title is not None:
         write_title(axes, title, sizes)
     return sizes
+
+
+def write_plainly(legend: Legend) -> None:
+    """Let a dollar sign in the texts of a legend be a dollar sign."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
@@ -224,15 +233,18 @@ def draw_bar(
     return bar
 
 
-def _remove_rooms(axes: Axes) -> None:
-    """Remove the legend of what was drawn into axes before, and give them their place back."""
+def _empty(axes: Axes) -> None:
+    """Remove what was drawn into axes before, with its legend, and give them their place back."""
     place = getattr(axes, _PLACE, None)
     if place is not None:
         delattr(axes, _PLACE)
         for room in place.rooms:
             room.remove()
         axes.set_axes_locator(None)  # type: ignore[arg-type]
-        axes.reset_position()
+    axes.clear()
+    is_laid_out = axes.get_in_layout()
+    axes.reset_position()
+    axes.set_in_layout(is_laid_out)  # which a position takes away
 
 
 def legend_room(axes: Axes, width: float, gap: float) -> Axes:

@@ -218,12 +218,12 @@ def draw_color_bar(
         [left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.5", lw=0.6
     )
     low, high = limits
-    span = math.log(high / low)
+    span = math.log2(high) - math.log2(low)
     # Doublings as long as they leave room for their labels, else every other one, and so on.
-    doublings = math.floor(span / math.log(2) + 1e-9)
+    doublings = math.floor(span + 1e-9)
     for k in range(0, doublings + 1, 1 + doublings // 10):
-        value = low * 2**k
-        y = bottom + (top - bottom) * math.log(value / low) / span
+        value = math.ldexp(low, k)
+        y = bottom + (top - bottom) * k / span
         axes.plot([right, right + 0.05], [y, y], color="0.3", lw=0.6)
         sign = "≤ " if k == 0 else "≥ " if value >= high * (1 - 1e-9) else ""
         axes.text(right + 0.09, y, f"{sign}{value:.3g} {unit}", va="center", fontsize=_LEGEND_TEXT)
@@ -264,7 +264,14 @@ def draw_swatches(
             aspect="auto",
         )
         name = names[k] if k < len(names) else str(k)
-        axes.text(left + _SWATCH + 0.08, y, name, va="center", fontsize=_LEGEND_TEXT)
+        axes.text(
+            left + _SWATCH + 0.08,
+            y,
+            name,
+            va="center",
+            fontsize=_LEGEND_TEXT,
+            parse_math=False,
+        )
     if len(colors) > _MOST_SWATCHES:
         more = f"and {len(colors) - _MOST_SWATCHES} more"
         axes.text(left, 0.5 * _SWATCH_LINE, more, va="center", fontsize=_LEGEND_TEXT)
