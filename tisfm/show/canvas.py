@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tisfm.show.drawing import new_figure
 from tisfm.show.layout import panel_size
 from tisfm.show.palette import FAINT, INK
+from tisfm.show.ticks import with_room
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -203,7 +204,7 @@ def draw_bar(
         bar = _room(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
         _room(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        shown = _with_room(ticks, 1.5 * (longest + 1) * character / width)
+        shown = with_room(ticks, 1.5 * (longest + 1) * character / width)
         bar.set_yticks([])
         bar.set_xticks([share for share, _ in shown], [text for _, text in shown])
         first, *_, last = bar.get_xticklabels()
@@ -217,7 +218,7 @@ def draw_bar(
         _room(axes, "right", beside, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
         left = max(width - beside - 1.4 * sizes.inch, 0.0) * height / width
-        shown = _with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
+        shown = with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
         bar.set_xticks([])
@@ -275,13 +276,3 @@ def _shown_size(axes: Axes) -> tuple[float, float]:
         return width, height
     columns, rows = (abs(end - start) for start, end in (axes.get_xlim(), axes.get_ylim()))
     return min(width, height * columns / rows), min(height, width * rows / columns)
-
-
-def _with_room(ticks: Sequence[tuple[float, str]], needed: float) -> list[tuple[float, str]]:
-    """Return the first and last tick, and of the others those that are so far from their like."""
-    first, *between, last = ticks
-    kept = [first]
-    for tick in between:
-        if tick[0] - kept[-1][0] >= needed and last[0] - tick[0] >= needed:
-            kept.append(tick)
-    return [*kept, last]

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -70,3 +71,13 @@ def as_read(value: float) -> str:
     rounded = float(f"{value:.3g}")
     is_usual = _LEAST_USUAL <= abs(rounded) < _MOST_USUAL
     return np.format_float_positional(rounded, trim="-") if is_usual else f"{rounded:.3g}"
+
+
+def with_room(ticks: Sequence[tuple[float, str]], needed: float) -> list[tuple[float, str]]:
+    """Return the first and last tick, and of the others those that are so far from their like."""
+    first, *between, last = ticks
+    kept = [first]
+    for tick in between:
+        if tick[0] - kept[-1][0] >= needed and last[0] - tick[0] >= needed:
+            kept.append(tick)
+    return [*kept, last]
