@@ -4,6 +4,7 @@ import re
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -115,6 +116,21 @@ def test_all_that_a_sequence_has(tisfm_run, place):
     assert "25 a second are assumed" in err
     assert "depth is value / 256, in the unit of the path" in err
     assert not [name for name in found if name.endswith(".tmp")]
+
+
+def test_options_of_views_change_what_is_seen(tisfm_run, place):
+    pytest.importorskip("av")
+    made(place / "walk", count=2, shape=(40, 160))
+    seen = {}
+    for options in ((), ("--disparity", "0.12"), ("--screen", "1"), ("--screen-depth", "1.1")):
+        arguments = ("export", "walk", "--to", "video-anaglyph", "-o", "out", *options)
+        assert tisfm_run(*arguments)[0] == 0
+        found, frame = cv2.VideoCapture(str(place / "out" / "anaglyph.mp4")).read()
+        assert found
+        seen[options] = frame.astype(int)
+    usual = seen.pop(())
+    for options, frame in seen.items():
+        assert np.abs(frame - usual).mean() > 2, options
 
 
 def test_all_that_pairs_have(tisfm_run, place):

@@ -170,6 +170,34 @@ def test_the_camera_swings_there_and_back(tmp_path, monkeypatch):
     assert 0.3 * apart < np.abs(found[0] - found[6]).mean() < 0.7 * apart
 
 
+def test_the_camera_swings_by_half_the_budget_to_either_side(tmp_path, monkeypatch):
+    """A far and a near half, of stripes: how far these move apart is measured at the turns."""
+    height, width = 40, 400
+    depth = np.full((height, width), 1e-6, np.float32)
+    depth[height // 2 :] = 1.0
+    stripes = np.uint8(128 + 100 * np.sin(np.arange(width) / 6 + np.sin(np.arange(width) / 29)))
+    frames = SequenceFrames(made(tmp_path / "walk", count=24, shape=(height, width)))
+    monkeypatch.setattr(frames, "picture", lambda frame: np.tile(stripes, (height, 1)))
+    monkeypatch.setattr(frames, "inverse_depth", lambda frame: depth)
+
+    def swing(**options):
+        write_video(frames, tmp_path / "a.mp4", "wiggle", frames_per_second=20, **options)
+        found = read(tmp_path / "a.mp4")[0]
+
+        def apart(frame):
+            """How far the upper half lies to the right of the lower one, px."""
+            far, near = (frame[rows, :, 1].mean(axis=0) for rows in (slice(5, 15), slice(25, 35)))
+            shifts = range(-30, 31)
+            off = [np.square(far[40 + k : width - 40 + k] - near[40:-40]).mean() for k in shifts]
+            return shifts[int(np.argmin(off))]
+
+        return apart(found[6]), apart(found[18])
+
+    by_default, given = swing(), swing(disparity=0.03)
+    assert given == (pytest.approx(12, abs=2), pytest.approx(-12, abs=2))  # 0.03 of 400
+    assert by_default == (pytest.approx(6, abs=2), pytest.approx(-6, abs=2))
+
+
 def test_a_still_swings_once(tmp_path):
     frames = SequenceFrames(made(tmp_path / "walk"))
     write_video(frames, tmp_path / "a.mp4", "wiggle", chosen=[3], frames_per_second=10)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -114,6 +114,7 @@ def test_holes_show_what_is_behind():
         elements=st.integers(0, 8),
     ),
 )
+@example(shifts=np.array([[5, 3, 3, 3]]))
 def test_only_holes_are_filled_otherwise(shifts):
     """Where something lands both are the same; elsewhere nothing nearer than both sides is put."""
     image = np.arange(shifts.size, dtype=np.uint16).reshape(shifts.shape)

@@ -22,11 +22,13 @@ from tisfm.show import (
     draw_flow_error,
     draw_labels,
     draw_uncertainty,
+    error_figure,
     flow_to_color,
     label_overlay,
     save_figure,
     uncertainty_to_color,
 )
+from tisfm.show.ticks import as_read, depth_ticks, doublings
 
 
 def empty(width=6.0, height=4.0, dpi=100):
@@ -116,13 +118,13 @@ def save_figure_works(figure):
     ],
 )
 def test_legends_are_read_at_any_size(name, size, shape):
-    """From 200 px to 3840: text is 8 px and more, and grows with the picture; nothing overlaps."""
+    """From 200 px to 3840: text is 9 px and more, and grows with the picture; nothing overlaps."""
     draw, arrays, _ = parts(*shape)[name]
     figure = empty(*size)
     axes = draw(*arrays, axes=figure.add_axes((0.02, 0.05, 0.96, 0.8)), title="Title")
     found = texts(axes)
     heights = [text.get_fontsize() / 72 * figure.dpi for text in found]
-    least = max(8.9, 0.015 * min(size) * figure.dpi)
+    least = max(9 - 1e-6, 0.015 * min(size) * figure.dpi)
     assert min(heights) >= least and max(heights) < 0.12 * min(size) * figure.dpi
     whole = figure.bbox
     boxes = [text.get_window_extent() for text in found]
@@ -140,9 +142,9 @@ def test_legends_are_read_at_any_size(name, size, shape):
 def test_legends_have_units():
     _, inverse_depth, flow = scene(60, 80)
     depth = words(draw_depth(inverse_depth, limit=0.5, unit="m"))
-    assert "depth Z (m)" in depth and "∞" in depth and "≤ 2" in depth and "| 4 |" in depth
+    assert "depth Z (m)" in depth and "∞" in depth and "≤ 2" in depth and "| 5 |" in depth
     far = words(draw_depth(inverse_depth, limit=1 / 1234.0))
-    assert "≤ 1230" in far and "| 4940 |" in far and "e+" not in far
+    assert "≤ 1230" in far and "| 5000 |" in far and "e+" not in far
     assert "rim: ≥ 2.5\npx/frame" in words(draw_flow(flow, limit=2.5))
     assert "rim: ≥ 120\npx/frame" in words(draw_flow(flow, limit=120.4))
     assert "confidence (share)" in words(draw_confidence(inverse_depth))
@@ -156,6 +158,46 @@ def test_legends_have_units():
     assert "wall" in named and "tram" in named and "5" in named and "| a |" not in named
     many = words(draw_labels(np.zeros((1, 30)), np.arange(30)[None]))
     assert "14 more" in many
+
+
+def test_scales_of_depth_have_round_numbers():
+    """Each tick lies where the inverse of its depth does; all but the nearest are round."""
+    for limit in (1 / 119.3, 0.5, 7.0, 1e-9, 3e8, 1.0):
+        (far, text), *between, (near, nearest) = depth_ticks(limit)
+        assert (far, text, near) == (0, "∞", 1) and nearest == f"≤ {as_read(1 / limit)}"
+        assert len(between) >= 3
+        shares = [share for share, _ in between]
+        assert shares == sorted(shares) and shares[0] > 0 and shares[-1] < 1
+        for share, depth in between:
+            assert float(depth) * share * limit == pytest.approx(1)
+            assert f"{float(depth):.6e}"[0] in "125" and f"{float(depth):.6e}"[1:8] == ".000000"
+    assert depth_ticks(0.0) == [(0.0, "∞"), (1.0, "none")]
+    assert [text for _, text in depth_ticks(5e-324)] == ["∞", "≤ inf"]
+
+
+def test_scales_of_any_width_have_few_ticks():
+    for limits in ((1e-300, 1e300), (5e-324, 1.7e308), (1.0, 1.0000001), (0.01, 0.64)):
+        ticks = doublings(limits, "%")
+        shares = [share for share, _ in ticks]
+        assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
+        assert 2 <= len(ticks) <= 14
+        for share, text in ticks[1:-1]:
+            expected = np.log2(limits[0]) + share * (np.log2(limits[1]) - np.log2(limits[0]))
+            assert np.log2(float(text[:-2])) == pytest.approx(expected, abs=0.01)
+    axes = draw_uncertainty(np.ones((4, 5)), np.ones((4, 5)), limits=(1e-300, 1e307))
+    assert abs(shown(axes)[0, 0] - color_ramp("error")[126].astype(int)).max() < 8
+    save_figure_works(axes.figure)
+    save_figure_works(error_figure(np.ones((4, 5)), limits=(1e-300, 1e300)))
+
+
+def test_flat_pictures_stay_visible():
+    """A few rows of many columns fill their axes; a usual picture keeps its pixels square."""
+    for shape, is_flat in (((2, 100), True), ((100, 2), True), ((20, 100), False)):
+        axes = draw_confidence(np.zeros(shape), axes=empty(6, 6).add_subplot())
+        axes.figure.canvas.draw()
+        box = axes.get_window_extent()
+        assert (min(box.width, box.height) > 200) == is_flat
+        assert axes.get_aspect() == ("auto" if is_flat else 1)
 
 
 def test_bars_have_the_colours_of_the_picture():
@@ -208,13 +250,16 @@ def test_axes_are_drawn_into_again():
     figure = empty()
     axes = figure.add_subplot()
     for limit in (1.0, 0.5, 0.25):
-        axes.clear()
         draw_depth(np.full((30, 40), 0.1), axes=axes, limit=limit)
         figure.canvas.draw()
-        sizes = axes.get_window_extent().bounds, len(figure.axes)
+        sizes = axes.get_window_extent().bounds, len(figure.axes), len(axes.get_children())
     draw_depth(np.full((30, 40), 0.1), axes=(once := empty().add_subplot()), limit=0.25)
     once.figure.canvas.draw()
-    assert sizes == (once.get_window_extent().bounds, len(once.figure.axes))
+    assert sizes == (
+        once.get_window_extent().bounds,
+        len(once.figure.axes),
+        len(once.get_children()),
+    )
     assert "≤ 4" in words(axes) and "≤ 2" not in words(axes)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.show.test_draw_maps import empty, words
 from tisfm.rigid import pose_matrix
-from tisfm.show import draw_object_paths, draw_path, label_colors, save_figure
+from tisfm.show import draw_labels, draw_object_paths, draw_path, label_colors, save_figure
 
 
 def poses_at(places, rotation=None):
@@ -174,7 +174,7 @@ def test_paths_are_read_at_any_size(size):
     texts = [*axes.get_legend().get_texts(), axes.xaxis.label, axes.title]
     texts += axes.get_xticklabels()
     heights = [t.get_fontsize() / 72 * 100 for t in texts]
-    assert min(heights) >= 8.9 and (size[0] < 10 or min(heights) > 40)
+    assert min(heights) >= 9 - 1e-6 and (size[0] < 10 or min(heights) > 40)
     for text in texts[:4]:
         box = text.get_window_extent()
         assert box.x0 >= -2 and box.x1 <= figure.bbox.x1 + 2
@@ -185,6 +185,33 @@ def test_paths_are_read_at_any_size(size):
     assert all(a.x1 <= b.x0 + 1 for a, b in pairwise(ticks))
 
 
+def test_paths_are_drawn_into_the_same_axes_again():
+    axes = empty().add_subplot()
+    counts = []
+    for places in (walk(), walk() + 1, 3 * walk()):
+        draw_path(poses_at(places), truth=moved(places), axes=axes, unit="$x", title="Path")
+        axes.figure.canvas.draw()
+        counts.append((len(axes.get_lines()), len(axes.collections), len(axes.get_children())))
+    assert len(set(counts)) == 1
+    once = draw_path(
+        poses_at(3 * walk()), truth=moved(3 * walk()), axes=empty().add_subplot(), unit="$x"
+    )
+    once.figure.canvas.draw()
+    assert axes.get_window_extent().bounds == once.get_window_extent().bounds
+    draw_labels(np.zeros((3, 4)), np.zeros((3, 4), int), axes=axes)
+    draw_path(poses_at(walk()), axes=axes)
+    axes.figure.canvas.draw()
+    assert len(axes.figure.axes) == 1 and axes.get_images() == []
+
+
+def test_dollar_signs_are_dollar_signs():
+    """What Matplotlib would take for a formula, and stop at, is written as it is."""
+    unit = r"$\nothing$"
+    axes = draw_path(poses_at(walk()), truth=moved(walk()), unit=unit)
+    assert unit in words(axes)
+    assert r"$\no_" in words(draw_labels(np.zeros((2, 2)), np.eye(2, dtype=int), names=[r"$\no_$"]))
+
+
 def test_arguments_are_checked():
     poses = poses_at(walk(4))
     with pytest.raises(ValueError, match=r"poses has the shape \(4, 3, 4\)"):
@@ -193,6 +220,10 @@ def test_arguments_are_checked():
         draw_path(poses, truth=poses[1:])
     with pytest.raises(ValueError, match="piece has 3 frames but poses have 4"):
         draw_path(poses, piece=[0, 0, 0])
+    with pytest.raises(ValueError, match=r"piece has the shape \(4, 1\), expected \(N,\)"):
+        draw_path(poses, piece=np.zeros((4, 1), int))
+    with pytest.raises(ValueError, match="piece has dtype float64, expected integers"):
+        draw_path(poses, piece=[0.0, 0.5, 1.0, np.nan])
     with pytest.raises(ValueError, match="view is 'below', expected one of above, side"):
         draw_path(poses, view="below")
     with pytest.raises(ValueError, match=r"object 3 has the shape \(4,\)"):

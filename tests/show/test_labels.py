@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.legend import Legend
 
 from tests.show.drawn import scene
 from tisfm.show import (
+    draw_labels,
     label_colors,
     label_overlay,
 )
@@ -50,6 +52,22 @@ def test_outlines_grow_with_the_picture():
     labels[:, 800:] = 1
     shown = label_overlay(np.zeros((40, 1600), np.uint8), labels)
     assert 2 <= np.count_nonzero((shown[20] == 255).all(-1)) <= 6
+
+
+def test_large_labels_are_no_longer_work():
+    """A label of many digits has its colour, which that of the same category has, at once."""
+    huge = np.full((4, 5), 15 * 10**16 + 1)
+    huge[:, :2] = 0
+    small = np.minimum(huge, 1)
+    frame = np.zeros((4, 5), np.uint8)
+    assert np.array_equal(label_overlay(frame, huge), label_overlay(frame, small))
+    axes = draw_labels(frame, huge)
+    (_, patch) = axes.figure.findobj(Legend)[0].get_patches()
+    assert patch.get_facecolor()[:3] == tuple(label_colors(2)[1] / 255)
+    assert np.array_equal(
+        label_overlay(frame, np.full((4, 5), 200, np.uint8)),
+        label_overlay(frame, np.full((4, 5), 200)),
+    )
 
 
 def test_labels_say_what_came():

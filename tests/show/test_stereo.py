@@ -153,6 +153,7 @@ def test_any_size(shape):
         ({"disparity": 0.0}, "disparity is 0.0: expected a share of the width"),
         ({"disparity": 0.3}, "expected a share of the width, above 0, up to 0.2"),
         ({"disparity": np.nan}, "expected a share"),
+        ({"disparity": 99, "max_disparity": 3}, "expected a share of the width"),
         ({"max_disparity": -1}, "max_disparity is -1"),
         ({"screen": 1.5}, "screen is 1.5, expected a quantile, from 0 to 1"),
         ({"screen": np.nan}, "screen is nan"),
@@ -168,6 +169,42 @@ def test_options_are_checked(options, message):
     if "eye" not in options:
         with pytest.raises(ValueError, match=message):
             anaglyph(np.ones((3, 4)), np.ones((3, 4)), **options)
+
+
+def test_the_picture_is_never_what_is_returned():
+    image = np.random.default_rng(0).integers(0, 256, (8, 30), dtype=np.uint8)
+    for options in ({"eye": 0, "crop": False}, {"eye": 0}, {}, {"max_disparity": 0}):
+        for depth in (np.zeros((8, 30)), np.ones((8, 30))):
+            assert not np.shares_memory(stereo_view(image, depth, **options), image)
+
+
+def test_soft_rims_go_with_what_is_near():
+    """The pixel around a near block, half of it, moves with it: none is left behind."""
+    image = np.full((40, 120), 20, np.uint8)
+    image[10:30, 50:70] = 250
+    image[10:30, [49, 70]] = 135
+    depth = np.full(image.shape, 0.1)
+    depth[10:30, 50:70] = 1.0
+    view = stereo_view(image, depth, max_disparity=20, limit=1.0, screen_depth=np.inf, crop=False)
+    assert (view[12:28, 62:] < 40).all()
+    assert (view[12:28, 40:48] > 200).any()
+
+
+def test_edges_stay_sharp():
+    """Between near and far nothing is put at a depth of its own: two surfaces, and no third."""
+    image = np.where(np.arange(120) < 60, 250, 20).astype(np.uint8) * np.ones((9, 1), np.uint8)
+    depth = np.where(np.arange(120) < 60, 1.0, 0.0) * np.ones((9, 1))
+    view = stereo_view(image, depth, max_disparity=20, limit=1.0, screen_depth=np.inf, crop=False)
+    assert np.count_nonzero((view[4] > 40) & (view[4] < 230)) <= 1
+    assert np.count_nonzero(view[4] > 130) == pytest.approx(40, abs=2)
+
+
+def test_half_of_a_small_picture_is_left():
+    """However far a picture moves, its border takes no more than half of it."""
+    image = np.tile(np.arange(64, dtype=np.uint8) * 4, (32, 1))
+    depth = np.ones(image.shape)
+    view = stereo_view(image, depth, eye=0, max_disparity=60, limit=1.0).astype(int)
+    assert view[16, 0] == pytest.approx(64, abs=8) and view[16, -1] == pytest.approx(188, abs=8)
 
 
 def test_sizes_must_agree():

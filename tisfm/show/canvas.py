@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from tisfm.show.drawing import new_figure
 from tisfm.show.layout import panel_size
 from tisfm.show.palette import FAINT, INK
+from tisfm.show.ticks import with_room
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.legend import Legend
 
 # Height of text as a share of the mean side of the axes.
 _TEXT_OF_PICTURE, _TEXT_OF_PLOT = 0.028, 0.036
@@ -85,13 +87,13 @@ def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None)
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        Modified in place.
+        Modified in place; what was in them is removed.
     image : (H, W) or (H, W, 3) uint8 ndarray
         What is finer than the axes is reduced: a mean of pixels, not every so many.
     title : str, optional
         Text above it.
     """
-    _remove_rooms(axes)
+    _empty(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
     box = axes.get_window_extent()
@@ -125,7 +127,9 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
 
 
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
-    """Make axes for curves look like all others, and return the sizes for what is in them."""
+    """Empty axes, make them look like all plots, and return the sizes for what is in them."""
+    _empty(axes)
+    axes.set_aspect("auto")
     sizes = sizes_for(axes, _TEXT_OF_PLOT)
     axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
@@ -135,6 +139,12 @@ def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     if title is not None:
         write_title(axes, title, sizes)
     return sizes
+
+
+def write_plainly(legend: Legend) -> None:
+    """Let a dollar sign in the texts of a legend be a dollar sign."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
@@ -194,7 +204,7 @@ def draw_bar(
         bar = _room(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
         _room(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        shown = _with_room(ticks, 1.5 * (longest + 1) * character / width)
+        shown = with_room(ticks, 1.5 * (longest + 1) * character / width)
         bar.set_yticks([])
         bar.set_xticks([share for share, _ in shown], [text for _, text in shown])
         first, *_, last = bar.get_xticklabels()
@@ -208,7 +218,7 @@ def draw_bar(
         _room(axes, "right", beside, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
         left = max(width - beside - 1.4 * sizes.inch, 0.0) * height / width
-        shown = _with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
+        shown = with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
         bar.set_xticks([])
@@ -224,15 +234,18 @@ def draw_bar(
     return bar
 
 
-def _remove_rooms(axes: Axes) -> None:
-    """Remove the legend of what was drawn into axes before, and give them their place back."""
+def _empty(axes: Axes) -> None:
+    """Remove what was drawn into axes before, with its legend, and give them their place back."""
     place = getattr(axes, _PLACE, None)
     if place is not None:
         delattr(axes, _PLACE)
         for room in place.rooms:
             room.remove()
         axes.set_axes_locator(None)  # type: ignore[arg-type]
-        axes.reset_position()
+    axes.clear()
+    is_laid_out = axes.get_in_layout()
+    axes.reset_position()
+    axes.set_in_layout(is_laid_out)  # which a position takes away
 
 
 def legend_room(axes: Axes, width: float, gap: float) -> Axes:
@@ -263,13 +276,3 @@ def _shown_size(axes: Axes) -> tuple[float, float]:
         return width, height
     columns, rows = (abs(end - start) for start, end in (axes.get_xlim(), axes.get_ylim()))
     return min(width, height * columns / rows), min(height, width * rows / columns)
-
-
-def _with_room(ticks: Sequence[tuple[float, str]], needed: float) -> list[tuple[float, str]]:
-    """Return the first and last tick, and of the others those that are so far from their like."""
-    first, *between, last = ticks
-    kept = [first]
-    for tick in between:
-        if tick[0] - kept[-1][0] >= needed and last[0] - tick[0] >= needed:
-            kept.append(tick)
-    return [*kept, last]

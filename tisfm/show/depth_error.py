@@ -10,9 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.metrics import depth_error_map, depth_errors
 from tisfm.show.arrays import as_map, require_same_size
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
-from tisfm.show.drawing import BAR_SIZE, draw_color_bar, draw_panels
+from tisfm.show.drawing import (
+    BAR_SIZE,
+    DEPTH_BAR_SIZE,
+    draw_color_bar,
+    draw_depth_bar,
+    draw_panels,
+)
 from tisfm.show.error import check_error_limits, error_to_color
-from tisfm.show.layout import WIDE
+from tisfm.show.layout import WIDE, beside_legends, beside_size
+from tisfm.show.palette import color_ramp
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +34,7 @@ def depth_error_figure(
     *,
     title: str | None = None,
     limits: tuple[float, float] = DEPTH_ERROR_RANGE,
+    unit: str = "relative",
 ) -> Figure:
     """Show a depth beside the true one on one scale, and its relative error.
 
@@ -43,6 +51,8 @@ def depth_error_figure(
         Heading of the figure.
     limits : (float, float)
         Relative errors at the two ends of the scale.
+    unit : str
+        Unit of the true depth, for the legend.
 
     Returns
     -------
@@ -81,10 +91,13 @@ def depth_error_figure(
     ]
     height, width = true.shape
     rows = [panels] if width < WIDE * height else [[panel] for panel in panels]
-    figure, _, layout = draw_panels(rows, heading=title, legend=BAR_SIZE)
+    legends = [DEPTH_BAR_SIZE, BAR_SIZE]
+    figure, _, layout = draw_panels(rows, heading=title, legend=beside_size(legends))
+    of_depth, of_error = beside_legends(layout, legends)
+    draw_depth_bar(figure, of_depth, color_ramp("depth"), top, label=f"depth Z ({unit})")
     ramp = np.geomspace(high, low, 256)[:, None]  # the greatest error on top
     percent = (100 * low, 100 * high)
-    draw_color_bar(figure, layout, error_to_color(ramp, limits=(low, high)), percent, unit="%")
+    draw_color_bar(figure, of_error, error_to_color(ramp, limits=(low, high)), percent, unit="%")
     return figure
 
 

@@ -14,9 +14,10 @@ from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, as_map, require_same_size
 from tisfm.show.canvas import name_axis, plot_axes, style_plot
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE
-from tisfm.show.draw_maps import doublings, with_bar
+from tisfm.show.draw_maps import with_bar
 from tisfm.show.error import ERROR_RANGE, check_error_limits, error_to_color
 from tisfm.show.palette import ESTIMATE, FAINT, INK
+from tisfm.show.ticks import doublings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

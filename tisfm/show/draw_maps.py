@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -10,20 +9,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_flow, as_map, check_limit
-from tisfm.show.canvas import Sizes, draw_bar, legend_room, picture_axes, show_picture
+from tisfm.show.canvas import (
+    Sizes,
+    draw_bar,
+    legend_room,
+    picture_axes,
+    show_picture,
+    write_plainly,
+)
 from tisfm.show.confidence import confidence_to_color
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.flow import color_wheel, flow_to_color, usual_length
-from tisfm.show.labels import label_colors, label_overlay
+from tisfm.show.labels import label_overlay
 from tisfm.show.layout import WIDE
-from tisfm.show.palette import FAINT, INK, Quantity, as_hex, color_ramp
+from tisfm.show.palette import FAINT, INK, Quantity, as_hex, color_ramp, colors_of_categories
+from tisfm.show.ticks import depth_ticks, doublings
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WHEEL_PIXELS = 400
-_LEAST_USUAL, _MOST_USUAL = 1e-3, 1e6  # numbers that are read without an exponent
 _MOST_SWATCHES = 16  # labels beyond are counted
 
 
@@ -72,13 +78,8 @@ def draw_depth(
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
     picture = depth_to_color(values, limit=top)
-    ticks = [(0.0, "∞")]
-    if top > 0:
-        shares = (0.25, 0.5, 0.75, 1.0)
-        ticks += [(s, f"{'≤ ' * (s == 1)}{as_read(1 / (s * top))}") for s in shares]
-    else:
-        ticks.append((1.0, "none"))
-    return with_bar(picture, "depth", ticks, (f"depth Z ({unit})", f"Z ({unit})"), axes, title)
+    label = f"depth Z ({unit})", f"Z ({unit})"
+    return with_bar(picture, "depth", depth_ticks(top), label, axes, title)
 
 
 def draw_flow(
@@ -272,16 +273,16 @@ def draw_labels(
     if len(found) > _MOST_SWATCHES:
         texts.append(f"{len(found) - _MOST_SWATCHES} more")
     room = legend_room(target, (0.65 * max(map(len, texts)) + 2.2) * sizes.inch, 0.5 * sizes.inch)
-    colors = label_colors(found[-1] + 1)
+    colors = colors_of_categories(np.array(found))
     from matplotlib.patches import Patch
 
     patches = [
-        Patch(facecolor=as_hex(colors[found[k]]), edgecolor=FAINT, linewidth=0.5 * sizes.line)
+        Patch(facecolor=as_hex(colors[k]), edgecolor=FAINT, linewidth=0.5 * sizes.line)
         if k < _MOST_SWATCHES
         else Patch(facecolor="none", edgecolor="none")
         for k in range(len(texts))
     ]
-    room.legend(
+    legend = room.legend(
         patches,
         texts,
         loc="center left",
@@ -295,30 +296,8 @@ def draw_labels(
         handletextpad=0.5,
         labelspacing=0.3,
     )
+    write_plainly(legend)
     return target
-
-
-def doublings(limits: tuple[float, float], unit: str) -> list[tuple[float, str]]:
-    """Return ticks of a logarithmic scale: its ends, beyond which all looks like them, and doubles.
-
-    Parameters
-    ----------
-    limits : (float, float)
-        Values at the two ends.
-    unit : str
-        Written after each.
-    """
-    low, high = limits
-    span = math.log2(high / low)
-    ticks = [(k / span, f"{low * 2**k:.3g} {unit}") for k in range(1, math.ceil(span - 1e-9))]
-    return [(0.0, f"≤ {low:.3g} {unit}"), *ticks, (1.0, f"≥ {high:.3g} {unit}")]
-
-
-def as_read(value: float) -> str:
-    """Return a number with three digits, without an exponent unless it is very large or small."""
-    rounded = float(f"{value:.3g}")
-    is_usual = _LEAST_USUAL <= abs(rounded) < _MOST_USUAL
-    return np.format_float_positional(rounded, trim="-") if is_usual else f"{rounded:.3g}"
 
 
 def with_bar(

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.metrics import Similarity, align
-from tisfm.show.canvas import Sizes, few_ticks, name_axis, plot_axes, style_plot
-from tisfm.show.labels import label_colors
-from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp
+from tisfm.show.canvas import Sizes, few_ticks, name_axis, plot_axes, style_plot, write_plainly
+from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp, colors_of_categories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +74,8 @@ def draw_path(
     Raises
     ------
     ValueError
-        If a shape is wrong, numbers of frames differ, or `view` is another.
+        If a shape is wrong, numbers of frames differ, `piece` has other than integers, or `view` is
+        another.
     ImportError
         If Matplotlib is not installed.
 
@@ -90,7 +90,7 @@ def draw_path(
     _check_view(view)
     given = _poses("poses", poses)
     true = None if truth is None else _poses("truth", truth)
-    number = np.zeros(len(given), np.int64) if piece is None else np.asarray(piece)
+    number = np.zeros(len(given), np.int64) if piece is None else _piece(piece)
     for name, others in (("truth", true), ("piece", number)):
         if others is not None and len(others) != len(given):
             raise ValueError(f"{name} has {len(others)} frames but poses have {len(given)}")
@@ -183,7 +183,6 @@ def draw_object_paths(
     places = {number: line for number, line in places.items() if len(line)}
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
-    colors = label_colors(max(places, default=0) + 1)
     lines = list(places.values())
     if camera is not None:
         path = _poses("camera", camera)
@@ -193,7 +192,7 @@ def draw_object_paths(
             _draw_line(target, path, view, sizes, color=INK, style="--", name="camera")
             _mark_ends(target, path, view, sizes, colors=(INK, INK))
     for number, line in places.items():
-        color = as_hex(colors[number])
+        color = as_hex(colors_of_categories(np.array(number)))
         _draw_line(target, line, view, sizes, color=color, name=f"object {number}")
         _mark_ends(target, line, view, sizes, colors=(color, color))
     _frame(target, sizes, lines, view, unit)
@@ -320,7 +319,7 @@ def _legend(
         lines = len(names) or len(axes.get_legend_handles_labels()[1])
         if axes.get_title():
             axes.set_title(axes.get_title(), pad=(1.6 * lines + 1.2) * sizes.text, parse_math=False)
-    axes.legend(
+    legend = axes.legend(
         *given,
         **place,
         fontsize=sizes.text,
@@ -329,12 +328,13 @@ def _legend(
         handlelength=1.6,
         borderpad=0.3,
     )
+    write_plainly(legend)
 
 
 def _say(axes: Axes, sizes: Sizes, text: str) -> None:
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
-        color=INK,
+        color=INK, parse_math=False,
     )  # fmt: skip
 
 
@@ -371,6 +371,15 @@ def _poses(name: str, poses: ArrayLike) -> NDArray[np.float64]:
     if given.ndim != 3 or given.shape[1:] != (4, 4):
         raise ValueError(f"{name} has the shape {given.shape}, expected (N, 4, 4)")
     return given
+
+
+def _piece(piece: ArrayLike) -> NDArray[np.integer]:
+    given = unmasked(piece, "piece")
+    if given.ndim != 1:
+        raise ValueError(f"piece has the shape {given.shape}, expected (N,)")
+    if given.dtype.kind not in "iu" and given.size:
+        raise ValueError(f"piece has dtype {given.dtype}, expected integers, below 0 for none")
+    return given.astype(np.int64)  # which has room for -1
 
 
 def _check_view(view: str) -> None:

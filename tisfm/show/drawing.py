@@ -7,6 +7,7 @@ touched.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from tisfm.show.flow import color_wheel, quiver_points
 from tisfm.show.layout import HEADING_SIZE, TITLE_SIZE, Box, Layout, arrange, panel_size
+from tisfm.show.ticks import depth_ticks, with_room
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,10 +27,13 @@ if TYPE_CHECKING:
 LEGEND_SIZE = (1.3, 1.8)
 WHEEL_SIZE = (1.3, 1.2)
 BAR_SIZE = (1.15, 1.75)
+DEPTH_BAR_SIZE = (1.0, 2.05)
 _SWATCH = 0.14  # side of a swatch
 _SWATCH_LINE = 0.2
 _MOST_SWATCHES = 12  # labels beyond are counted
 _LEGEND_TEXT = 8.0  # points
+_LEGEND_LINE = 0.15  # inches: what a tick needs
+_LEGEND_LETTERS = 13  # in the width of a bar
 _PIXELS_PER_INCH = 250  # of a panel: finer pictures are reduced before they are drawn
 _ARROW_SPACING = 0.17  # inches
 _ARROW_LENGTH = 2.0  # of motion as long as the limit, in spacings
@@ -212,21 +217,57 @@ def draw_color_bar(
     if layout.legend is None:
         raise ValueError("layout has no room for a legend: ask draw_panels for it")
     axes = _inch_axes(figure, layout.legend, BAR_SIZE)
-    left, right, bottom, top = 0.1, 0.28, 0.08, BAR_SIZE[1] - 0.08
-    axes.imshow(ramp, extent=(left, right, bottom, top), aspect="auto", interpolation="nearest")
-    axes.plot(
-        [left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.5", lw=0.6
-    )
+    _, right, bottom, top = box = 0.1, 0.28, 0.08, BAR_SIZE[1] - 0.08
+    _draw_ramp(axes, ramp, box)
     low, high = limits
-    span = math.log(high / low)
+    span = math.log2(high) - math.log2(low)
     # Doublings as long as they leave room for their labels, else every other one, and so on.
-    doublings = math.floor(span / math.log(2) + 1e-9)
+    doublings = math.floor(span + 1e-9)
     for k in range(0, doublings + 1, 1 + doublings // 10):
-        value = low * 2**k
-        y = bottom + (top - bottom) * math.log(value / low) / span
-        axes.plot([right, right + 0.05], [y, y], color="0.3", lw=0.6)
+        value = math.ldexp(low, k)
+        y = bottom + (top - bottom) * k / span
         sign = "≤ " if k == 0 else "≥ " if value >= high * (1 - 1e-9) else ""
-        axes.text(right + 0.09, y, f"{sign}{value:.3g} {unit}", va="center", fontsize=_LEGEND_TEXT)
+        _draw_tick(axes, right, y, f"{sign}{value:.3g} {unit}")
+
+
+def draw_depth_bar(
+    figure: Figure,
+    layout: Layout,
+    ramp: NDArray[np.uint8],
+    limit: float,
+    *,
+    label: str,
+) -> None:
+    """Draw a vertical bar of colours that are linear in inverse depth, with round depths beside it.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure of `draw_panels` with room for a legend of `DEPTH_BAR_SIZE`; modified in place.
+    layout : Layout
+        Where that room is.
+    ramp : (256, 3) uint8 ndarray
+        Colours from infinitely far to near.
+    limit : float
+        Inverse depth of the last colour.
+    label : str
+        What is written above it, with its unit.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    axes = _inch_axes(figure, layout.legend, DEPTH_BAR_SIZE)
+    left, right, bottom, top = box = 0.1, 0.28, 0.08, DEPTH_BAR_SIZE[1] - 0.42
+    _draw_ramp(axes, ramp[::-1, None], box)
+    for share, text in with_room(depth_ticks(limit), _LEGEND_LINE / (top - bottom)):
+        _draw_tick(axes, right, bottom + share * (top - bottom), text)
+    axes.text(
+        left,
+        top + 0.1,
+        "\n".join(textwrap.wrap(label, _LEGEND_LETTERS)),
+        va="bottom",
+        fontsize=_LEGEND_TEXT,
+        parse_math=False,
+    )
 
 
 def swatches_size(count: int) -> tuple[float, float]:
@@ -264,7 +305,14 @@ def draw_swatches(
             aspect="auto",
         )
         name = names[k] if k < len(names) else str(k)
-        axes.text(left + _SWATCH + 0.08, y, name, va="center", fontsize=_LEGEND_TEXT)
+        axes.text(
+            left + _SWATCH + 0.08,
+            y,
+            name,
+            va="center",
+            fontsize=_LEGEND_TEXT,
+            parse_math=False,
+        )
     if len(colors) > _MOST_SWATCHES:
         more = f"and {len(colors) - _MOST_SWATCHES} more"
         axes.text(left, 0.5 * _SWATCH_LINE, more, va="center", fontsize=_LEGEND_TEXT)
@@ -283,6 +331,20 @@ def _inch_axes(figure: Figure, box: Box, size: tuple[float, float]) -> Axes:
     axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
     axes.set_axis_off()
     return axes
+
+
+def _draw_ramp(axes: Axes, ramp: NDArray[np.uint8], box: Box) -> None:
+    """Draw colours, from the top down, with a thin frame: left, right, bottom and top in inches."""
+    left, right, bottom, top = box
+    axes.imshow(ramp, extent=box, aspect="auto", interpolation="nearest")
+    axes.plot(
+        [left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.5", lw=0.6
+    )
+
+
+def _draw_tick(axes: Axes, x: float, y: float, text: str) -> None:
+    axes.plot([x, x + 0.05], [y, y], color="0.3", lw=0.6)
+    axes.text(x + 0.09, y, text, va="center", fontsize=_LEGEND_TEXT)
 
 
 def _draw_wheel_in(figure: Figure, box: Box, size: tuple[float, float], limit: float) -> Axes:

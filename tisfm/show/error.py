@@ -65,8 +65,10 @@ def error_to_color(
     low, high = check_error_limits(limits)
     known = ~np.isnan(values)
     share = np.full(values.shape, np.nan)
-    clipped = np.clip(values[known], low, high)
-    share[known] = np.log(clipped / low) / math.log(high / low)
+    clipped = np.clip(values[known].astype(np.float64), low, high)
+    # Differences of logarithms: the ratio of far ends overflows.
+    span = math.log2(high) - math.log2(low)
+    share[known] = (np.log2(clipped) - math.log2(low)) / span
     return colors_of(share, "error")
 
 

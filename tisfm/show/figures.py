@@ -15,11 +15,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked_mask
 from tisfm.formats import atomic_write
-from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
-from tisfm.show.depth import depth_grey
-from tisfm.show.drawing import LEGEND_SIZE, backdrop, draw_arrows, draw_legend, draw_panels
+from tisfm.show.arrays import (
+    as_flow,
+    as_image,
+    as_map,
+    as_rgb,
+    as_uint8,
+    check_limit,
+    require_same_size,
+)
+from tisfm.show.depth import depth_grey, inverse_depth_limit
+from tisfm.show.drawing import (
+    DEPTH_BAR_SIZE,
+    LEGEND_SIZE,
+    backdrop,
+    draw_arrows,
+    draw_depth_bar,
+    draw_legend,
+    draw_panels,
+)
 from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.layout import panel_size
+from tisfm.show.layout import beside_legends, beside_size, panel_size
 from tisfm.show.palette import HIDDEN
 
 if TYPE_CHECKING:
@@ -53,6 +69,7 @@ def comparison_figure(
     names: Mapping[str, str] | None = None,
     depth_limit: float | None = None,
     flow_limit: float | None = None,
+    unit: str = "relative",
 ) -> Figure:
     """Show a frame, its depth and its motion, beside a baseline and the truth where there are any.
 
@@ -87,6 +104,8 @@ def comparison_figure(
         Motion at the rim of the colour wheel, px/frame, by default the 98th percentile of the
         length of the true flow, or else of the recovered one. No arrow is longer than three times
         this. Give all figures of a sequence the same limits.
+    unit : str
+        Unit of the recovered depth, for the legend.
 
     Returns
     -------
@@ -133,13 +152,21 @@ def comparison_figure(
     else:
         limit = check_limit("flow_limit", flow_limit)
 
+    nearest = (
+        inverse_depth_limit(depths["inverse_depth"])
+        if depth_limit is None
+        else check_limit("depth_limit", depth_limit)
+    )
+    scales = {f"depth Z ({unit})": nearest}
+
     (shown,) = as_uint8(picture)
     first = [
         (labels["frame"], shown) if hidden is None else (labels["occlusion"], tint(shown, hidden)),
-        (labels["depth"], depth_grey(depths["inverse_depth"], limit=depth_limit)),
+        (labels["depth"], depth_grey(depths["inverse_depth"], limit=nearest)),
     ]
     if "truth_inverse_depth" in depths:
         first.append((labels["truth_depth"], depth_grey(depths["truth_inverse_depth"])))
+        scales["true Z (its unit)"] = inverse_depth_limit(depths["truth_inverse_depth"])
     flow_labels = {name: labels[name.removesuffix("_flow")] for name in flows}
     dim = backdrop(shown)
     arrows = [(f"{label}, arrows", dim) for label in flow_labels.values()]
@@ -149,10 +176,15 @@ def comparison_figure(
     ]
     # A single flow has its arrows and colours side by side as well.
     below = [arrows + colors] if len(flows) == 1 else [arrows, colors]
-    figure, axes, layout = draw_panels([first, *below], heading=title, legend=LEGEND_SIZE)
+    legends = [DEPTH_BAR_SIZE] * len(scales) + [LEGEND_SIZE]
+    figure, axes, layout = draw_panels([first, *below], heading=title, legend=beside_size(legends))
     for panel, values in zip(axes[len(first) :], flows.values(), strict=False):
         draw_arrows(panel, values, limit)
-    draw_legend(figure, layout, (picture.shape[0], picture.shape[1]), limit)
+    *of_depth, wheel = beside_legends(layout, legends)
+    greys = as_rgb(np.arange(256, dtype=np.uint8)[:, None])[:, 0]
+    for room, (label, top) in zip(of_depth, scales.items(), strict=True):
+        draw_depth_bar(figure, room, greys, top, label=label)
+    draw_legend(figure, wheel, (picture.shape[0], picture.shape[1]), limit)
     return figure
 
 

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
-from tisfm.show.palette import category_colors
+from tisfm.show.palette import category_colors, colors_of_categories
 
 _COVER = 0.55  # share of the colour in what it covers
 _LINES = 400  # outlines are 1 px wide in a picture so wide, and grow with it
@@ -85,9 +85,9 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
         raise ValueError(f"labels has {label.min()}, expected integers from 0")
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     shown = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
-    colors = label_colors(int(label.max()) + 1)
     own = label > 0
-    shown[own] += np.float32(_COVER) * (colors[label[own]] - shown[own])
+    colors = colors_of_categories(label[own])
+    shown[own] += np.float32(_COVER) * (colors - shown[own])
     shown[_boundaries(label)] = 255
     return np.rint(shown).astype(np.uint8)
 

@@ -91,6 +91,37 @@ def stack_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[
     return layouts
 
 
+def beside_size(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the width and height, inches, of legends of these sizes beside one another."""
+    return sum(width for width, _ in sizes), max(height for _, height in sizes)
+
+
+def beside_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[Layout]:
+    """Divide the room for a legend of `beside_size`.
+
+    Parameters
+    ----------
+    layout : Layout
+        With that room.
+    sizes : sequence of (float, float)
+        Width and height of each legend, inches, from the left. They end at one height below.
+
+    Returns
+    -------
+    list of Layout
+        The layout once for every legend, which it has room for.
+    """
+    if layout.legend is None:
+        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+    left, bottom, _, _ = layout.legend
+    layouts = []
+    for wide, high in sizes:
+        box = left, bottom, wide / layout.size[0], high / layout.size[1]
+        layouts.append(replace(layout, legend=box))
+        left += box[2]
+    return layouts
+
+
 def arrange(
     rows: Sequence[Sequence[tuple[str, tuple[float, float]]]],
     *,
@@ -121,7 +152,9 @@ def arrange(
     roomy = None
     if legend is not None:
         for i, row in enumerate(rows):
-            if len(row) < columns and legend[1] <= heights[i]:
+            empty = columns - len(row)
+            room = empty * cell + (empty - 1) * _GAP
+            if empty and legend[0] <= room and legend[1] <= heights[i]:
                 roomy = i
     width = 2 * _MARGIN + columns * cell + (columns - 1) * _GAP
     if legend is not None and roomy is None:

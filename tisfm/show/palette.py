@@ -117,7 +117,11 @@ def colors_of(share: NDArray[np.floating], quantity: Quantity) -> NDArray[np.uin
 
 def category_colors(count: int) -> NDArray[np.uint8]:
     """Return colours, (count, 3), of which the first is what is at rest; those after 15 repeat."""
-    numbers = np.arange(count)
+    return colors_of_categories(np.arange(count))
+
+
+def colors_of_categories(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
+    """Return the colours that `category_colors` gives numbers from 0, (..., 3)."""
     own = 1 + (numbers - 1) % (len(_CATEGORIES) - 1)
     colors: NDArray[np.uint8] = _CATEGORIES[np.where(numbers == 0, 0, own)]
     return colors

@@ -10,13 +10,15 @@ from numpy.typing import ArrayLike
 from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.confidence import confidence_to_color
-from tisfm.show.depth import depth_to_color
+from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.drawing import (
     BAR_SIZE,
+    DEPTH_BAR_SIZE,
     LEGEND_SIZE,
     backdrop,
     draw_arrows,
     draw_color_bar,
+    draw_depth_bar,
     draw_legend,
     draw_panels,
     draw_swatches,
@@ -26,7 +28,8 @@ from tisfm.show.error import error_to_color
 from tisfm.show.figures import tint
 from tisfm.show.flow import flow_to_color, usual_length
 from tisfm.show.labels import label_colors, label_overlay
-from tisfm.show.layout import WIDE, stack_legends, stacked_size
+from tisfm.show.layout import WIDE, beside_legends, beside_size, stack_legends, stacked_size
+from tisfm.show.palette import color_ramp
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 if TYPE_CHECKING:
@@ -47,6 +50,7 @@ def rigid_figure(
     title: str | None = None,
     depth_limit: float | None = None,
     flow_limit: float | None = None,
+    unit: str = "relative",
 ) -> Figure:
     """Show the depth of rigid motions with its uncertainty, and the motion with its confidence.
 
@@ -79,6 +83,8 @@ def rigid_figure(
         Heading of the figure.
     depth_limit, flow_limit : float, optional
         As for `comparison_figure`.
+    unit : str
+        Unit of the depth, for the legend.
 
     Returns
     -------
@@ -136,6 +142,12 @@ def rigid_figure(
     limit = (
         usual_length(known_motion) if flow_limit is None else check_limit("flow_limit", flow_limit)
     )
+    nearest = (
+        inverse_depth_limit(depth)
+        if depth_limit is None
+        else check_limit("depth_limit", depth_limit)
+    )
+    scales = {f"depth Z ({unit})": nearest}
     count = 1 if labels is None else int(np.max(labels)) + 1
 
     (shown,) = as_uint8(picture)
@@ -150,11 +162,12 @@ def rigid_figure(
     first.append(
         (
             "Depth (near is bright)" if any_depth else "Depth: none to be seen",
-            depth_to_color(depth, limit=depth_limit),
+            depth_to_color(depth, limit=nearest),
         )
     )
     if true_depth is not None:
         first.append(("True depth (near is bright)", depth_to_color(true_depth)))
+        scales["true Z (its unit)"] = inverse_depth_limit(true_depth)
     if hidden is not None:  # it is that of what is visible
         deviation = np.where(hidden, np.inf, deviation)
     uncertainty = uncertainty_to_color(depth, deviation)
@@ -169,7 +182,8 @@ def rigid_figure(
         )
     second.append(("Confidence (yellow: 1)", confidence_to_color(trust)))
 
-    legends = [BAR_SIZE, LEGEND_SIZE]
+    bars = [DEPTH_BAR_SIZE] * len(scales) + [BAR_SIZE]
+    legends = [beside_size(bars), LEGEND_SIZE]
     if count > 1:
         legends.insert(0, swatches_size(count))
     rows = [first, second]
@@ -178,7 +192,10 @@ def rigid_figure(
         rows = [panels[k : k + 2] for k in range(0, len(panels), 2)]
     figure, axes, layout = draw_panels(rows, heading=title, legend=stacked_size(legends))
     draw_arrows(axes[len(first)], motion, limit)
-    *swatches, bar, wheel = stack_legends(layout, legends)
+    *swatches, beside, wheel = stack_legends(layout, legends)
+    *of_depth, bar = beside_legends(beside, bars)
+    for room, (label, top) in zip(of_depth, scales.items(), strict=True):
+        draw_depth_bar(figure, room, color_ramp("depth"), top, label=label)
     for room in swatches:
         draw_swatches(figure, room, label_colors(count), ["0, background"])
     low, high = UNCERTAINTY_RANGE

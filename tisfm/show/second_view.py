@@ -90,13 +90,16 @@ def second_view(
 
 
 def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
-    """Return f d / Z in whole pixels, no further than out of the picture."""
-    width = inverse_depth.shape[1]
+    """Return f d / Z in whole pixels, no further than out of the picture.
+
+    What leaves it stays another surface than what is just within.
+    """
+    most = inverse_depth.shape[1] + _SAME_SURFACE + 1
     valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
         np.multiply(inverse_depth, displacement, out=shift, where=valid)
-    np.minimum(shift, width, out=shift)
+    np.minimum(shift, most, out=shift)
     return np.rint(shift, out=shift).astype(np.int32)
 
 

@@ -103,7 +103,8 @@ def stereo_view(
     )
     (shown,) = as_uint8(picture)
     seen = shown if eye == 0 else _view_beside(shown, parallax, eye)
-    return _inner_part(seen, parallax) if crop else seen
+    view = _inner_part(seen, parallax) if crop else seen
+    return view.copy() if view is shown else view  # never the picture that was given
 
 
 def check_disparity(disparity: float) -> float:
@@ -158,9 +159,8 @@ def _parallax(
 ) -> _Parallax:
     """Check the options, and return what they mean for an inverse depth."""
     width = depth.shape[1]
-    if max_disparity is None:
-        shift = check_disparity(disparity) * width
-    else:
+    shift = check_disparity(disparity) * width
+    if max_disparity is not None:
         shift = check_limit("max_disparity", max_disparity)
     check_screen(screen, screen_depth)
     top = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
