@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.view.pages import change, wait_for
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.point_cloud import PointCloud
@@ -23,33 +24,6 @@ from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server
 from tisfm.view.static import static_page
 from tisfm.view.waiting import WaitingPage
-
-
-@pytest.fixture
-def opened(tmp_path):
-    """Open pages on results, and end them."""
-    pages = []
-
-    def page_of(folder, **options):
-        pages.append(Page(open_result(folder), port=0, **options))
-        return pages[-1]
-
-    yield page_of
-    for page in pages:
-        page.stop()
-
-
-def wait_for(condition, seconds=120.0):
-    """Wait until something is so; the limit is for machines that do much else."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.02)
-
-
-def change(page, name, value):
-    """Set a control as a browser would."""
-    getattr(page.controls, name).value = value
 
 
 def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
