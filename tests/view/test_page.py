@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.view.pages import change, wait_for
+from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.point_cloud import PointCloud
@@ -247,6 +247,31 @@ def test_clicks_read_pixels(opened, tmp_path):
     )
     wait_for(lambda: "column 40, row 30" in page.controls.reading.content)
     assert f"{1 / frame.inverse_depth[30, 40]:.4g} ±" in page.controls.reading.content
+
+
+def test_clicks_do_not_hit_points_that_are_not_seen(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    change(page, "follow", True)
+    change(page, "with_frame", False)
+    wait_until_drawn(page)
+    ray = page.frame.rays(np.array([15]), np.array([16]))[0]
+    page.marks.pick(np.zeros(3), ray, page.points)
+    assert page.marks.pixel is None
+    change(page, "with_frame", True)
+    page.marks.pick(np.zeros(3), ray, page.points)
+    assert page.marks.pixel == (15, 16)
+
+
+def test_a_pixel_outside_of_the_frame_is_told(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    wait_until_drawn(page)
+    page._mark(15, 400)
+    assert "column 400, row 15 is outside" in page.controls.reading.content.lower()
+    assert "the frame has 45 × 61" in page.controls.reading.content
+    page._mark(15, 16)
+    assert "column 16, row 15" in page.controls.reading.content
 
 
 def test_two_clicks_measure(opened, tmp_path):
