@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.point_cloud import PointCloud
@@ -23,34 +24,6 @@ from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server
 from tisfm.view.static import static_page
 from tisfm.view.waiting import WaitingPage
-
-
-@pytest.fixture
-def opened(tmp_path):
-    """Open pages on results, and end them."""
-    pages = []
-
-    def page_of(folder, **options):
-        pages.append(Page(open_result(folder), port=0, **options))
-        return pages[-1]
-
-    yield page_of
-    for page in pages:
-        page.stop()
-
-
-def wait_for(condition, seconds=120.0):
-    """Wait until something is so; the limit is for machines that do much else."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.02)
-
-
-def change(page, name, value):
-    """Set a control as a browser would."""
-    getattr(page.controls, name).value = value
-    page._change()
 
 
 def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
@@ -252,8 +225,8 @@ def test_a_frame_that_cannot_be_read_is_told(opened, tmp_path):
     wait_for(lambda: "cannot be read" in page.controls.status.content)
     assert page.points is None
     change(page, "frame", 2)
-    wait_for(lambda: page.points is not None and page.number == 2)
-    assert "cannot be read" not in page.controls.status.content
+    wait_for(lambda: "<b>f2</b>, 3 of 3" in page.controls.status.content)
+    assert "cannot be read" not in page.controls.status.content and page.points is not None
 
 
 def test_clicks_read_pixels(opened, tmp_path):
@@ -274,6 +247,31 @@ def test_clicks_read_pixels(opened, tmp_path):
     )
     wait_for(lambda: "column 40, row 30" in page.controls.reading.content)
     assert f"{1 / frame.inverse_depth[30, 40]:.4g} ±" in page.controls.reading.content
+
+
+def test_clicks_do_not_hit_points_that_are_not_seen(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    change(page, "follow", True)
+    change(page, "with_frame", False)
+    wait_until_drawn(page)
+    ray = page.frame.rays(np.array([15]), np.array([16]))[0]
+    page.marks.pick(np.zeros(3), ray, page.points)
+    assert page.marks.pixel is None
+    change(page, "with_frame", True)
+    page.marks.pick(np.zeros(3), ray, page.points)
+    assert page.marks.pixel == (15, 16)
+
+
+def test_a_pixel_outside_of_the_frame_is_told(opened, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page = opened(tmp_path / "r")
+    wait_until_drawn(page)
+    page._mark(15, 400)
+    assert "column 400, row 15 is outside" in page.controls.reading.content.lower()
+    assert "the frame has 45 × 61" in page.controls.reading.content
+    page._mark(15, 16)
+    assert "column 16, row 15" in page.controls.reading.content
 
 
 def test_two_clicks_measure(opened, tmp_path):
@@ -305,8 +303,7 @@ def test_paths_of_the_camera_and_of_things(opened, tmp_path):
     wait_for(lambda: all(handle.image is not None for handle in page.scene.frusta.values()))
     change(page, "frame", 4)
     wait_for(lambda: set(page.scene.frusta) == {3, 4})
-    page.controls.frusta.value = False
-    page._change(path=True)
+    change(page, "frusta", False)
     wait_for(lambda: not page.scene.frusta)
 
 
@@ -425,8 +422,7 @@ def test_handles_of_the_box_drag_its_corners(opened, tmp_path):
     page.box._drag(1, np.array((0.25, 0.5, 2.125)))
     wait_for(lambda: page.box.ends[1][1] == 0.5)
     assert page.controls.box_high.value == (0.25, 0.5, 2.125)
-    page.controls.box_low.value = (-0.5, -0.5, 0)
-    page._change()
+    change(page, "box_low", (-0.5, -0.5, 0))
     wait_for(lambda: np.allclose(page.box._handles[0].position, (-0.5, -0.5, 0)))
     change(page, "box", False)
     wait_for(lambda: not page.box._handles and "box" not in page.scene._nodes)

@@ -1,10 +1,12 @@
 """The box that the scene is clipped to, by numbers and by handles at two of its corners."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.view.cloud import Cloud
 from tisfm.view.controls import Controls
 from tisfm.view.scene import SceneView
 
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
 
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 _HANDLE = 0.2  # length of the arrows, over the median depth
+_OUTSIDE = 2.0  # percent of the points that are beyond each side at first
+_STEPS = 50  # of the fields, in the median depth
 
 
 class ClippingBox:
@@ -31,6 +35,7 @@ class ClippingBox:
         self._is_on, self._corners = controls.box, (controls.box_low, controls.box_high)
         self._handles: list[Any] = []
         self._dragged_to: list[tuple[float, ...]] = [(), ()]
+        self._decimals = 3
 
     @property
     def ends(self) -> Box | None:
@@ -40,20 +45,31 @@ class ClippingBox:
         corners = np.array([corner.value for corner in self._corners], np.float64)
         return corners.min(axis=0), corners.max(axis=0)
 
-    def begin_around(self, pose: NDArray[np.float64]) -> None:
-        """Let it begin around what a frame with a pose, (4, 4), shows."""
+    def begin_around(self, points: Cloud, pose: NDArray[np.float64]) -> None:
+        """Let it begin around points of a frame with a pose, (4, 4), without the outermost."""
         depth = self._scene.depth
-        middle = pose[:3, 3] + depth * pose[:3, 2]
-        for corner, sign in zip(self._corners, (-1, 1), strict=True):
-            corner.value = tuple(np.round(middle + sign * depth, 3))
+        step = float(f"{depth / _STEPS:.0e}")
+        self._decimals = max(0, 1 - math.floor(math.log10(step)))
+        if len(points):
+            world = points.positions @ pose[:3, :3].T + pose[:3, 3]
+            ends = np.percentile(world, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
+        else:
+            ends = pose[:3, 3] + depth * pose[:3, 2] + np.array([[-depth], [depth]])
+        for corner, end in zip(self._corners, ends, strict=True):
+            corner.step, corner.precision = step, self._decimals
+            corner.value = tuple(np.round(end, self._decimals))
+
+    def forget(self) -> None:
+        """Remove its handles; the next time that it is shown it has others."""
+        for handle in self._handles:
+            handle.remove()
+        self._handles = []
 
     def show(self) -> None:
         """Show its edges and handles; nothing if it is off."""
         self._scene.show_box(self.ends)
         if not self._is_on.value:
-            for handle in self._handles:
-                handle.remove()
-            self._handles = []
+            self.forget()
             return
         if not self._handles:
             self._handles = [self._handle(k) for k in range(2)]
@@ -75,5 +91,5 @@ class ClippingBox:
         return handle
 
     def _drag(self, k: int, position: NDArray[np.float64]) -> None:
-        self._dragged_to[k] = tuple(round(float(part), 3) for part in position)
+        self._dragged_to[k] = tuple(round(float(part), self._decimals) for part in position)
         self._corners[k].value = self._dragged_to[k]

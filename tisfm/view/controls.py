@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 NO_WHOLE = "nothing"
 ANY_DEVIATION = 100.0  # percent, from which on every deviation passes
+_SETTINGS = (
+    "speed", "follow", "shape", "size", "most", "min_confidence", "max_deviation", "hidden",
+    "path", "frusta", "pictures", "things", "measure",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +72,21 @@ class Controls:
         )  # fmt: skip
 
 
+def kind_of(result: Result) -> tuple[object, ...]:
+    """Return what decides which controls a result has."""
+    return result.quantities, result.has_one_scale, result.has_whole, bool(result.objects)
+
+
+def take_settings(controls: Controls, before: Controls) -> None:
+    """Set controls to what others were set to, where there is such a choice."""
+    for name in _SETTINGS:
+        getattr(controls, name).value = getattr(before, name).value
+    pairs = zip((controls.color, *controls.kinds), (before.color, *before.kinds), strict=True)
+    for control, former in pairs:
+        if former.value in control.options:
+            control.value = former.value
+
+
 def build_controls(server: "ViserServer", result: Result, *, most_points: int) -> Controls:
     """Make the controls: a window with those of the scene, and one with pictures at the left."""
     gui = server.gui
@@ -77,9 +96,11 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
     colors = [q for q in QUANTITIES if q in ("image", "depth", *result.quantities)]
     pictures = [k for k in KINDS if k in ("frame", "depth", "flow", "anaglyph", *result.quantities)]
     with gui.add_folder("Time"):
-        last = max(1, len(result.names) - 1)
-        found["frame"] = gui.add_slider("Frame", min=0, max=last, step=1, initial_value=0)
-        found["play"] = gui.add_button("Play")
+        last, is_alone = max(1, len(result.names) - 1), len(result.names) < 2
+        found["frame"] = gui.add_slider(
+            "Frame", min=0, max=last, step=1, initial_value=0, disabled=is_alone
+        )
+        found["play"] = gui.add_button("Play", disabled=is_alone)
         found["speed"] = gui.add_slider("Frames per second", min=1, max=30, step=1, initial_value=8)
         found["follow"] = gui.add_checkbox("Follow the camera", initial_value=False)
         found["go"] = gui.add_button("Go to the camera")
@@ -120,7 +141,7 @@ def build_controls(server: "ViserServer", result: Result, *, most_points: int) -
         found["whole"] = gui.add_dropdown("All frames", (NO_WHOLE, *WHOLES), initial_value=NO_WHOLE)
         found["whole_note"] = gui.add_html("")
         found["with_frame"] = gui.add_checkbox("Points of the frame", initial_value=True)
-    with gui.add_folder("Path", expand_by_default=False):
+    with gui.add_folder("Path", expand_by_default=False, visible=result.has_one_scale):
         found["path"] = gui.add_checkbox("Path of the camera", initial_value=True)
         found["frusta"] = gui.add_checkbox("Frusta along it", initial_value=True)
         found["pictures"] = gui.add_checkbox("Pictures in them", initial_value=True)

@@ -1,7 +1,5 @@
 """Pixels that are read, and points that are measured between."""
 
-import contextlib
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,7 @@ from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import WIDE, picked_pixel, picked_point
 from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
-from tisfm.view.texts import distance_html, reading_html
+from tisfm.view.texts import distance_html, outside_html, reading_html
 
 
 class Marks:
@@ -41,13 +39,16 @@ class Marks:
 
     def show_reading(self) -> None:
         """Say what is known of the marked pixel in the frame that is shown, and mark it."""
-        frame, reading = self.frame, None
+        frame, reading, outside = self.frame, None, ""
         if frame is not None and self.pixel is not None:
-            with contextlib.suppress(IndexError):
+            try:
                 reading = frame.reading(*self.pixel)
+            except IndexError:
+                row, column = self.pixel
+                outside = outside_html(row, column, frame.shape)
         place = None if reading is None else self._place_of(reading.row, reading.column)
         self._scene.show_marks([] if place is None else [place], "pixel")
-        self._controls.reading.content = reading_html(reading, self._result.unit)
+        self._controls.reading.content = outside or reading_html(reading, self._result.unit)
 
     def pick(
         self, origin: NDArray[np.float64], direction: NDArray[np.float64], points: Cloud | None
@@ -62,7 +63,9 @@ class Marks:
         between = (
             0.75 * points.step / frame.camera.focal
         )  # what is between two points belongs to one
-        hit = picked_point(start, along, points.positions, wide=max(WIDE, between))
+        hit = None
+        if self._controls.with_frame.value:  # what is not seen is not hit
+            hit = picked_point(start, along, points.positions, wide=max(WIDE, between))
         pixel = None if hit is None else tuple(map(int, points.pixels[hit]))
         if not self._controls.follow.value:
             distance = self._scene.picture_distance(frame)

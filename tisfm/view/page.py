@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from tisfm.view.box import ClippingBox
 from tisfm.view.cache import MOST_BYTES, FrameCache
 from tisfm.view.cloud import Choice, Cloud, cloud
-from tisfm.view.colors import legend, pixel_colors
-from tisfm.view.controls import ANY_DEVIATION, build_controls
+from tisfm.view.colors import pixel_colors
+from tisfm.view.controls import ANY_DEVIATION, build_controls, kind_of, take_settings
 from tisfm.view.frame import ViewFrame
 from tisfm.view.marks import Marks
-from tisfm.view.picking import field_of_view
+from tisfm.view.picking import following_fov
 from tisfm.view.pictures import caption, picture_of
-from tisfm.view.ranges import ranges_of, sampled
+from tisfm.view.ranges import differ, ranges_of, sampled
 from tisfm.view.result import Result
-from tisfm.view.saving import save_film, save_screenshot, save_static
+from tisfm.view.saving import save_film, save_screenshot, save_static, tell_browser
 from tisfm.view.scene import SceneView, quaternion, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
-from tisfm.view.texts import legend_html, status_html
+from tisfm.view.texts import legend_html, legend_of, status_html, things_in
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT
 from tisfm.view.whole_layer import WholeLayer
 
@@ -36,7 +36,9 @@ COARSE = 15_000  # points that are drawn at once; all others follow when nothing
 _REST = 0.25  # s without a change before the rest is drawn
 _CHECK, _SETTLED = 0.05, 1.0  # s: between looks for a browser, and until one has drawn
 _LOOK = 1.0  # s between looks at the folder
-_GROWN = 1.2  # times as many frames, for the path to be drawn anew
+_GROWN = 1.2  # times as many frames, for the path to be drawn anew, and ranges to be looked at
+_OTHER_RANGE = 1.25  # times as large or as small: before that, colours stay as they are
+_OTHER_SIZE = 1.5  # times as large or as small: a scene that browsers look at from elsewhere
 _OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
 _TOUCHED = 1e-3  # of the depth: a view that was moved since
 _PICTURE = 420  # px, pictures beside the scene
@@ -93,34 +95,24 @@ class Page:
         self.frame: ViewFrame | None = None
         self.points: Cloud | None = None
         self.server = start_server(host, port) if server is None else server
-        with self.server.atomic():
-            if server is not None:
-                server.gui.reset()
-            self.controls = build_controls(self.server, result, most_points=most_points)
-        first = self._read(number)
-        self.ranges = ranges_of([] if first is None else [first], with_flow=False)
-        depth = 1.0 if first is None else first.usual_depth
-        self.scene = SceneView(self.server, result, depth)
-        self.marks = Marks(self.controls, self.scene, result)
-        self.box = ClippingBox(self.server, self.controls, self.scene)
-        self.box.begin_around(self.scene.pose_of(number))
-        if first is not None:
-            self.scene.place_browsers(first, self._points_of(first, COARSE))
+        self.scene = SceneView(self.server, result)
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self.whole = WholeLayer(self.controls, self.scene, result, self._put_and_redraw)
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
         self._playing_since: tuple[float, int] | None = None
         self._looked_at = time.monotonic()
         self._shown_path: tuple[int, bool] | None = None
-        self._path_of = 0  # frames, when the path was drawn last
+        self._path_of = self._ranges_of = 0  # frames, when they were drawn, or taken, last
         self._without_picture: list[int] = []
-        self.controls.frame.value = number
-        self._listen()
+        if server is not None:
+            server.gui.reset()
+        self._build_controls(most_points)
+        self._begin(number)
+        self.server.scene.on_click()(lambda event: self._clicked(event))
+        self.server.on_client_connect(self._welcome)
         self._draw(most=COARSE)
         for client in self.server.get_clients().values():  # they look at what was shown before
             self._go(client)
-        self._jobs.put(self._widen_ranges)
         self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
         self._thread.start()
 
@@ -182,6 +174,57 @@ class Page:
         pose = self.scene.pose_of(frame.number)
         return cloud(frame, self.controls.color.value, self.ranges, self.choice(most), pose)
 
+    # What is shown first, and where the result is replaced.
+
+    def _build_controls(self, most_points: int) -> None:
+        """Make the controls that suit the result, and what goes by them."""
+        with self.server.atomic():
+            self.controls = build_controls(self.server, self.result, most_points=most_points)
+        self.marks = Marks(self.controls, self.scene, self.result)
+        self.box = ClippingBox(self.server, self.controls, self.scene)
+        self.whole = WholeLayer(self.controls, self.scene, self.result, self._put_and_redraw)
+        self._kind = kind_of(self.result)
+        self._listen()
+
+    def _begin(self, number: int) -> None:
+        """Take sizes, ranges, and where browsers and the clipping box begin, from a frame."""
+        first = self._read(number)
+        self.ranges, self._ranges_of = ranges_of([first] if first else [], with_flow=False), 0
+        self.scene.begin(1.0 if first is None else first.usual_depth)
+        if first is not None:
+            points = self._points_of(first, COARSE)
+            self.scene.place_browsers(first, points)
+            if not self.controls.box.value:
+                self.box.begin_around(points, self.scene.pose_of(number))
+        self.controls.frame.value = number
+        self._jobs.put(self._widen_ranges)
+
+    def _begin_anew(self, number: int) -> None:
+        """Show another result in place of the one so far; what was set stays as far as it can."""
+        depth = self.scene.depth
+        self.cache.clear()
+        self.whole.forget()
+        self.marks.clear_measured()
+        self.number, self._shown_path = -1, None
+        if kind_of(self.result) != self._kind:
+            before, pixel = self.controls, self.marks.pixel
+            self.box.forget()
+            with self.server.atomic():
+                self.server.gui.reset()
+                self._build_controls(before.most.value * 1000)
+                take_settings(self.controls, before)
+            self.marks.pixel = pixel
+            self.controls.play.label = before.play.label
+        self._set_last()
+        self._begin(number)
+        self.box.forget()
+        self._restart_play()
+        self._draw(most=COARSE)
+        if abs(np.log(self.scene.depth / depth)) > np.log(_OTHER_SIZE):
+            for client in self.server.get_clients().values():
+                self._go(client)
+        self._change(path=True)
+
     # What a browser asks for.
 
     def _listen(self) -> None:
@@ -201,8 +244,6 @@ class Page:
         controls.screenshot.on_click(lambda event: self._do(save_screenshot, event.client))
         controls.film.on_click(lambda event: self._do(save_film, event.client))
         controls.static.on_click(lambda event: self._do(save_static, event.client))
-        self.server.scene.on_click()(lambda event: self._clicked(event))
-        self.server.on_client_connect(self._welcome)
 
     def _put_and_redraw(self, job: Callable[[], None]) -> None:
         """Have a job done by the thread that draws, and what is shown drawn anew after it."""
@@ -222,7 +263,7 @@ class Page:
             try:
                 job(self, client)
             except (ImportError, OSError, RuntimeError, ValueError) as error:
-                client.add_notification("It was not saved", " ".join(str(error).split()))
+                tell_browser(self, client, "It was not saved", " ".join(str(error).split()))
             self.controls.progress.content = ""
 
         self._jobs.put(done)
@@ -241,15 +282,25 @@ class Page:
             client.camera.fov = FOV
 
     def _welcome(self, client: "ClientHandle") -> None:
-        """Let all be in sight in the window of a browser, until somebody moves the view."""
+        """Let all be in sight in the window of a browser, until somebody moves the view.
+
+        Where the camera is followed, that is all of the frame, whatever happens to the window.
+        """
         fitted, has_come, is_touched = USUAL_ASPECT, False, False
+        followed = 0.0  # the shape of the window that the field of view was fitted to
         home = np.asarray(self.server.initial_camera.position)
 
         def fit(camera: "CameraHandle") -> None:
-            nonlocal fitted, home, has_come, is_touched
+            nonlocal fitted, home, has_come, is_touched, followed
             is_home = bool(np.linalg.norm(camera.position - home) <= _TOUCHED * self.scene.depth)
+            is_due = camera.aspect != followed or (is_home and not has_come)
+            if self.controls.follow.value and is_due:
+                followed = camera.aspect
+                self._follow(client)
             has_come |= is_home  # before that, it has not been told yet where to begin
             is_touched |= has_come and not is_home
+            if self.controls.follow.value:
+                return
             if is_home and not is_touched and abs(np.log(camera.aspect / fitted)) > _OTHER_SHAPE:
                 fitted = camera.aspect
                 self._go(client)
@@ -289,7 +340,7 @@ class Page:
             self._wake.set()
 
     def _measure_anew(self) -> None:
-        self._jobs.put(self.marks.clear_measured)
+        self._jobs.put(lambda: self.marks.clear_measured())
         self._wake.set()
 
     # What the thread does.
@@ -369,7 +420,8 @@ class Page:
             self._show_legend()
             self.marks.show_reading()
         if self.controls.follow.value:
-            self._follow()
+            for client in self.server.get_clients().values():
+                self._follow(client)
 
     def _shares_scale(self, number: int) -> bool:
         """Return whether a frame has the scale of the one that is shown."""
@@ -397,17 +449,20 @@ class Page:
         if change is None:
             return
         names = self.result.names
-        self.controls.frame.max = max(1, len(names) - 1)
         number = names.index(name) if name in names else 0
-        if change == "grown":
-            self._take_place(number, pose)
+        if change == "replaced" or kind_of(self.result) != self._kind:
+            self._begin_anew(number)
             return
-        self.cache.clear()
-        self.whole.forget()
-        self.number = -1
-        self.controls.frame.value = number
-        self._restart_play()
-        self._change(path=True)
+        self._set_last()
+        self._take_place(number, pose)
+        if len(names) >= _GROWN * self._ranges_of:
+            self._jobs.put(self._widen_ranges)
+
+    def _set_last(self) -> None:
+        """Let the slider end at the last frame; with one alone there is nothing to choose."""
+        last = len(self.result.names) - 1
+        self.controls.frame.max = max(1, last)
+        self.controls.frame.disabled = self.controls.play.disabled = last < 1
 
     def _take_place(self, number: int, pose: NDArray[np.float64]) -> None:
         """Let the frame that is shown have the number that it has among more frames.
@@ -432,9 +487,14 @@ class Page:
                 self._show_path(number)
 
     def _widen_ranges(self) -> None:
-        """Take ranges of colours from a few frames of the whole result."""
-        self.ranges = ranges_of(sampled(self.cache, len(self.result.names)))
-        self._is_stale = True
+        """Take ranges of colours from a few frames of the whole result.
+
+        Those that it has grown out of little are kept: colours do not change with every frame.
+        """
+        is_first, self._ranges_of = self._ranges_of == 0, len(self.result.names)
+        ranges = ranges_of(sampled(self.cache, self._ranges_of))
+        if is_first or differ(ranges, self.ranges, _OTHER_RANGE):
+            self.ranges, self._is_stale = ranges, True
 
     def _show_path(self, number: int) -> None:
         """Show path and frusta, if they are those of another piece than before; and things."""
@@ -472,13 +532,8 @@ class Page:
                 )
 
     def _show_legend(self) -> None:
-        things = tuple(thing.id for thing in self.result.objects)
-        frame = self.frame
-        if not things and frame is not None and frame.labels is not None:
-            things = tuple(int(k) for k in np.unique(frame.labels) if k)
-        own = "harmonic mean depths of the frame"
-        unit = self.result.unit if self.result.has_one_scale else own
-        shown = legend(self.controls.color.value, self.ranges, unit, things)
+        things = things_in(self.frame) if self.frame is not None else set[int]()
+        shown = legend_of(self.result, self.controls.color.value, self.ranges, things)
         self.controls.legend.content = legend_html(shown)
 
     def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
@@ -489,13 +544,13 @@ class Page:
         self.marks.mark(row, column)
         self._show_pictures()
 
-    def _follow(self) -> None:
-        """Let all browsers look from where the camera was."""
-        if self.frame is None:
+    def _follow(self, client: "ClientHandle") -> None:
+        """Let a browser look from where the camera was, all of the frame in sight."""
+        frame = self.frame
+        if frame is None:
             return
-        pose = self.scene.pose_of(self.number)
-        for client in self.server.get_clients().values():
-            with client.atomic():
-                client.camera.wxyz = quaternion(pose)
-                client.camera.position = pose[:3, 3]
-                client.camera.fov = field_of_view(self.frame)[0]
+        pose = self.scene.pose_of(frame.number)
+        with client.atomic():
+            client.camera.wxyz = quaternion(pose)
+            client.camera.position = pose[:3, 3]
+            client.camera.fov = following_fov(frame, client.camera.aspect)

@@ -85,6 +85,19 @@ def field_of_view(frame: ViewFrame) -> tuple[float, float]:
     return 2 * math.atan(height / (2 * frame.camera.focal)), width / height
 
 
+def following_fov(frame: ViewFrame, aspect: float) -> float:
+    """Return the vertical field of view, rad, of a window in which all of a frame is in sight.
+
+    Parameters
+    ----------
+    frame : ViewFrame
+    aspect : float
+        Width over height of the window.
+    """
+    fov, own = field_of_view(frame)
+    return 2 * math.atan(math.tan(fov / 2) * max(1.0, own / aspect))
+
+
 def frustum_scale(fov: float, aspect: float, distance: float) -> float:
     """Return the scale of a frustum whose picture lies so far before the camera.
 

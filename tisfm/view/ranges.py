@@ -18,6 +18,12 @@ def ranges_of(frames: Sequence[ViewFrame], *, with_flow: bool = True) -> Ranges:
     return Ranges(inverse_depth=_middle(depths), flow=_middle(lengths))
 
 
+def differ(one: Ranges, other: Ranges, factor: float) -> bool:
+    """Return whether a range is more than so many times as large, or as small, as another."""
+    pairs = (one.inverse_depth, other.inverse_depth), (one.flow, other.flow)
+    return any(max(pair) > factor * min(pair) for pair in pairs)
+
+
 def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ViewFrame]:
     """Return a few frames of so many that can be read, spread over all of them."""
     found = []

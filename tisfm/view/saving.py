@@ -2,6 +2,7 @@
 
 import io
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,9 +29,11 @@ def save_screenshot(page: "Page", client: "ClientHandle") -> None:
     from PIL import Image
 
     height, width = client.camera.image_height, client.camera.image_width
-    shown = client.get_render(height, width, transport_format="jpeg", timeout=_TIMEOUT)
+    shown = client.get_render(height, width, transport_format="png", timeout=_TIMEOUT)
+    picture = Image.fromarray(shown).convert("RGBA")
+    ground = Image.new("RGBA", picture.size, "white")  # as of the page
     file = io.BytesIO()
-    Image.fromarray(shown).save(file, "PNG")
+    Image.alpha_composite(ground, picture).convert("RGB").save(file, "PNG")
     name = f"{page.result.names[max(page.number, 0)]}.png"
     client.send_file_download(name, file.getvalue(), save_immediately=True)
 
@@ -38,7 +41,7 @@ def save_screenshot(page: "Page", client: "ClientHandle") -> None:
 def save_film(page: "Page", client: "ClientHandle") -> None:
     """Give a browser a fly-through: along the path, or around where there is none.
 
-    The browser draws each picture.
+    The browser draws each picture. Frames that cannot be read are left out, and told.
 
     Raises
     ------
@@ -46,27 +49,34 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
         If PyAV is not installed.
     RuntimeError, TimeoutError
         If the browser does not draw.
+    ValueError
+        If no frame can be read.
     """
     from tisfm.exports.video_file import check_video, video_file  # it takes a while to load
 
     check_video()
     count = len(page.result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).astype(int))
-    before, depth = page.number, page.scene.depth
+    before, depth, unread = page.number, page.scene.depth, list[str]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")
         try:
             with video_file(path, page.controls.speed.value) as film:
                 for k, number in enumerate(map(int, numbers)):
                     page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
-                    page.show(number)
+                    if page.show(number) is None:
+                        unread.append(f"{page.result.names[number]}: {page.fault}")
+                        continue
                     pose = behind(page.scene.pose_of(number), depth)
                     if not page.result.has_one_scale:
                         pose = _swung(pose, depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
                     film.add(_drawn(client, pose))
+                if len(unread) == len(numbers):
+                    raise ValueError(f"no frame can be read: {unread[0]}")
         finally:
             page.show(max(before, 0))
         client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)
+    _tell_unread(page, client, "The film is not complete", unread)
 
 
 def save_static(page: "Page", client: "ClientHandle") -> None:
@@ -81,9 +91,20 @@ def save_static(page: "Page", client: "ClientHandle") -> None:
         size=page.controls.size.value,
     )
     client.send_file_download("view.html", made.text.encode(), save_immediately=True)
-    if made.unread:
-        left = f"{len(made.unread)} frames cannot be read: {made.unread[0]}"
-        client.add_notification("The page is not complete", left)
+    _tell_unread(page, client, "The page is not complete", made.unread)
+
+
+def tell_browser(page: "Page", client: "ClientHandle", title: str, text: str) -> None:
+    """Show a note in a browser, if it is still there."""
+    if client.client_id in page.server.get_clients():
+        client.add_notification(title, text)
+
+
+def _tell_unread(page: "Page", client: "ClientHandle", title: str, unread: Sequence[str]) -> None:
+    """Say in a browser which frames are left out, if any are."""
+    if unread:
+        frames = "1 frame cannot" if len(unread) == 1 else f"{len(unread)} frames cannot"
+        tell_browser(page, client, title, f"{frames} be read: {unread[0]}")
 
 
 def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -34,25 +34,28 @@ class SceneView:
     ----------
     server : ViserServer
     result : Result
-    depth : float
-        A usual depth in the scene, which sizes of frusta and marks follow.
 
     Attributes
     ----------
+    depth : float
+        A usual depth in the scene, which sizes of frusta and marks follow.
     up : (3,) float64
         What points upwards in the world, as cameras are mostly held.
     """
 
-    def __init__(self, server: "ViserServer", result: Result, depth: float) -> None:
+    def __init__(self, server: "ViserServer", result: Result) -> None:
         self._server, self._result = server, result
-        self.depth = depth
         self._nodes: dict[str, Any] = {}
         self.frusta: dict[int, Any] = {}
-        self.up = _usual_up(result.poses)
-        server.scene.set_up_direction(tuple(self.up))
+        self.begin(1.0)
         # What is shown has its own light: these would cost, and show nothing.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
+
+    def begin(self, depth: float) -> None:
+        """Take the direction up from the poses, and a usual depth; what is drawn next has them."""
+        self.depth, self.up = depth, _usual_up(self._result.poses)
+        self._server.scene.set_up_direction(tuple(self.up))
 
     def pose_of(self, number: int) -> NDArray[np.float64]:
         """Return the pose of a frame, that of the origin where it has none."""

@@ -11,6 +11,7 @@ from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server, stop_server
+from tisfm.view.texts import legend_html, legend_of, things_in
 
 _CAPTION = (
     "position:fixed;left:0;bottom:44px;max-width:60%;padding:0.3em 0.7em;font:12px sans-serif;"
@@ -75,6 +76,7 @@ def static_page(
     count = len(result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, most_frames)).astype(int))
     unread: list[str] = []
+    things: set[int] = set()
     first: ViewFrame | None = None
     server = start_server("127.0.0.1", 0)
     try:
@@ -86,11 +88,13 @@ def static_page(
                 continue
             if first is None:
                 first, piece = frame, int(result.piece[number])
-                scene = SceneView(server, result, frame.usual_depth)
+                scene = SceneView(server, result)
+                scene.begin(frame.usual_depth)
                 scene.show_path(number, frame, path=True, frusta=True)
             elif result.piece[number] != piece:
                 piece = int(result.piece[number])
                 scene.show_path(number, frame, path=True, frusta=True)
+            things |= things_in(frame)
             points = cloud(frame, quantity, ranges, choice, scene.pose_of(number))
             if frame is first:
                 scene.place_browsers(frame, points)
@@ -104,7 +108,11 @@ def static_page(
         if piece != result.piece[first.number]:  # it begins anew after its end
             scene.show_path(first.number, first, path=True, frusta=True)
         shown = len(numbers) - len(unread)
-        text = _captioned(recording.as_html(), _caption(result, shown, unread))
+        text = _captioned(
+            recording.as_html(),
+            legend_html(legend_of(result, quantity, ranges, things)),
+            _caption(result, shown, unread),
+        )
         return StaticPage(text=text, frames=shown, unread=tuple(unread))
     finally:
         stop_server(server)
@@ -119,8 +127,8 @@ def _caption(result: Result, shown: int, unread: list[str]) -> str:
     return said
 
 
-def _captioned(page: str, caption: str) -> str:
-    """Return a page with a line at its foot."""
-    block = f'<div style="{_CAPTION}">{html.escape(caption)}</div>'
+def _captioned(page: str, legend: str, caption: str) -> str:
+    """Return a page with a legend, as HTML, and a line at its foot."""
+    block = f'<div style="{_CAPTION}">{legend}{html.escape(caption)}</div>'
     before, end, after = page.rpartition("</body>")
     return f"{before}{block}{end}{after}" if end else page + block

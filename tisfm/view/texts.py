@@ -5,11 +5,34 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tisfm.view.colors import Legend
+from tisfm.view.colors import Legend, Quantity, Ranges, legend
 from tisfm.view.frame import PixelReading, ViewFrame
 from tisfm.view.result import Result
 
 _BLOCK = "font-size:0.8em;padding:0.1em 0.75em 0.3em;line-height:1.35"
+
+
+def things_in(frame: ViewFrame) -> set[int]:
+    """Return the labels of things that are seen in a frame."""
+    return set() if frame.labels is None else {int(k) for k in np.unique(frame.labels) if k}
+
+
+def legend_of(
+    result: Result, quantity: Quantity, ranges: Ranges, things: set[int]
+) -> Legend | None:
+    """Return what colours of a quantity mean in a result.
+
+    Parameters
+    ----------
+    result : Result
+    quantity : str
+    ranges : Ranges
+    things : set of int
+        Labels that are seen, for a result that does not name its things.
+    """
+    named = tuple(thing.id for thing in result.objects) or tuple(sorted(things))
+    own = "harmonic mean depths of the frame"
+    return legend(quantity, ranges, result.unit if result.has_one_scale else own, named)
 
 
 def legend_html(legend: Legend | None) -> str:
@@ -57,6 +80,13 @@ def reading_html(reading: PixelReading | None, unit: str) -> str:
     return _block(f'<table data-testid="reading">{cells}</table>')
 
 
+def outside_html(row: int, column: int, shape: tuple[int, int]) -> str:
+    """Return that there is no such pixel, and how many rows and columns the frame has."""
+    height, width = shape
+    text = f"Column {column}, row {row} is outside: the frame has {height} × {width}"
+    return _block(f'<div data-testid="outside">{text}, rows by columns.</div>')
+
+
 def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str = "") -> str:
     """Return which frame is looked at, its time, its status, and where it is of no use why."""
     name = html.escape(result.names[number])
@@ -81,12 +111,15 @@ def note_html(text: str) -> str:
     return _block(f'<div data-testid="note">{html.escape(text)}</div>') if text else ""
 
 
-def waiting_html(reason: str, how_far: str) -> str:
-    """Return why there is nothing to look at yet, and how far it is."""
+def waiting_html(reason: str, how_far: str = "", *, is_going_on: bool = True) -> str:
+    """Return why there is nothing to look at yet, or will not be, and how far it is."""
     parts = [f"<b>{html.escape(reason)}.</b>"]
     if how_far:
         parts.append(f"{html.escape(how_far)}.")
-    parts.append("This page shows it as soon as it is there.")
+    if is_going_on:
+        parts.append("This page shows it as soon as it is there.")
+    else:
+        parts.append("This page has ended.")
     return _block(f'<div data-testid="waiting">{"<br>".join(parts)}</div>')
 
 

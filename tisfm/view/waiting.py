@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _LOOK = 0.5  # s between looks at a folder
 _RENEWED = 2.0  # s between pictures
+_SENT = 0.3  # s for browsers to be told the last
 
 
 class WaitingPage:
@@ -30,7 +31,7 @@ class WaitingPage:
     """
 
     def __init__(self, server: "ViserServer", folder: Path) -> None:
-        self._folder = folder
+        self._folder, self._server = folder, server
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._text = gui.add_html("")
@@ -51,6 +52,11 @@ class WaitingPage:
                 return open_result(self._folder)
             except NothingYetError as error:
                 self._show(str(error))
+            except (OSError, ValueError) as error:
+                self._text.content = waiting_html(" ".join(str(error).split()), is_going_on=False)
+                self._server.flush()
+                time.sleep(_SENT)
+                raise
             time.sleep(_LOOK)
 
     def _show(self, reason: str) -> None:

@@ -1,0 +1,170 @@
+"""Each control, set, changes what is shown, by its own listener."""
+
+import numpy as np
+import pytest
+
+from tests.view.pages import change, wait_for, wait_until_drawn
+from tests.view.results import write_reconstruction, write_record_of, write_run
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
+
+
+def count(page):
+    return len(page.points)
+
+
+def legend(page):
+    return page.controls.legend.content
+
+
+def kind_of_points(page):
+    return type(page.scene._nodes["points"]).__name__
+
+
+def size_of_points(page):
+    return page.scene._nodes["points"].point_size
+
+
+def sees_points(page):
+    return page.scene._nodes["points"].visible
+
+
+def nodes(page):
+    return set(page.scene._nodes)
+
+
+def frusta(page):
+    return len(page.scene.frusta)
+
+
+def pictures(page):
+    wait_for(lambda: not page._without_picture)
+    return [handle.image is None for handle in page.scene.frusta.values()]
+
+
+def sees_camera(page):
+    return page.scene._nodes["here"].visible
+
+
+def note(page):
+    return page.controls.whole_note.content
+
+
+def distance(page):
+    return page.controls.distance.content
+
+
+def label_of_play(page):
+    return page.controls.play.label
+
+
+def status(page):
+    return page.controls.status.content
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [
+        ("frame", 1, status),
+        ("play", True, label_of_play),
+        ("color", "confidence", legend),
+        ("shape", "surface", kind_of_points),
+        ("size", 3.0, size_of_points),
+        ("most", 1, count),
+        ("min_confidence", 0.5, count),
+        ("max_deviation", 1.0, count),
+        ("hidden", False, count),
+        ("box", True, nodes),
+        ("measure", True, distance),
+    ],
+)
+def test_controls_of_a_run(opened, tmp_path, name, value, shown):
+    write_run(tmp_path / "r", 2)
+    page = opened(tmp_path / "r")
+    wait_until_drawn(page)
+    before = shown(page)
+    change(page, name, value)
+    wait_for(lambda: shown(page) != before)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [
+        ("follow", True, sees_camera),
+        ("whole", "points", note),
+        ("with_frame", False, sees_points),
+        ("path", False, nodes),
+        ("frusta", False, frusta),
+        ("pictures", False, pictures),
+        ("things", False, nodes),
+    ],
+)
+def test_controls_of_a_reconstruction(opened, tmp_path, name, value, shown):
+    write_reconstruction(tmp_path / "r", 3, things=True)
+    page = opened(tmp_path / "r")
+    wait_until_drawn(page)
+    before = shown(page)
+    change(page, name, value)
+    wait_for(lambda: shown(page) != before)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_the_pictures_are_chosen(opened, tmp_path, k):
+    write_run(tmp_path / "r", 1)
+    page = opened(tmp_path / "r")
+    wait_until_drawn(page)
+    before = np.array(page.controls.images[k].image)
+    page.controls.kinds[k].value = "confidence"
+    wait_for(lambda: (page.controls.images[k].image != before).any())
+    assert page.controls.images[k].label == "blue 0, yellow 1"
+
+
+@pytest.mark.parametrize("name", ["box_low", "box_high"])
+def test_the_ends_of_the_box(opened, tmp_path, name):
+    write_run(tmp_path / "r", 1)
+    page = opened(tmp_path / "r")
+    change(page, "box", True)
+    wait_for(lambda: "box" in nodes(page))
+    wait_until_drawn(page)
+    before = count(page)
+    middle = (np.array(page.controls.box_low.value) + page.controls.box_high.value) / 2
+    change(page, name, tuple(middle))
+    wait_for(lambda: count(page) < before)
+
+
+def test_clear_forgets_what_was_measured(opened, tmp_path):
+    write_run(tmp_path / "r", 1)
+    page = opened(tmp_path / "r")
+    page.marks.measured = [np.zeros(3)]
+    change(page, "clear", True)
+    wait_for(lambda: not page.marks.measured)
+
+
+def test_the_speed_holds_from_now_on(opened, tmp_path):
+    write_run(tmp_path / "r", 2)
+    page = opened(tmp_path / "r")
+    change(page, "play", True)
+    since = page._playing_since
+    change(page, "speed", 20)
+    assert page._playing_since[0] > since[0]
+
+
+def test_one_frame_has_nothing_to_play(opened, tmp_path):
+    shot = write_run(tmp_path / "r", 2)
+    write_record_of(tmp_path / "r", shot, [0], "camera")
+    page = opened(tmp_path / "r")
+    assert page.controls.frame.disabled and page.controls.play.disabled
+    write_record_of(tmp_path / "r", shot, [0, 1], "camera")
+    wait_for(lambda: not page.controls.frame.disabled and not page.controls.play.disabled)
+
+
+def test_the_box_begins_around_the_points_and_its_fields_have_round_steps(opened, tmp_path):
+    write_reconstruction(tmp_path / "r", 2)
+    page = opened(tmp_path / "r")
+    low, high = (np.array(getattr(page.controls, name).value) for name in ("box_low", "box_high"))
+    wait_until_drawn(page)
+    inside = ((page.points.positions >= low) & (page.points.positions <= high)).all(axis=1)
+    assert 0.85 < inside.mean() < 1
+    step = page.controls.box_low.step
+    assert step == page.controls.box_high.step == pytest.approx(page.scene.depth / 50, rel=0.5)
+    assert float(f"{step:.0e}") == step
