@@ -42,14 +42,14 @@ def test_the_budget_is_that_of_the_whole_range(near, eye, budget):
         ({"screen_depth": 1.0}, 4),
         ({"screen_depth": 0.01}, 4),
         ({"screen": 0.5}, 0),
-        ({"screen": 0.0}, -4),
+        ({"screen": 0.0}, -2),  # of what has a depth
         ({"screen": 1.0}, 4),
         ({}, 0),
     ],
 )
 def test_what_lies_in_the_screen_stays(screen, moved):
     depth = np.full((9, WIDTH), 0.5)
-    depth[:, :5], depth[:, -5:] = 0.0, 1.0
+    depth[:, :2], depth[:, 2:5], depth[:, -5:] = 0.0, 0.25, 1.0
     view = stereo_view(stripe(), depth, max_disparity=8.0, limit=1.0, crop=False, **screen)
     assert stripe_at(view) - WIDTH // 2 == pytest.approx(moved, abs=0.3)
 
