@@ -69,7 +69,8 @@ def test_the_page_is_true(page, no_window, tmp_path, monkeypatch):
 
 def check_drawn(figure):
     for axes in figure.axes:
-        assert axes.images or axes.lines or axes.collections or axes.patches
+        is_room = axes.get_subplotspec() is None and not axes.axison  # of a legend
+        assert is_room or axes.images or axes.lines or axes.collections or axes.patches
         for line in axes.lines:
             assert np.isfinite(line.get_ydata()).any()
 
@@ -141,7 +142,7 @@ def one_plane_leaves_two_motions(failures):
     assert failures["error"](known, failures["plane"]) < 0.02
     found = failures["scaled"](alone, failures["plane"])[90]
     assert np.mean(np.abs(found / true - 1)) > 0.3  # it is the other that is returned
-    assert found[0] < found[-1] and true[0] > true[-1]
+    assert found[0] > found[-1] and true[0] < true[-1]
 
 
 def light_and_blur(failures):
@@ -236,7 +237,7 @@ def every_setting_is_named(settings):
     assert [name for name in names if f"`{name}`" not in text and f'"{name}"' not in text] == []
 
 
-def joint_edges_are_less_ragged(settings):
+def joint_edges_have_narrower_rims(settings):
     separate, joint = errors(settings, "joint_edges", "grainy")
     assert separate > 1.05 * joint
 
@@ -336,7 +337,7 @@ CLAIMS = {
         presets_from_the_paper_to_accurate,
         what_has_no_picture_changes_none,
         every_setting_is_named,
-        joint_edges_are_less_ragged,
+        joint_edges_have_narrower_rims,
         rotation_takes_depth_over,
         brightness_feels_the_light,
     ),
