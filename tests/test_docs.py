@@ -64,9 +64,10 @@ def blocks(path, language):
 
 
 def commands(path):
-    """Return the words of every shell command, without its comment."""
+    """Return the words of every shell command, without its comment and variables set before it."""
     lines = [line for _, code in blocks(path, "bash") for line in code.splitlines()]
-    parts = [part for line in lines for part in line.split("&&")]
+    variables = re.compile(r"^\s*(?:[A-Z_]+=(?:\$\([^)]*\)|\S+)\s+)+")
+    parts = [variables.sub("", part) for line in lines for part in line.split("&&")]
     return [words for words in (shlex.split(part, comments=True) for part in parts) if words]
 
 
