@@ -24,6 +24,13 @@ def drawn_parts(figure):
     return panels, arrows
 
 
+def written(figure):
+    """Return all that is written in a figure."""
+    from matplotlib.text import Text
+
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
 def overlapping(boxes):
     """Return the pairs of boxes that overlap by more than a hair."""
     return [

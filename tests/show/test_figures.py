@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.show.drawn import drawn_parts, overlapping, scene
+from tests.show.drawn import drawn_parts, overlapping, scene, written
 from tisfm.show import (
     comparison_figure,
+    depth_error_figure,
     depth_grey,
     flow_to_color,
     panel_figure,
@@ -144,6 +145,21 @@ def test_occlusion_is_red_on_the_frame():
         assert (tinted[hidden][:, 0] > tinted[hidden][:, 1] + 40).all()
     with pytest.raises(ValueError, match=r"occlusion is \(60, 79\) but frame is \(60, 80\)"):
         comparison_figure(frame, inverse_depth, flow, occlusion=hidden[:, 1:])
+
+
+def test_depths_have_their_scales():
+    frame, inverse_depth, flow = scene(20, 30)
+    plain = written(comparison_figure(frame, inverse_depth / 119, flow))
+    assert {"depth Z\n(relative)", "≤ 119", "200", "500", "1000", "∞"} <= set(plain)
+    both = comparison_figure(
+        frame, inverse_depth, flow, truth_inverse_depth=0.1 * inverse_depth, unit="m"
+    )
+    assert {"depth Z\n(m)", "≤ 1", "true Z\n(its unit)", "≤ 10"} <= set(written(both))
+    grey = [panel.get_images()[0].get_array() for panel in drawn_parts(both)[0]]
+    expected = np.repeat(np.arange(255, -1, -1)[:, None, None], 3, axis=2)
+    assert sum(bar.shape == (256, 1, 3) and np.array_equal(bar, expected) for bar in grey) == 2
+    error = written(depth_error_figure(7 / inverse_depth, 1 / inverse_depth, unit="cm"))
+    assert {"depth Z\n(cm)", "≤ 1", "2", "≥ 100 %"} <= set(error)
 
 
 def test_names_replace_titles():

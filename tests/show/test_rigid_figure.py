@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.show.drawn import drawn_parts, overlapping, scene
+from tests.show.drawn import drawn_parts, overlapping, scene, written
 from tisfm.show import (
     UNCERTAINTY_RANGE,
     color_ramp,
@@ -136,6 +136,27 @@ def test_a_rigid_figure_without_depth_says_so():
     shown = rigid_panels(frame, 0 * inverse_depth, 0 * flow, **options)
     assert np.all(shown["Depth: none to be seen"] == color_ramp("depth")[0])
     assert np.all(shown["Uncertainty of the depth (grey: unknown)"] == 200)
+
+
+def test_depths_of_a_rigid_figure_have_their_scales():
+    arrays, options = rigid_parts(30, 40)
+    plain = written(rigid_figure(*arrays, depth_limit=0.4, **options))
+    assert "depth Z\n(relative)" in plain and {"∞", "10", "5", "≤ 2.5"} <= set(plain)
+    options["truth_inverse_depth"] = arrays[1] / 300
+    figure = rigid_figure(*arrays, unit="$\\m$", **options)
+    both = written(figure)
+    assert {"depth Z\n($\\m$)", "≤ 1", "true Z\n(its unit)", "≤ 300", "500"} <= set(both)
+    ramp = color_ramp("depth")[::-1, None]
+    bars = [panel.get_images()[0].get_array() for panel in drawn_parts(figure)[0]]
+    assert sum(bar.shape == ramp.shape and np.array_equal(bar, ramp) for bar in bars) == 2
+    assert "none" in written(rigid_figure(arrays[0], 0 * arrays[1], arrays[2], **options))
+
+
+def test_labels_of_a_rigid_figure_may_be_large():
+    arrays, options = rigid_parts(30, 40, count=2)
+    options["labels"] = options["labels"].astype(np.int64) * 10**15
+    names = written(rigid_figure(*arrays, **options))
+    assert "0, background" in names and str(10**15) in names and "1" not in names
 
 
 def test_a_rigid_figure_names_the_wrong_size():

@@ -94,7 +94,7 @@ def depth_error_figure(
     legends = [DEPTH_BAR_SIZE, BAR_SIZE]
     figure, _, layout = draw_panels(rows, heading=title, legend=beside_size(legends))
     of_depth, of_error = beside_legends(layout, legends)
-    draw_depth_bar(figure, of_depth, color_ramp("depth"), top, label=f"depth Z ({unit})")
+    draw_depth_bar(figure, of_depth, color_ramp("depth"), top, label=f"depth Z\n({unit})")
     ramp = np.geomspace(high, low, 256)[:, None]  # the greatest error on top
     percent = (100 * low, 100 * high)
     draw_color_bar(figure, of_error, error_to_color(ramp, limits=(low, high)), percent, unit="%")

@@ -7,7 +7,6 @@ touched.
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +32,6 @@ _SWATCH_LINE = 0.2
 _MOST_SWATCHES = 12  # labels beyond are counted
 _LEGEND_TEXT = 8.0  # points
 _LEGEND_LINE = 0.15  # inches: what a tick needs
-_LEGEND_LETTERS = 13  # in the width of a bar
 _PIXELS_PER_INCH = 250  # of a panel: finer pictures are reduced before they are drawn
 _ARROW_SPACING = 0.17  # inches
 _ARROW_LENGTH = 2.0  # of motion as long as the limit, in spacings
@@ -251,7 +249,7 @@ def draw_depth_bar(
     limit : float
         Inverse depth of the last colour.
     label : str
-        What is written above it, with its unit.
+        What is written above it, in two lines at most, with its unit.
     """
     if layout.legend is None:
         raise ValueError("layout has no room for a legend: ask draw_panels for it")
@@ -263,7 +261,7 @@ def draw_depth_bar(
     axes.text(
         left,
         top + 0.1,
-        "\n".join(textwrap.wrap(label, _LEGEND_LETTERS)),
+        label,
         va="bottom",
         fontsize=_LEGEND_TEXT,
         parse_math=False,
@@ -279,7 +277,7 @@ def swatches_size(count: int) -> tuple[float, float]:
 def draw_swatches(
     figure: Figure, layout: Layout, colors: NDArray[np.uint8], names: Sequence[str]
 ) -> None:
-    """Draw a list of colours and what they stand for.
+    """Draw a list of colours and what they stand for; many are counted.
 
     Parameters
     ----------
@@ -290,7 +288,7 @@ def draw_swatches(
     colors : (K, 3) uint8 ndarray
         Colours red, green, blue.
     names : sequence of str
-        Names of the first ones; the others are called by their numbers.
+        Their names.
     """
     if layout.legend is None:
         raise ValueError("layout has no room for a legend: ask draw_panels for it")
@@ -304,11 +302,10 @@ def draw_swatches(
             extent=(left, left + _SWATCH, y - _SWATCH / 2, y + _SWATCH / 2),
             aspect="auto",
         )
-        name = names[k] if k < len(names) else str(k)
         axes.text(
             left + _SWATCH + 0.08,
             y,
-            name,
+            names[k],
             va="center",
             fontsize=_LEGEND_TEXT,
             parse_math=False,

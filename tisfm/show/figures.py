@@ -157,7 +157,7 @@ def comparison_figure(
         if depth_limit is None
         else check_limit("depth_limit", depth_limit)
     )
-    scales = {f"depth Z ({unit})": nearest}
+    scales = {f"depth Z\n({unit})": nearest}
 
     (shown,) = as_uint8(picture)
     first = [
@@ -166,7 +166,7 @@ def comparison_figure(
     ]
     if "truth_inverse_depth" in depths:
         first.append((labels["truth_depth"], depth_grey(depths["truth_inverse_depth"])))
-        scales["true Z (its unit)"] = inverse_depth_limit(depths["truth_inverse_depth"])
+        scales["true Z\n(its unit)"] = inverse_depth_limit(depths["truth_inverse_depth"])
     flow_labels = {name: labels[name.removesuffix("_flow")] for name in flows}
     dim = backdrop(shown)
     arrows = [(f"{label}, arrows", dim) for label in flow_labels.values()]

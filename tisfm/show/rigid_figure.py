@@ -27,9 +27,9 @@ from tisfm.show.drawing import (
 from tisfm.show.error import error_to_color
 from tisfm.show.figures import tint
 from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.labels import label_colors, label_overlay
+from tisfm.show.labels import label_overlay
 from tisfm.show.layout import WIDE, beside_legends, beside_size, stack_legends, stacked_size
-from tisfm.show.palette import color_ramp
+from tisfm.show.palette import color_ramp, colors_of_categories
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 if TYPE_CHECKING:
@@ -147,8 +147,8 @@ def rigid_figure(
         if depth_limit is None
         else check_limit("depth_limit", depth_limit)
     )
-    scales = {f"depth Z ({unit})": nearest}
-    count = 1 if labels is None else int(np.max(labels)) + 1
+    scales = {f"depth Z\n({unit})": nearest}
+    found = [0] if labels is None else [int(label) for label in np.unique(labels)]
 
     (shown,) = as_uint8(picture)
     first = [
@@ -156,7 +156,7 @@ def rigid_figure(
         if hidden is None
         else ("Frame (red: not visible in the next)", tint(shown, hidden))
     ]
-    if labels is not None and count > 1:
+    if labels is not None and found[-1] > 0:
         first.append(("Motions", label_overlay(shown, labels)))
     any_depth = bool((depth > 0).any())
     first.append(
@@ -167,7 +167,7 @@ def rigid_figure(
     )
     if true_depth is not None:
         first.append(("True depth (near is bright)", depth_to_color(true_depth)))
-        scales["true Z (its unit)"] = inverse_depth_limit(true_depth)
+        scales["true Z\n(its unit)"] = inverse_depth_limit(true_depth)
     if hidden is not None:  # it is that of what is visible
         deviation = np.where(hidden, np.inf, deviation)
     uncertainty = uncertainty_to_color(depth, deviation)
@@ -184,8 +184,8 @@ def rigid_figure(
 
     bars = [DEPTH_BAR_SIZE] * len(scales) + [BAR_SIZE]
     legends = [beside_size(bars), LEGEND_SIZE]
-    if count > 1:
-        legends.insert(0, swatches_size(count))
+    if found[-1] > 0:
+        legends.insert(0, swatches_size(len(found)))
     rows = [first, second]
     if picture.shape[1] >= WIDE * picture.shape[0]:
         panels = first + second
@@ -197,7 +197,8 @@ def rigid_figure(
     for room, (label, top) in zip(of_depth, scales.items(), strict=True):
         draw_depth_bar(figure, room, color_ramp("depth"), top, label=label)
     for room in swatches:
-        draw_swatches(figure, room, label_colors(count), ["0, background"])
+        names = ["0, background" if label == 0 else str(label) for label in found]
+        draw_swatches(figure, room, colors_of_categories(np.array(found)), names)
     low, high = UNCERTAINTY_RANGE
     ramp = error_to_color(np.geomspace(high, low, 256)[:, None], limits=UNCERTAINTY_RANGE)
     draw_color_bar(figure, bar, ramp, (100 * low, 100 * high), unit="%")
