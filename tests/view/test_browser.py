@@ -153,16 +153,46 @@ def test_a_click_reads_the_pixel_that_is_there(look, tmp_path):
     tab.get_by_test_id("reading").wait_for()
     text = tab.get_by_test_id("reading").inner_text()
     column, row = map(int, re.search(r"column (\d+), row (\d+)", text).groups())
-    # From where the camera was, the height of the page is that of the frame.
+    # From where the camera was, the frame just fits into the window.
     height, width = page.frame.shape
-    share = height / box["height"]
-    expected = (width - 1) / 2 - 0.05 * box["width"] * share, (height - 1) / 2 + 0.1 * height
+    share = max(height / box["height"], width / box["width"])
+    middle = (width - 1) / 2, (height - 1) / 2
+    expected = middle[0] - 0.05 * box["width"] * share, middle[1] + 0.1 * box["height"] * share
     assert (column, row) == pytest.approx(expected, abs=1.5)
     reading = page.frame.reading(row, column)
     for shown in (f"{reading.depth:.4g} ±", f"{reading.tau[0]:.4g}", f"{reading.confidence:.3f}"):
         assert shown in text
     for unit in ("1/frame", "rad/frame", "px/frame"):
         assert unit in text
+
+
+def sees_whole_frame(page, client):
+    """Return whether a browser looks from where the camera was, and all of the frame is in it."""
+    up = np.tan(client.camera.fov / 2)
+    height, width = page.frame.shape
+    own = np.array((width, height)) / (2 * page.frame.camera.focal)
+    share = np.array((up * client.camera.aspect, up)) / own
+    place = page.scene.pose_of(page.number)[:3, 3]
+    is_there = np.linalg.norm(client.camera.position - place) < 1e-3
+    return is_there and share.min() == pytest.approx(1, abs=0.01)
+
+
+def test_all_of_the_frame_is_followed_in_any_window_also_by_those_who_come_later(look, tmp_path):
+    write_reconstruction(tmp_path / "r")
+    page, tab = look(tmp_path / "r")
+    tab.get_by_label("Follow the camera").check()
+    (client,) = page.server.get_clients().values()
+    wait_until(tab, lambda: sees_whole_frame(page, client), "it does not follow")
+    before = client.camera.aspect
+    tab.set_viewport_size({"width": 900, "height": 900})
+    wait_until(tab, lambda: client.camera.aspect < 0.6 * before, "the window stays")
+    wait_until(tab, lambda: sees_whole_frame(page, client), "sides are cut off")
+    late = tab.context.new_page()
+    late.goto(page.url)
+    wait_until(late, lambda: len(page.server.get_clients()) == 2, "nobody comes")
+    newcomer = page.server.get_clients()[max(page.server.get_clients())]
+    wait_until_still(late)
+    wait_until(late, lambda: sees_whole_frame(page, newcomer), "it does not follow")
 
 
 def test_a_pixel_that_is_typed_is_read(look, tmp_path):

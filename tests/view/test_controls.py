@@ -5,6 +5,7 @@ import pytest
 
 from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import write_reconstruction, write_record_of, write_run
+from tisfm.view.viewpoint import in_sight
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
@@ -164,7 +165,12 @@ def test_the_box_begins_around_the_points_and_its_fields_have_round_steps(opened
     low, high = (np.array(getattr(page.controls, name).value) for name in ("box_low", "box_high"))
     wait_until_drawn(page)
     inside = ((page.points.positions >= low) & (page.points.positions <= high)).all(axis=1)
-    assert 0.85 < inside.mean() < 1
+    assert 0.1 < inside.mean() < 1
+    seen_from, _ = page.scene.overview(page.frame, page.points)
+    assert in_sight(np.array([low, high]), seen_from).all()
+    # A little larger, it would have handles that are out of sight.
+    larger = (low + high) / 2 + 0.55 * np.stack([low - high, high - low])
+    assert not in_sight(larger, seen_from).all()
     step = page.controls.box_low.step
     assert step == page.controls.box_high.step == pytest.approx(page.scene.depth / 50, rel=0.5)
     assert float(f"{step:.0e}") == step

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from tisfm.view.cloud import Cloud
 from tisfm.view.controls import Controls
+from tisfm.view.frame import ViewFrame
 from tisfm.view.scene import SceneView
+from tisfm.view.viewpoint import in_sight
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 _HANDLE = 0.2  # length of the arrows, over the median depth
 _OUTSIDE = 2.0  # percent of the points that are beyond each side at first
+_SHARES = np.linspace(1.0, 0.2, 33)  # of what is around the points, largest first
 _STEPS = 50  # of the fields, in the median depth
 
 
@@ -45,9 +48,9 @@ class ClippingBox:
         corners = np.array([corner.value for corner in self._corners], np.float64)
         return corners.min(axis=0), corners.max(axis=0)
 
-    def begin_around(self, points: Cloud, pose: NDArray[np.float64]) -> None:
-        """Let it begin around points of a frame with a pose, (4, 4), without the outermost."""
-        depth = self._scene.depth
+    def begin_around(self, points: Cloud, frame: ViewFrame) -> None:
+        """Let it begin around points of a frame, so small that its handles are in sight."""
+        depth, pose = self._scene.depth, self._scene.pose_of(frame.number)
         step = float(f"{depth / _STEPS:.0e}")
         self._decimals = max(0, 1 - math.floor(math.log10(step)))
         if len(points):
@@ -55,6 +58,12 @@ class ClippingBox:
             ends = np.percentile(world, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
         else:
             ends = pose[:3, 3] + depth * pose[:3, 2] + np.array([[-depth], [depth]])
+        seen_from, _ = self._scene.overview(frame, points)
+        middle, half = ends.mean(axis=0), np.diff(ends, axis=0)[0] / 2
+        for share in _SHARES:
+            ends = middle + share * np.stack([-half, half])
+            if in_sight(ends, seen_from).all():
+                break
         for corner, end in zip(self._corners, ends, strict=True):
             corner.step, corner.precision = step, self._decimals
             corner.value = tuple(np.round(end, self._decimals))

@@ -195,7 +195,7 @@ class Page:
             points = self._points_of(first, COARSE)
             self.scene.place_browsers(first, points)
             if not self.controls.box.value:
-                self.box.begin_around(points, self.scene.pose_of(number))
+                self.box.begin_around(points, first)
         self.controls.frame.value = number
         self._jobs.put(self._widen_ranges)
 

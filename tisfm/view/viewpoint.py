@@ -62,6 +62,16 @@ def overview(
     return pose, middle + behind
 
 
+def in_sight(
+    points: NDArray[np.floating], pose: NDArray[np.floating], aspect: float = USUAL_ASPECT
+) -> NDArray[np.bool_]:
+    """Return which points, (N, 3), are well within the picture that is seen from a pose."""
+    inside = (points - pose[:3, 3]) @ pose[:3, :3]
+    half = np.tan(FOV / 2) * _MARGIN * np.array((aspect, 1.0))
+    seen: NDArray[np.bool_] = (np.abs(inside[:, :2]) <= half * inside[:, 2:]).all(axis=1)
+    return seen
+
+
 def _usual(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return some points of all, without those that are far, and without a few at each side."""
     if not len(points):
