@@ -2,9 +2,9 @@
 
 Here: one visual language, in colours that are told apart with a colour vision deficiency as well.
 Arrays in, and one of three out: ``…_to_color`` and the like return uint8 pictures, red, green,
-blue; ``draw_…`` draw into given axes of Matplotlib, with a legend and units, and return them;
-``…_figure`` return figures of several panels. Whatever has a range takes it as `limit`, so that all
-pictures of a sequence can share one. Arrays with masked values are refused.
+blue; ``draw_…`` draw into given axes of Matplotlib, which are emptied first, with a legend and
+units, and return them; ``…_figure`` return figures of several panels. Whatever has a range takes it
+as `limit`, so that all pictures of a sequence can share one. Arrays with masked values are refused.
 
 May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `checks`, `frames` and
 `outcome`.
