@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 _HANDLE = 0.2  # length of the arrows, over the median depth
+_NEAR = 1.5  # median depths: it does not begin around what is farther
 _OUTSIDE = 2.0  # percent of the points that are beyond each side at first
 _SHARES = np.linspace(1.0, 0.2, 33)  # of what is around the points, largest first
 _STEPS = 50  # of the fields, in the median depth
@@ -54,7 +55,9 @@ class ClippingBox:
         step = float(f"{depth / _STEPS:.0e}")
         self._decimals = max(0, 1 - math.floor(math.log10(step)))
         if len(points):
-            world = points.positions @ pose[:3, :3].T + pose[:3, 3]
+            depths = points.positions[:, 2]
+            near = points.positions[depths <= _NEAR * np.median(depths)]
+            world = near @ pose[:3, :3].T + pose[:3, 3]
             ends = np.percentile(world, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
         else:
             ends = pose[:3, 3] + depth * pose[:3, 2] + np.array([[-depth], [depth]])
