@@ -224,6 +224,7 @@ class PairFiles:
                 baseline_flow=baseline_flow,
                 depth_limit=limit,
                 flow_limit=None if ranges is None else ranges.flow,
+                unit="relative" if pose is None else "unit of the poses",
                 truth_flow=truth_flow,
                 truth_inverse_depth=truth_inverse_depth,
             )
