@@ -172,11 +172,11 @@ def test_scales_of_depth_have_round_numbers():
             assert float(depth) * share * limit == pytest.approx(1)
             assert f"{float(depth):.6e}"[0] in "125" and f"{float(depth):.6e}"[1:8] == ".000000"
     assert depth_ticks(0.0) == [(0.0, "∞"), (1.0, "none")]
-    assert [text for _, text in depth_ticks(5e-324)] == ["∞", "≤ inf"]
+    assert depth_ticks(1e-307)[-1] == (1.0, "≤ 1e+307")
 
 
 def test_scales_of_any_width_have_few_ticks():
-    for limits in ((1e-300, 1e300), (5e-324, 1.7e308), (1.0, 1.0000001), (0.01, 0.64)):
+    for limits in ((1e-300, 1e300), (2.3e-308, 1.7e308), (1.0, 1.0000001), (0.01, 0.64)):
         ticks = doublings(limits, "%")
         shares = [share for share, _ in ticks]
         assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1

@@ -5,8 +5,11 @@ def as_duration(seconds: float) -> str:
     """Return a time in words, to two digits or more."""
     if seconds < 10:
         return f"{seconds:.2f} s"
-    if seconds < 90:
+    if seconds < 99.5:
         return f"{seconds:.0f} s"
+    if seconds < 599.5:
+        minutes, rest = divmod(round(seconds), 60)
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
     minutes = round(seconds / 60)
     if minutes < 100:
         return f"{minutes} min"

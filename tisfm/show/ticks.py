@@ -55,7 +55,8 @@ def doublings(limits: tuple[float, float], unit: str) -> list[tuple[float, str]]
         Shares of the scale, rising from 0 to 1, and what they stand for. Where there would be more
         than a dozen doublings between the ends it is every second one, and so on.
     """
-    low, high = limits[0], min(limits[1], sys.float_info.max)
+    # Smaller ones may count as 0, as in a process in which Taichi runs.
+    low, high = max(limits[0], sys.float_info.min), min(limits[1], sys.float_info.max)
     span = math.log2(high) - math.log2(low)
     inside = math.ceil(span - 1e-9)
     ticks = [
