@@ -69,7 +69,7 @@ def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, mon
     monkeypatch.setattr(tisfm, "reconstruct", slow)
     code, _, err = tisfm_run("eval", "wall", "--sequence", "--give-poses")
     assert code == 0
-    assert err.splitlines()[0] == "100 frames of wall, path: about 6 min to go, 0.25 a second"
+    assert err.splitlines()[0] == "100 frames of wall, path: about 6 min 20 s to go, 0.25 a second"
 
 
 def test_poses_are_given_and_not_compared(tisfm_run, wall, reconstruct):

@@ -7,8 +7,8 @@ def as_duration(seconds: float) -> str:
         return f"{seconds:.2f} s"
     if seconds < 99.5:
         return f"{seconds:.0f} s"
-    if seconds < 599.5:
-        minutes, rest = divmod(round(seconds), 60)
+    if seconds < 595:
+        minutes, rest = divmod(10 * round(seconds / 10), 60)
         return f"{minutes} min {rest} s" if rest else f"{minutes} min"
     minutes = round(seconds / 60)
     if minutes < 100:

@@ -32,7 +32,7 @@ def depth_ticks(limit: float) -> list[tuple[float, str]]:
     ticks = [(1.0, f"≤ {as_read(nearest)}")]
     if math.isfinite(nearest):
         power = math.floor(math.log10(nearest))
-        for depth in (digit * 10.0**k for k in range(power, power + 3) for digit in (1, 2, 5)):
+        for depth in (float(f"{digit}e{power + k}") for k in range(3) for digit in (1, 2, 5)):
             share = 1 / (depth * limit) if depth > nearest * (1 + 1e-9) else 1.0
             if _LEAST_SHARE <= share < 1:
                 ticks.append((share, as_read(depth)))
