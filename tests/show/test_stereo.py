@@ -54,6 +54,13 @@ def test_what_lies_in_the_screen_stays(screen, moved):
     assert stripe_at(view) - WIDTH // 2 == pytest.approx(moved, abs=0.3)
 
 
+@pytest.mark.parametrize("screen", [0.0, 0.5, 1.0])
+def test_a_quantile_of_no_depth_is_infinitely_far(screen):
+    for depth in (np.zeros((9, WIDTH)), np.full((9, WIDTH), np.nan)):
+        view = stereo_view(stripe(), depth, limit=1.0, screen=screen, crop=False)
+        np.testing.assert_array_equal(view, stripe())
+
+
 def test_a_view_moves_by_less_than_a_pixel():
     depth = np.ones((9, WIDTH))
     moved = [

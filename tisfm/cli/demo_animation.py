@@ -13,7 +13,7 @@ from PIL import Image
 
 from tisfm.formats import atomic_write
 from tisfm.interpretation import Interpretation
-from tisfm.show import depth_grey, inverse_depth_limit
+from tisfm.show import color_ramp, depth_grey, inverse_depth_limit
 
 ANIMATION = "demo.webp"
 FRAMES = 30
@@ -117,7 +117,7 @@ def _paints(result: Interpretation) -> tuple[Picture, Picture]:
     """Return the frame, and its depth in colours with something of the frame's light and dark."""
     frame = result.frame if result.frame.ndim == 3 else np.dstack([result.frame] * 3)
     codes = np.maximum(depth_grey(result.inverse_depth), _DARKEST)
-    colors = cv2.applyColorMap(codes, cv2.COLORMAP_MAGMA)[..., ::-1]
+    colors = color_ramp("depth")[codes]
     light = frame.mean(axis=2, keepdims=True) / max(float(frame.mean()), 1.0)
     shaded = np.clip(colors * (1 - _SHADE + _SHADE * light), 0, 255)
     return frame, shaded.astype(np.uint8)

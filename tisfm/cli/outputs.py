@@ -240,9 +240,5 @@ class PairWriter:
 
     def __exit__(self, *about: object) -> None:
         with self._with:
-            self.write_record()
-
-    def write_record(self) -> None:
-        """Write the record of what is finished."""
-        self._inputs.refuse(*(self.folder / name for name in (RECORD, TABLE, TIMINGS)))
-        self._record.write()
+            self._inputs.refuse(*(self.folder / name for name in (RECORD, TABLE, TIMINGS)))
+            self._record.write()

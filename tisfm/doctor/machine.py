@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from tisfm.cores import usable_cores
 from tisfm.doctor.control_groups import group_limits
 from tisfm.doctor.finding import Finding
 from tisfm.doctor.trying import Tried
@@ -19,11 +20,9 @@ _LEAST_ADDRESSES, _LEAST_MEMORY = 3.0e9, 2.0e9  # bytes: of a pair of 1920 × 10
 def about_cores() -> Finding:
     """Tell how many cores this process may use, and what limits it."""
     there = os.cpu_count() or 1
-    usable, reasons = there, []
-    if hasattr(os, "sched_getaffinity"):
-        usable = len(os.sched_getaffinity(0))
-        if usable < there:
-            reasons.append(f"bound to {usable} of them")
+    usable, reasons = usable_cores(), []
+    if usable < there:
+        reasons.append(f"bound to {usable} of them")
     share = group_limits().cores
     if share is not None and share < usable:
         reasons.append(f"the control group gives the time of {share:g}")

@@ -33,6 +33,11 @@ def as_image(name: str, values: ArrayLike) -> NDArray[Any]:
     return array
 
 
+def is_depth(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Return where there is a depth, or an inverse depth: finite, before the camera."""
+    return np.asarray(np.isfinite(values) & (values > 0))
+
+
 def require_same_size(name: str, array: NDArray[Any], other_name: str, other: NDArray[Any]) -> None:
     """Raise an error that gives both sizes unless two arrays have the same rows and columns."""
     if array.shape[:2] != other.shape[:2]:

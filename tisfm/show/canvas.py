@@ -126,6 +126,14 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
     axes.set_title(title, fontsize=1.15 * sizes.text, color=INK, parse_math=False)
 
 
+def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
+    """Write in the middle of axes why there is nothing else."""
+    axes.text(
+        0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
+        color=INK, parse_math=False,
+    )  # fmt: skip
+
+
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     """Empty axes, make them look like all plots, and return the sizes for what is in them."""
     _empty(axes)

@@ -1,11 +1,9 @@
 """Depth as grey levels and as colours, near bright and far dark."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.show.arrays import as_map, check_limit
+from tisfm.show.arrays import as_map, check_limit, is_depth
 from tisfm.show.palette import DEPTH_PERCENTILE, colors_of
 
 
@@ -39,7 +37,7 @@ def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERC
     values = as_map("inverse_depth", inverse_depth)
     if not 0 <= percentile <= 100:
         raise ValueError(f"percentile is {percentile!r}, expected a number from 0 to 100")
-    valid = values[_is_valid(values)]
+    valid = values[is_depth(values)]
     return float(np.percentile(valid, percentile)) if valid.size else 0.0
 
 
@@ -85,7 +83,7 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
         return np.zeros(values.shape, dtype=np.uint8)
     # Clipped before scaling, so that neither overflows; what is not finite is set to 0 as well.
     shown = np.zeros(values.shape)
-    np.minimum(values, top, out=shown, where=_is_valid(values))
+    np.minimum(values, top, out=shown, where=is_depth(values))
     shown /= top
     shown *= 255
     return np.rint(shown, out=shown).astype(np.uint8)
@@ -130,8 +128,3 @@ def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> N
         np.clip(values, 0, top, out=share, where=known)
         share /= top
     return colors_of(share, "depth")
-
-
-def _is_valid(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Mark the inverse depths of points in front of the camera."""
-    return np.isfinite(values) & (values > 0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics import depth_error_map, depth_errors
-from tisfm.show.arrays import as_map, require_same_size
+from tisfm.show.arrays import as_map, is_depth, require_same_size
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.drawing import (
     BAR_SIZE,
@@ -103,7 +103,7 @@ def depth_error_figure(
 
 def _inverse(depth: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Return the inverse depth, NaN where there is no depth."""
-    known = np.isfinite(depth) & (depth > 0)
+    known = is_depth(depth)
     inverse = np.full(depth.shape, np.nan)
     np.divide(1.0, depth, out=inverse, where=known)
     return inverse

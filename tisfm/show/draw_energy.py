@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from tisfm.outcome import History
-from tisfm.show.canvas import few_ticks, name_axis, plot_axes, style_plot
+from tisfm.show.canvas import few_ticks, name_axis, plot_axes, style_plot, write_inside
 from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
 
 if TYPE_CHECKING:
@@ -75,10 +75,7 @@ def draw_energy(
     name_axis(target, sizes, "iteration", y)
     count = len(history.energy)
     if not count:
-        target.text(
-            0.5, 0.5, "no iterations", transform=target.transAxes, ha="center", va="center",
-            fontsize=sizes.text, color=INK,
-        )  # fmt: skip
+        write_inside(target, sizes, "no iterations")
         return target
     target.set_xlim(-0.5, count - 0.5)
     few_ticks(target, sizes)

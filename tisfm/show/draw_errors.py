@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.metrics import depth_error_map, endpoint_error_map
 from tisfm.metrics.calibration import error_in_deviations
 from tisfm.metrics.known import is_known
-from tisfm.show.arrays import as_flow, as_map, require_same_size
+from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
 from tisfm.show.canvas import name_axis, plot_axes, style_plot
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE
 from tisfm.show.draw_maps import with_bar
@@ -121,7 +121,7 @@ def draw_depth_error(
     require_same_size("truth", true, "depth", recovered)
     low, high = check_error_limits(limits)
     error = np.full(true.shape, np.nan)
-    if (_is_depth(true) & _is_depth(recovered)).any():
+    if (is_depth(true) & is_depth(recovered)).any():
         error = 100 * depth_error_map(recovered, true)
     title = _mean_of(error, "%") if title is None else title
     percent = (100 * low, 100 * high)
@@ -209,10 +209,6 @@ def _mean_of(error: NDArray[np.floating], unit: str) -> str:
     """Return the mean of what is known, as it is written above a picture."""
     known = error[np.isfinite(error)]
     return f"mean {known.mean():.3g} {unit}" if known.size else "no truth to compare with"
-
-
-def _is_depth(values: NDArray[np.floating]) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(values) & (values > 0))
 
 
 def _draw_error(

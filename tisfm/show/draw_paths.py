@@ -10,7 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.metrics import Similarity, align
-from tisfm.show.canvas import Sizes, few_ticks, name_axis, plot_axes, style_plot, write_plainly
+from tisfm.show.canvas import (
+    Sizes,
+    few_ticks,
+    name_axis,
+    plot_axes,
+    style_plot,
+    write_inside,
+    write_plainly,
+)
 from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp, colors_of_categories
 
 if TYPE_CHECKING:
@@ -197,7 +205,7 @@ def draw_object_paths(
         _mark_ends(target, line, view, sizes, colors=(color, color))
     _frame(target, sizes, lines, view, unit)
     if not places:
-        _say(target, sizes, "no object has a pose")
+        write_inside(target, sizes, "no object has a pose")
     if lines:
         _legend(target, sizes)
     return target
@@ -224,7 +232,7 @@ def _finish(
         _mark_ends(axes, line, view, sizes, colors=(ESTIMATE, OTHER))
     _frame(axes, sizes, [*lines, *truth], view, unit)
     if not lines:
-        _say(axes, sizes, "no pose" if name == "path" else name)
+        write_inside(axes, sizes, "no pose" if name == "path" else name)
         return
     middle = as_hex(color_ramp("confidence")[sum(_SHADES) // 2])
     handles.append(Line2D([], [], color=middle, linewidth=2 * sizes.line))
@@ -329,13 +337,6 @@ def _legend(
         borderpad=0.3,
     )
     write_plainly(legend)
-
-
-def _say(axes: Axes, sizes: Sizes, text: str) -> None:
-    axes.text(
-        0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
-        color=INK, parse_math=False,
-    )  # fmt: skip
 
 
 def _in_first_axes(

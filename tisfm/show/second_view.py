@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.show.arrays import as_image, as_map, require_same_size
+from tisfm.show.arrays import as_image, as_map, is_depth, require_same_size
 
 _SAME_SURFACE = 1  # px of shift: what differs by less lies as far behind
 
@@ -95,7 +95,7 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
     What leaves it stays another surface than what is just within.
     """
     most = inverse_depth.shape[1] + _SAME_SURFACE + 1
-    valid = np.isfinite(inverse_depth) & (inverse_depth > 0)
+    valid = is_depth(inverse_depth)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
         np.multiply(inverse_depth, displacement, out=shift, where=valid)

@@ -169,7 +169,8 @@ def _parallax(
     near = (np.clip(_without_holes(depth), 0, top) / top).astype(np.float32)
     plane = 0.5
     if screen is not None:
-        plane = float(np.quantile(near[near > 0], screen))  # of what has a depth
+        known = near[near > 0]
+        plane = float(np.quantile(known, screen)) if known.size else 0.0
     elif screen_depth is not None:
         plane = min(1.0, 1 / (screen_depth * top))
     return _Parallax(near=near, shift=shift, screen=plane)

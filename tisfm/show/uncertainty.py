@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.show.arrays import as_map, require_same_size
+from tisfm.show.arrays import as_map, is_depth, require_same_size
 from tisfm.show.error import error_to_color
 
 UNCERTAINTY_RANGE = (0.01, 0.64)
@@ -52,7 +52,7 @@ def uncertainty_to_color(
         as_map("inverse_depth_std", inverse_depth_std),
     )
     require_same_size("inverse_depth_std", deviation, "inverse_depth", value)
-    known = np.isfinite(value) & (value > 0) & np.isfinite(deviation)
+    known = is_depth(value) & np.isfinite(deviation)
     share = np.full(value.shape, np.nan)
     with np.errstate(over="ignore"):  # infinite is shown as the upper limit
         np.divide(deviation, value, out=share, where=known, dtype=np.float64)

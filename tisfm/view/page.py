@@ -12,25 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.view.box import ClippingBox
+from tisfm.view.browsers import Browsers
 from tisfm.view.cache import MOST_BYTES, FrameCache
 from tisfm.view.cloud import Choice, Cloud, cloud
 from tisfm.view.colors import pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls, kind_of, take_settings
 from tisfm.view.frame import ViewFrame
 from tisfm.view.marks import Marks
-from tisfm.view.picking import following_fov
 from tisfm.view.pictures import caption, picture_of
 from tisfm.view.ranges import differ, ranges_of, sampled
 from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static, tell_browser
-from tisfm.view.scene import SceneView, quaternion, thumbnail
+from tisfm.view.scene import SceneView, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.texts import legend_html, legend_of, status_html, things_in
-from tisfm.view.viewpoint import FOV, USUAL_ASPECT
 from tisfm.view.whole_layer import WholeLayer
 
 if TYPE_CHECKING:
-    from viser import CameraHandle, ClientHandle, ViserServer
+    from viser import ClientHandle, ViserServer
 
 COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
 _REST = 0.25  # s without a change before the rest is drawn
@@ -39,8 +38,6 @@ _LOOK = 1.0  # s between looks at the folder
 _GROWN = 1.2  # times as many frames, for the path to be drawn anew, and ranges to be looked at
 _OTHER_RANGE = 1.25  # times as large or as small: before that, colours stay as they are
 _OTHER_SIZE = 1.5  # times as large or as small: a scene that browsers look at from elsewhere
-_OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
-_TOUCHED = 1e-3  # of the depth: a view that was moved since
 _PICTURE = 420  # px, pictures beside the scene
 
 
@@ -96,6 +93,9 @@ class Page:
         self.points: Cloud | None = None
         self.server = start_server(host, port) if server is None else server
         self.scene = SceneView(self.server, result)
+        self.browsers = Browsers(
+            self.server, self.scene, is_followed=lambda: self.controls.follow.value
+        )
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
@@ -109,10 +109,9 @@ class Page:
         self._build_controls(most_points)
         self._begin(number)
         self.server.scene.on_click()(lambda event: self._clicked(event))
-        self.server.on_client_connect(self._welcome)
+        self.server.on_client_connect(self.browsers.welcome)
         self._draw(most=COARSE)
-        for client in self.server.get_clients().values():  # they look at what was shown before
-            self._go(client)
+        self.browsers.go_all()  # they look at what was shown before
         self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
         self._thread.start()
 
@@ -146,8 +145,7 @@ class Page:
 
         It belongs to the thread that draws.
         """
-        self.number, self.frame = number, self._read(number)
-        self.marks.frame = self.frame
+        self._take_frame(number)
         frame, controls = self.frame, self.controls
         with self.server.atomic():
             if frame is None:
@@ -167,7 +165,13 @@ class Page:
                 self.whole.update(number, self.box.ends, controls.size.value * spacing)
                 self.box.show()
             self._show_path(number)
+        self.browsers.points = self.points
         return self.points
+
+    def _take_frame(self, number: int) -> None:
+        """Read the frame that is shown from now on."""
+        self.number, self.frame = number, self._read(number)
+        self.marks.frame = self.browsers.frame = self.frame
 
     def _points_of(self, frame: ViewFrame, most: int | None) -> Cloud:
         """Return the points of a frame that the controls ask for, at most so many."""
@@ -221,8 +225,7 @@ class Page:
         self._restart_play()
         self._draw(most=COARSE)
         if abs(np.log(self.scene.depth / depth)) > np.log(_OTHER_SIZE):
-            for client in self.server.get_clients().values():
-                self._go(client)
+            self.browsers.go_all()
         self._change(path=True)
 
     # What a browser asks for.
@@ -236,7 +239,7 @@ class Page:
         for control in (controls.path, controls.frusta, controls.things, controls.pictures):
             control.on_update(lambda _: self._change(path=True))
         controls.play.on_click(lambda _: self._toggle_play())
-        controls.go.on_click(lambda event: self._go(event.client))
+        controls.go.on_click(lambda event: self.browsers.go(event.client))
         controls.speed.on_update(lambda _: self._restart_play())
         controls.pixel.on_update(lambda event: self._mark_typed(event.client is not None))
         controls.measure.on_update(lambda _: self._measure_anew())
@@ -268,46 +271,6 @@ class Page:
 
         self._jobs.put(done)
         self._wake.set()
-
-    def _go(self, client: "ClientHandle") -> None:
-        """Bring a browser to where the frame that is shown and its points are in sight."""
-        if self.frame is None:
-            return
-        pose, distance = self.scene.overview(self.frame, self.points, client.camera.aspect)
-        with client.atomic():
-            client.camera.up_direction = self.scene.up
-            client.camera.wxyz = quaternion(pose)
-            client.camera.position = pose[:3, 3]
-            client.camera.look_at = pose[:3, 3] + distance * pose[:3, 2]
-            client.camera.fov = FOV
-
-    def _welcome(self, client: "ClientHandle") -> None:
-        """Let all be in sight in the window of a browser, until somebody moves the view.
-
-        Where the camera is followed, that is all of the frame, whatever happens to the window.
-        """
-        fitted, has_come, is_touched = USUAL_ASPECT, False, False
-        followed = 0.0  # the shape of the window that the field of view was fitted to
-        home = np.asarray(self.server.initial_camera.position)
-
-        def fit(camera: "CameraHandle") -> None:
-            nonlocal fitted, home, has_come, is_touched, followed
-            is_home = bool(np.linalg.norm(camera.position - home) <= _TOUCHED * self.scene.depth)
-            is_due = camera.aspect != followed or (is_home and not has_come)
-            if self.controls.follow.value and is_due:
-                followed = camera.aspect
-                self._follow(client)
-            has_come |= is_home  # before that, it has not been told yet where to begin
-            is_touched |= has_come and not is_home
-            if self.controls.follow.value:
-                return
-            if is_home and not is_touched and abs(np.log(camera.aspect / fitted)) > _OTHER_SHAPE:
-                fitted = camera.aspect
-                self._go(client)
-                home = np.array(camera.position)
-
-        client.camera.on_update(fit)
-        fit(client.camera)
 
     def _toggle_play(self) -> None:
         playing = self._playing_since is None
@@ -420,8 +383,7 @@ class Page:
             self._show_legend()
             self.marks.show_reading()
         if self.controls.follow.value:
-            for client in self.server.get_clients().values():
-                self._follow(client)
+            self.browsers.follow_all()
 
     def _shares_scale(self, number: int) -> bool:
         """Return whether a frame has the scale of the one that is shown."""
@@ -471,9 +433,7 @@ class Page:
         """
         is_moved = number != self.number
         if is_moved:
-            self.number = number
-            self.frame = self._read(number)
-            self.marks.frame = self.frame
+            self._take_frame(number)
             self.controls.frame.value = number
             self._restart_play()
         self._show_status()
@@ -543,14 +503,3 @@ class Page:
     def _mark(self, row: int, column: int) -> None:
         self.marks.mark(row, column)
         self._show_pictures()
-
-    def _follow(self, client: "ClientHandle") -> None:
-        """Let a browser look from where the camera was, all of the frame in sight."""
-        frame = self.frame
-        if frame is None:
-            return
-        pose = self.scene.pose_of(frame.number)
-        with client.atomic():
-            client.camera.wxyz = quaternion(pose)
-            client.camera.position = pose[:3, 3]
-            client.camera.fov = following_fov(frame, client.camera.aspect)
