@@ -47,7 +47,6 @@ def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, point
         return 0
     finally:
         page.stop()
-    return 0
 
 
 def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
