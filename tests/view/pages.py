@@ -1,21 +1,42 @@
 """Pages without a browser: to wait for what they show, and to set their controls."""
 
 import time
+from queue import SimpleQueue
+
+PATIENCE = 120.0  # s, for machines that do much else
 
 
-def wait_for(condition, seconds=120.0):
-    """Wait until something is so; the limit is for machines that do much else."""
-    end = time.monotonic() + seconds
+def wait_for(condition):
+    """Wait until something is so."""
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "it did not come about"
         time.sleep(0.02)
 
 
+def between_drawings(page, look):
+    """Return what the thread that draws finds where it is not drawing."""
+    found = SimpleQueue()
+    page._jobs.put(lambda: found.put(look()))
+    page._wake.set()
+    return found.get(timeout=PATIENCE)
+
+
+def is_drawn(page):
+    """Return whether a page has drawn all that was asked of it, and its thread rests."""
+
+    def look():
+        is_left = page._is_stale or page._is_coarse or page._without_picture
+        return page._jobs.empty() and not is_left
+
+    return between_drawings(page, look)
+
+
 def wait_until_drawn(page):
     """Wait until a page has drawn all that was asked of it."""
-    wait_for(lambda: page._jobs.empty() and not (page._is_coarse or page._is_stale))
+    wait_for(lambda: is_drawn(page))
 
 
 def change(page, name, value):
-    """Set a control; its own listeners have to do the rest."""
+    """Set a control; its own listeners, which viser calls at once, have to do the rest."""
     getattr(page.controls, name).value = value

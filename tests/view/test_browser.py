@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from tests.view.browser import launched
+from tests.view.pages import is_drawn
 from tests.view.results import write_reconstruction, write_record_of, write_run
 from tisfm.view.opening import open_result
 
@@ -140,7 +141,7 @@ def test_a_click_reads_the_pixel_that_is_there(look, tmp_path):
     write_run(tmp_path / "r", 2)
     page, tab = look(tmp_path / "r")
     tab.get_by_label("Follow the camera").check()
-    wait_until(tab, lambda: not page._is_coarse and not page._is_stale, "it is not drawn in full")
+    wait_until(tab, lambda: is_drawn(page), "it is not drawn in full")
     (client,) = page.server.get_clients().values()
     place = page.scene.pose_of(page.number)[:3, 3]
     wait_until(

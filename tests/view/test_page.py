@@ -80,7 +80,7 @@ def test_frames_are_read_when_they_are_looked_at(opened, tmp_path):
     result.read = lambda number, read_one=result.read: read.append(number) or read_one(number)
     page = Page(result, port=0)
     try:
-        wait_for(lambda: page.points is not None and not page._is_coarse)
+        wait_until_drawn(page)
         assert len(set(read)) <= 4
         change(page, "frame", 150)
         wait_for(lambda: page.number == 150)
@@ -110,7 +110,7 @@ def test_coarse_first_then_all(opened, tmp_path, monkeypatch):
 def test_controls_change_what_is_shown(opened, tmp_path):
     write_run(tmp_path / "r", 3)
     page = opened(tmp_path / "r")
-    wait_for(lambda: not page._is_coarse and not page._is_stale)
+    wait_until_drawn(page)
     everything = len(page.points)
     change(page, "min_confidence", 0.5)
     wait_for(lambda: len(page.points) < 0.6 * everything)
@@ -148,7 +148,7 @@ def test_it_plays_and_stops(opened, tmp_path):
     assert page.controls.play.label == "Pause"
     page._toggle_play()
     time.sleep(0.5)
-    wait_for(lambda: not page._is_coarse and not page._is_stale)
+    wait_until_drawn(page)
     number = page.number
     time.sleep(0.3)
     assert page.number == number and page.controls.play.label == "Play"
@@ -169,7 +169,8 @@ def test_a_frame_stays_as_it_is_while_others_follow(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4, with_poses=True)
     write_record_of(tmp_path / "r", shot, [0, 1], "camera", with_poses=True)
     page = opened(tmp_path / "r")
-    wait_for(lambda: not page._is_coarse and len(page.scene.frusta) == 2)
+    wait_until_drawn(page)
+    assert len(page.scene.frusta) == 2
     frame = page.frame
     write_record_of(tmp_path / "r", shot, range(4), "camera", with_poses=True)
     wait_for(lambda: "1 of 4" in page.controls.status.content)
@@ -189,7 +190,7 @@ def test_pairs_before_the_one_that_is_shown_leave_it_as_it_is(opened, tmp_path, 
     shot = write_run(tmp_path / "r", 4)
     write_record_of(tmp_path / "r", shot, [1, 3], "camera")
     page = opened(tmp_path / "r", number=1)
-    wait_for(lambda: not page._is_coarse and not page._is_stale and page._jobs.empty())
+    wait_until_drawn(page)
     assert page.result.names[page.number] == "f3"
     drawn = drawings_of(page, monkeypatch)
     write_record_of(tmp_path / "r", shot, range(4), "camera")
@@ -206,7 +207,7 @@ def test_a_frame_moves_where_its_pose_changes(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4, with_poses=True)
     write_record_of(tmp_path / "r", shot, [0, 2, 3], "camera", with_poses=True)
     page = opened(tmp_path / "r", number=2)
-    wait_for(lambda: not page._is_coarse and not page._is_stale)
+    wait_until_drawn(page)
     before = np.array(page.scene._nodes["points"].position)
     write_record_of(tmp_path / "r", shot, range(4), "camera", with_poses=True)
     wait_for(lambda: "4 of 4" in page.controls.status.content)
@@ -233,7 +234,8 @@ def test_clicks_read_pixels(opened, tmp_path):
     write_reconstruction(tmp_path / "r", things=True)
     page = opened(tmp_path / "r")
     change(page, "frame", 1)
-    wait_for(lambda: page.number == 1 and not page._is_coarse)
+    wait_until_drawn(page)
+    assert page.number == 1
     frame, pose = page.frame, film().poses[1]
     ray = frame.rays(np.array([15]), np.array([16]))[0]
     page._jobs.put(lambda: page._pick(pose[:3, 3] - 0.001 * pose[:3, 2], pose[:3, :3] @ ray))
@@ -277,7 +279,7 @@ def test_a_pixel_outside_of_the_frame_is_told(opened, tmp_path):
 def test_two_clicks_measure(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
-    wait_for(lambda: not page._is_coarse)
+    wait_until_drawn(page)
     page.controls.measure.value = True
     frame = page.frame
     ends = [np.array([20]), np.array([10])], [np.array([20]), np.array([50])]
@@ -416,7 +418,7 @@ def test_handles_of_the_box_drag_its_corners(opened, tmp_path):
     change(page, "box", True)
     wait_for(lambda: len(page.box._handles) == 2)
     change(page, "color", "depth")  # drawn anew, the handles stay
-    wait_for(lambda: not page._is_stale and not page._is_coarse)
+    wait_until_drawn(page)
     for handle, corner in zip(page.box._handles, page.box._corners, strict=True):
         np.testing.assert_allclose(handle.position, corner.value, atol=1e-6)
     page.box._drag(1, np.array((0.25, 0.5, 2.125)))
