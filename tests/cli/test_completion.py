@@ -12,7 +12,9 @@ import pytest
 from tests.cli.command_line import assert_one_line
 from tisfm.cli.command_line import _parse
 from tisfm.cli.completion import completion_script
-from tisfm.cli.known_options import known_options
+from tisfm.cli.known_options import LISTS, known_options
+from tisfm.cli.run_record import ENDINGS
+from tisfm.exports.formats import FORMATS
 
 # Asks bash as a user does who presses TAB after the words.
 ASK = """
@@ -55,8 +57,18 @@ def test_bash_completes_commands_options_and_values(complete):
     assert complete("tisfm run --motion ") == ["field", "camera", "objects"]
     assert complete("tisfm eval --seq") == ["--sequence"]
     assert complete("tisfm --completion z") == ["zsh"]
+    assert complete("tisfm export x --to mesh-") == ["mesh-ply", "mesh-glb"]
+    assert complete("tisfm export x --to ply,depth-t") == ["ply,depth-tum", "ply,depth-tiff"]
+    assert complete("tisfm run x --outputs depth,np") == ["depth,npz"]
     assert complete("tisfm demo --pre") == []  # an option of other commands
     assert complete("tisfm run fra") == []  # left to the names of files
+
+
+def test_lists_of_words_are_whole():
+    assert LISTS["export"]["--to"] == tuple(FORMATS)
+    assert LISTS["run"]["--outputs"] == tuple(ENDINGS)
+    known = known_options(_parse)
+    assert all(name in known.options[command] for command, one in LISTS.items() for name in one)
 
 
 def test_zsh_takes_the_script_of_bash(tisfm_run):
@@ -112,6 +124,8 @@ def test_fish_has_a_line_for_every_option(fish_script):
         ("tisfm run --preset f", ["fast"]),
         ("tisfm run x -o y --no-fig", ["--no-figures"]),
         ("tisfm reconstruct --motion ", ["camera", "objects"]),
+        ("tisfm export x --to mesh-", ["mesh-glb", "mesh-ply"]),
+        ("tisfm run x --outputs depth,np", ["depth,npz"]),
         ("tisfm demo --pre", []),
     ],
 )

@@ -98,12 +98,6 @@ def test_resume_refuses_a_run_of_an_earlier_tisfm(tisfm_run, frames):
     assert_one_line(code, err, "a run of an earlier tisfm", "without --resume")
 
 
-def test_resume_does_not_ask_for_what_no_output_uses(tisfm_run, frames):
-    some = (*PLAIN, "--outputs", "depth")
-    assert tisfm_run(*some, "--disparity", "0.1")[0] == 0
-    assert tisfm_run(*some, "--resume")[0] == 0
-
-
 def test_resume_refuses_other_frames(tisfm_run, frames):
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
     before = files("out")

@@ -1,8 +1,8 @@
 """Scripts by which shells complete commands, options and their values."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from tisfm.cli.known_options import OF_TISFM, SHELLS, Known, takes_numbers, values_in
+from tisfm.cli.known_options import LISTS, OF_TISFM, SHELLS, Known, takes_numbers, values_in
 from tisfm.cli.nearest import hint
 
 _BASH = """\
@@ -29,7 +29,8 @@ _tisfm() {{
     esac
   fi
   if [ -n "$words" ]; then
-    COMPREPLY=( $(compgen -W "$words" -- "$current") )
+    local kept="${{current%"${{current##*,}}"}}"
+    COMPREPLY=( $(compgen -P "$kept" -W "$words" -- "${{current##*,}}") )
   fi
 }}
 complete -o default -F _tisfm tisfm
@@ -69,7 +70,7 @@ def _bash(known: Known) -> str:
     values = [
         f'      "{command} {option}") words="{" ".join(chosen)}" ;;'
         for command, options in known.options.items()
-        for option, chosen in options.items()
+        for option, chosen in {**options, **LISTS.get(command, {})}.items()
         if chosen
     ]
     options = [
@@ -89,17 +90,21 @@ def _fish(known: Known) -> str:
     first = {**dict.fromkeys(OF_TISFM, ""), "--completion": f"{{{','.join(SHELLS)}}}"}
     lines = [f"{_FIRST} -f -a '{' '.join(known.commands)}'"]
     lines += [f"{_FIRST} {_fish_option(name, shape)}" for name, shape in first.items()]
-    lines += [
-        f"complete -c tisfm -n '__fish_seen_subcommand_from {command}' {_fish_option(name, shape)}"
-        for command, options in known.shapes.items()
-        for name, shape in options.items()
-    ]
+    for command, options in known.shapes.items():
+        several = LISTS.get(command, {})
+        lines += [
+            f"complete -c tisfm -n '__fish_seen_subcommand_from {command}' "
+            + _fish_option(name, shape, several.get(name, ()))
+            for name, shape in options.items()
+        ]
     return "\n".join(lines) + "\n"
 
 
-def _fish_option(name: str, shape: str) -> str:
-    """Return an option as fish has it: alone, or with some words, a number or a file after it."""
+def _fish_option(name: str, shape: str, several: Sequence[str] = ()) -> str:
+    """Return an option as fish has it: alone, or with words, a number or a file after it."""
     told = f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}"
+    if several:
+        return f"{told} -x -a '(__fish_append , {' '.join(several)})'"
     values = values_in(shape)
     if values:
         return f"{told} -x -a '{' '.join(values)}'"
@@ -111,8 +116,8 @@ def _fish_option(name: str, shape: str) -> str:
 def _tcsh(known: Known) -> str:
     """Return one line: tcsh does not know which command an option is given to."""
     chosen: dict[str, dict[str, None]] = {}
-    for options in known.options.values():
-        for option, values in options.items():
+    for command, options in known.options.items():
+        for option, values in {**options, **LISTS.get(command, {})}.items():
             if option.startswith("--"):
                 chosen.setdefault(option, {}).update(dict.fromkeys(values))
     after = [f"'n/{option}/({' '.join(values)})/'" for option, values in chosen.items() if values]

@@ -50,9 +50,9 @@ class Run:
     """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
     """Draw none: the same as --figures 0."""
-    disparity: float = 0.03
+    disparity: float | None = None
     """Of anaglyphs: how far the nearest moves against the farthest from one eye's view to the
-    other's, as a share of the width."""
+    other's, as a share of the width. By default 0.03."""
     screen: float | None = None
     """Of anaglyphs: the plane of the screen, as a quantile of the depth of the first pair that
     shows some, 0 for the farthest and 1 for the nearest. By default it is half as near as the

@@ -56,7 +56,7 @@ def run(
     resume: bool = False,
     outputs: Collection[str] = USUAL,
     figures: int = 1,
-    disparity: float = DISPARITY,
+    disparity: float | None = None,
     screen: float | None = None,
     report: bool = False,
     workers: int = 1,
@@ -75,8 +75,13 @@ def run(
     """
     if isinstance(camera, Path):
         read_camera(camera)  # it is refused before anything else is done
-    check_disparity(disparity)
+    check_disparity(DISPARITY if disparity is None else disparity)
     check_screen(screen, None)
+    if "anaglyph" not in outputs and (disparity, screen) != (None, None):
+        raise ValueError(
+            f"--{'disparity' if screen is None else 'screen'} is of anaglyphs: let anaglyph be "
+            "among the outputs, or leave it out"
+        )
     kept = window_of(window, settings)
     if kept is not None and resume and "npz" not in outputs:
         raise ValueError(
@@ -126,7 +131,7 @@ def run(
         window=window,
         outputs=outputs,
         figures=figures,
-        disparity=disparity,
+        disparity=DISPARITY if disparity is None else disparity,
         screen=screen,
         start=pairs.chosen.start,
         step=pairs.chosen.step,
