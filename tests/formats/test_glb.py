@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from tisfm.formats.glb import colors_of, glb_points, glb_surface, light_of
+from tisfm.formats.glb import colors_of, glb_points, glb_surface
 
 CORNERS = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32)
 COLORS = np.array([[255, 128, 0], [0, 64, 255], [188, 188, 188]], np.uint8)
@@ -19,20 +19,18 @@ def parts(data):
     return json.loads(data[20 : 20 + length]), data[28 + length :]
 
 
-def colors_in(data):
+def colors_in(data, count=3):
     """Return the colours at the vertices as the file has them, from 0 to 1."""
     tree, binary = parts(data)
     (mesh,) = tree["meshes"]
     (primitive,) = mesh["primitives"]
     accessor = tree["accessors"][primitive["attributes"]["COLOR_0"]]
-    assert accessor["componentType"] == 5121 and accessor["normalized"]
-    assert accessor["type"] == "VEC4"
+    assert accessor["componentType"] == 5126 and "normalized" not in accessor  # float32
+    assert accessor["type"] == "VEC3" and accessor["count"] == count
     begin = tree["bufferViews"][accessor["bufferView"]]["byteOffset"] + accessor.get(
         "byteOffset", 0
     )
-    found = np.frombuffer(binary, np.uint8, 4 * accessor["count"], begin).reshape(-1, 4)
-    assert (found[:, 3] == 255).all()
-    return found[:, :3] / 255
+    return np.frombuffer(binary, "<f4", 3 * accessor["count"], begin).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("data", [
@@ -42,7 +40,7 @@ def test_colours_are_amounts_of_light_and_unlit(data):
     light = colors_in(data)
     # By the standard: 128 is 0.2159 of the light, 64 is 0.0513, 188 is 0.5029.
     expected = [[1, 0.2159, 0], [0, 0.0513, 1], [0.5029, 0.5029, 0.5029]]
-    np.testing.assert_allclose(light, expected, atol=0.5 / 255 + 1e-3)
+    np.testing.assert_allclose(light, expected, atol=1e-4)
     tree, _ = parts(data)
     (material,) = tree["materials"]
     assert material["doubleSided"] and "KHR_materials_unlit" in material["extensions"]
@@ -50,8 +48,15 @@ def test_colours_are_amounts_of_light_and_unlit(data):
     assert tree["meshes"][0]["primitives"][0]["material"] == 0
 
 
-def test_colours_come_back_as_well_as_8_bits_of_light_tell():
-    coded = np.arange(256, dtype=np.uint8)
-    error = np.abs(colors_of(light_of(coded)).astype(int) - coded)
+def test_every_colour_comes_back():
+    colors = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    light = colors_in(glb_points(np.zeros((256, 3), np.float32), colors), count=256)
+    np.testing.assert_array_equal(colors_of(light), colors)
+
+
+def test_light_of_8_bits_has_few_steps_in_the_dark():
+    coded = np.arange(256)
+    light = np.where(coded <= 10, coded / 12.92 / 255, ((coded / 255 + 0.055) / 1.055) ** 2.4)
+    error = np.abs(colors_of(np.rint(255 * light).astype(np.uint8)).astype(int) - coded)
     assert error[0] == error[255] == 0
-    assert error.max() <= 13 and error[60:].max() <= 2  # few steps of light in the dark
+    assert error.max() <= 13 and error[60:].max() <= 2

@@ -11,6 +11,7 @@ import trimesh
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
 from tests.fusion.test_points import wall, walls
 from tests.one_thread import bits_on_one_thread, several_threads
+from tisfm.formats.glb import colors_of
 from tisfm.fusion import Mesh, blocks, fused_mesh
 from tisfm.fusion.blocks import Field, coordinates, numbers_of
 from tisfm.fusion.surface import surface_of
@@ -282,8 +283,8 @@ def test_files_hold_the_mesh(tmp_path, suffix):
     np.testing.assert_allclose(read.vertices, mesh.vertices * up)
     np.testing.assert_array_equal(read.faces, mesh.faces)
     if suffix == ".glb":
-        light = (read.visual.vertex_attributes["color"][:, :3] / 255) ** (1 / 2.2)
-        np.testing.assert_allclose(255 * light, mesh.colors, atol=8)  # nearly the curve of sRGB
+        light = read.visual.vertex_attributes["color"]
+        np.testing.assert_array_equal(colors_of(light), mesh.colors)
     else:
         np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], mesh.colors)
     assert [p.name for p in tmp_path.iterdir()] == [f"mesh{suffix}"]

@@ -22,7 +22,10 @@ FORMATS = (
     "video-side-by-side", "video-anaglyph", "video-wiggle",
 )  # fmt: skip
 OUTPUTS = ("depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz")
-LISTS = {"export": {"--to": FORMATS}, "run": {"--outputs": OUTPUTS}}
+LISTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "export": {"--to": FORMATS},
+    "run": {"--outputs": OUTPUTS},
+}
 """Options that take several words, with commas, and which: their help does not list them."""
 
 Help = Callable[[list[str]], object]

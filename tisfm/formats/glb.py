@@ -8,13 +8,17 @@ References
 Khronos Group, glTF 2.0 specification, §3.9.2, and the extension KHR_materials_unlit.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 
+if TYPE_CHECKING:
+    from trimesh import Scene
+
+_FLOAT = 5126  # in the specification
 UNLIT = "KHR_materials_unlit"  # colours are those of a picture or a legend: no light on them
 
 
@@ -31,10 +35,9 @@ def glb_surface(
         sRGB.
     """
     from trimesh import Trimesh  # takes a while to load
-    from trimesh.exchange.gltf import export_glb
 
-    mesh = Trimesh(vertices=vertices, faces=faces, vertex_colors=light_of(colors), process=False)
-    return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=_plain))
+    mesh = Trimesh(vertices=vertices, faces=faces, vertex_colors=colors, process=False)
+    return _exported(mesh.scene(), colors)
 
 
 def glb_points(positions: NDArray[np.floating], colors: NDArray[np.uint8]) -> bytes:
@@ -48,21 +51,20 @@ def glb_points(positions: NDArray[np.floating], colors: NDArray[np.uint8]) -> by
         sRGB.
     """
     from trimesh import PointCloud, Scene  # takes a while to load
-    from trimesh.exchange.gltf import export_glb
 
-    opaque = np.column_stack([light_of(colors), np.full(len(colors), 255, np.uint8)])
-    cloud = PointCloud(positions, colors=opaque)
-    return bytes(export_glb(Scene(cloud), tree_postprocessor=_plain))
+    opaque = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])
+    return _exported(Scene(PointCloud(positions, colors=opaque)), colors)
 
 
-def light_of(colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the light of sRGB colours, 255 for white: (..., 3) uint8."""
-    return np.rint(255 * linear_from_srgb()).astype(np.uint8)[colors]
+def colors_of(light: NDArray[np.floating] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the sRGB colours of light, (..., 3) uint8.
 
-
-def colors_of(light: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the sRGB colours of light, as well as its 8 bits tell them: (..., 3) uint8."""
-    return srgb_from_linear()[257 * light.astype(np.uint16)]
+    Light is from 0 to 1, or in 8 bits, as trimesh and older files have it: then the dark tones are
+    those of a few steps.
+    """
+    if light.dtype == np.uint8:
+        return srgb_from_linear()[257 * light.astype(np.uint16)]
+    return srgb_from_linear()[np.rint(65535 * np.clip(light, 0, 1)).astype(np.uint16)]
 
 
 def unlit(tree: dict[str, Any]) -> None:
@@ -70,6 +72,28 @@ def unlit(tree: dict[str, Any]) -> None:
     tree.setdefault("extensionsUsed", []).append(UNLIT)
     for material in tree["materials"]:
         material.setdefault("extensions", {})[UNLIT] = {}
+
+
+def _exported(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
+    """Return a scene of one thing, the light of its colours, (N, 3), in floats.
+
+    trimesh writes 8 bits, of which the dark tones of a picture would share a few.
+    """
+    from trimesh.exchange.gltf import export_glb
+
+    light = linear_from_srgb()[colors]
+
+    def put_light(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
+        ((primitive,),) = (mesh["primitives"] for mesh in tree["meshes"])
+        accessor = list(tree["accessors"].values())[primitive["attributes"]["COLOR_0"]]
+        del accessor["normalized"]
+        accessor.update(componentType=_FLOAT, type="VEC3")
+        buffers[list(buffers)[accessor["bufferView"]]] = light.tobytes()
+
+    data = export_glb(
+        scene, include_normals=False, buffer_postprocessor=put_light, tree_postprocessor=_plain
+    )
+    return bytes(data)
 
 
 def _plain(tree: dict[str, Any]) -> None:

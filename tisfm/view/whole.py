@@ -64,7 +64,7 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
         (geometry,) = scene.geometry.values()
         colors = geometry.colors if kind == "points" else _vertex_colors(geometry.visual)
         positions = np.asarray(geometry.vertices, np.float32)
-        colors = np.asarray(colors, np.uint8).reshape(-1, np.shape(colors)[-1])[:, :3]
+        colors = np.asarray(colors).reshape(-1, np.shape(colors)[-1])[:, :3]
         if path.suffix == ".glb":  # there Y points up, and colours are amounts of light
             positions = positions * np.array((1, -1, -1), np.float32)
             colors = colors_of(colors)

@@ -1,0 +1,169 @@
+"""``python -m bench.sequences.blender``: where Blender sees what was exported for it.
+
+A sequence is reconstructed, whole and from a part of its frames, whose optical axis is not in their
+middle, and exported as a camera that moves and as points. Blender reads both, as docs/exports.md
+tells a user to do, and says where it sees the points; the table, left in bench/results, has how far
+that is from where the reconstruction has them. Blender is a Python with bpy (``pip install bpy``)
+in an environment of its own, since it wants another NumPy.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+import tisfm
+from bench.shared.bar import Bar
+from bench.shared.machine import RESULTS, machine
+from bench.shared.sequences import data_folder
+from tisfm.datasets import find_sequences
+from tisfm.exports import write_gltf_cameras, write_points
+from tisfm.formats import read_image
+from tisfm.settings import Preset
+
+SEQUENCE = "tartanair"
+PART = (400, 500)  # rows and columns, from the upper left corner
+POINTS, RATE = 2000, 25
+BARS = {
+    "of the camera's place, of the path's extent": 1e-5,
+    "of its rotation, deg": 1e-3,
+    "of its vertical angle, deg": 1e-3,
+    "of points, px": 0.01,
+    "of their colours, of 255": 0.01,
+}
+_Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+def differences(
+    result: tisfm.Reconstruction, seen: dict[str, NDArray[Any]], frames: Sequence[int]
+) -> dict[str, float]:
+    """Return how far at most Blender is from a reconstruction, by the names of `BARS`.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    seen : dict of str to ndarray
+        What `seen_by_blender` returned.
+    frames : sequence of int
+        Those that it was asked for.
+    """
+    cloud = result.points()
+    positions, colors = cloud.positions[seen["points"]], cloud.colors[seen["points"]]
+    poses = result.poses[list(frames)]
+    expected = _Z_UP @ _Y_UP @ poses @ _Y_UP
+    between = expected[:, :3, :3].transpose(0, 2, 1) @ seen["poses"][:, :3, :3]
+    turned = np.degrees(np.linalg.norm((between - np.eye(3))[:, (2, 0, 1), (1, 2, 0)], axis=1))
+    extent = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))
+    places = np.linalg.norm(expected[:, :3, 3] - seen["poses"][:, :3, 3], axis=1)
+    height, width = result.shape
+    cx, cy = result.camera.center_for(height, width)
+    apart = []
+    for pose, (across, up, ahead) in zip(poses, seen["places"].transpose(0, 2, 1), strict=True):
+        x, y, depth = ((positions - pose[:3, 3]) @ pose[:3, :3]).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = (result.camera.focal * c / depth for c in (x, y))
+        column, row = column + cx + 0.5, row + cy + 0.5
+        inside = (ahead > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
+        off = np.hypot(across * width - column, (1 - up) * height - row)[inside]
+        apart.append(off)
+    angle = 2 * np.arctan(height / 2 / result.camera.focal)
+    found = (
+        places.max() / extent,
+        turned.max(),
+        abs(np.degrees(float(seen["angle"]) - angle)),
+        np.concatenate(apart).max(),
+        np.abs(255 * _srgb(seen["colors"][:, :3]) - colors).max(),
+    )
+    return dict(zip(BARS, map(float, found), strict=True))
+
+
+def seen_by_blender(
+    python: str, result: tisfm.Reconstruction, folder: Path, frames: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    """Export a reconstruction, and return what Blender has of it, and the points it has it of."""
+    folder.mkdir()
+    write_gltf_cameras(result, folder, frames_per_second=RATE)
+    write_points(result, folder, suffix="glb")
+    count = len(result.points())
+    points = np.unique(np.linspace(0, count - 1, POINTS).astype(int))
+    asked, found = folder / "asked.npz", folder / "found.npz"
+    np.savez(asked, frames=frames, points=points, rate=RATE)
+    reader = Path(__file__).with_name("blender_reader.py")
+    subprocess.run([python, reader, folder, asked, found], check=True, stdout=sys.stderr)
+    return {**np.load(found), "points": points}
+
+
+def report(found: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
+    """Return the results as Markdown."""
+    lines = ["# What Blender sees of an export", ""]
+    lines += [f"- {name}: {value}" for name, value in conditions.items()]
+    lines += ["", "Largest differences from the reconstruction:", ""]
+    lines += ["| | " + " | ".join(found) + " | bar |", "| --- |" + " ---: |" * (len(found) + 1)]
+    lines += [
+        f"| {name} | " + " | ".join(f"{one[name]:.2g}" for one in found.values()) + f" | {bar:g} |"
+        for name, bar in BARS.items()
+    ]
+    return "\n".join([*lines, ""])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and write; return 1 if a bar is missed."""
+    parser = argparse.ArgumentParser(prog="python -m bench.sequences.blender")
+    parser.add_argument("--python", required=True, metavar="FILE", help="a Python that has bpy")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="the folder of sequences")
+    parser.add_argument("--preset", choices=get_args(Preset), default="fast")
+    parser.add_argument("--output", default="blender", metavar="NAME", help="in bench/results")
+    options = parser.parse_args(arguments)
+    data = data_folder(options.data)
+    if data is None:
+        parser.error("no folder of sequences is named: give --data, or set TISFM_DATA")
+    (sequence,) = find_sequences(data / SEQUENCE)
+    loaded = sequence.load(1)
+    frames = np.stack([read_image(file) for file in loaded.frames])
+    stated = loaded.camera
+    if stated is None:
+        parser.error(f"{data / SEQUENCE} does not state its camera")
+    part = tisfm.Camera(focal=stated.focal, center=stated.center_for(*frames.shape[1:3]))
+    settings = tisfm.Settings.preset(options.preset, motion="camera")
+    cases = {
+        "whole frames": (frames, stated),
+        "a part of each": (np.ascontiguousarray(frames[:, : PART[0], : PART[1]]), part),
+    }
+    found, version = {}, ""
+    with tempfile.TemporaryDirectory() as place:
+        for k, (name, (taken, camera)) in enumerate(cases.items()):
+            result = tisfm.reconstruct(
+                taken, camera=camera, settings=settings, folder=Path(place) / f"result{k}"
+            )
+            chosen = range(len(result))
+            seen = seen_by_blender(options.python, result, Path(place) / f"export{k}", chosen)
+            found[name], version = differences(result, seen, chosen), str(seen["version"])
+    conditions = {
+        "command": "python -m bench.sequences.blender --python FILE",
+        "sequence": SEQUENCE,
+        "preset": options.preset,
+        "Blender": version,
+        **machine(),
+    }
+    text = report(found, conditions)
+    Console(markup=False, highlight=False).print(text)
+    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
+    held = [Bar(name, one[name], bar) for one in found.values() for name, bar in BARS.items()]
+    return 0 if all(bar.met for bar in held) else 1
+
+
+def _srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return amounts of light as sRGB (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""What Blender takes from an export: run by Blender's own Python, with nothing of ours.
+
+``python blender_reader.py FOLDER ASKED FOUND``: FOLDER has ``camera.gltf``, ``points.glb`` and
+``lens.json``; ASKED, a ``.npz``, has frames, numbers of points, and frames a second. FOUND, too,
+gets the camera's pose in each frame, in Blender's axes, where each point is seen in it, the points'
+colours, and the vertical angle.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
+
+
+def main(folder: Path, asked: Path, found: Path) -> None:
+    """Read an export as docs/exports.md tells a user to do."""
+    given = np.load(asked)
+    lens = json.loads((folder / "lens.json").read_text())
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps = int(given["rate"])
+    scene.render.resolution_x, scene.render.resolution_y = lens["width"], lens["height"]
+    for name in ("camera.gltf", "points.glb"):
+        bpy.ops.import_scene.gltf(filepath=str(folder / name))
+    scene.camera = next(one for one in bpy.data.objects if one.type == "CAMERA")
+    cloud = next(one for one in bpy.data.objects if one.type == "MESH")
+    angle = scene.camera.data.angle_y
+    for name, value in lens["blender"].items():
+        setattr(scene.camera.data, name, value)
+    points = [cloud.matrix_world @ cloud.data.vertices[int(k)].co for k in given["points"]]
+    poses, places = [], []
+    for frame in given["frames"]:
+        scene.frame_set(int(frame))
+        poses.append(np.array(scene.camera.matrix_world))
+        places.append([world_to_camera_view(scene, scene.camera, point) for point in points])
+    colors = cloud.data.color_attributes["Color"].data
+    np.savez(
+        found,
+        poses=np.array(poses),
+        places=np.array(places),
+        colors=np.array([colors[int(k)].color for k in given["points"]]),
+        angle=angle,
+        version=bpy.app.version_string,
+    )
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
