@@ -171,7 +171,7 @@ def interpret_pair(
         known=known,
     )
     pyramid, lens = taken.pyramid, taken.lens
-    from tisfm.motion.agreement import field_doubt, unexplained
+    from tisfm.motion.agreement import field_doubt, told_of_light, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
@@ -222,6 +222,7 @@ def interpret_pair(
             doubt = unexplained(pyramid, estimate, unseen)
             if doubt is not None and doubt != status:  # what was first uncertain has more to say
                 status = doubt
+    status = told_of_light(status, pyramid, settings)
     if window is not None:
         _keep(window, pyramid, flow, unseen, status)
         if window.earlier is None and before is not None and before.used:
