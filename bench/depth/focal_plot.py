@@ -8,6 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from bench.shared.curves import CURVES
+
 ROWS = {
     "abs_rel": "depth, abs-rel",
     "direction": "direction, °",
@@ -15,7 +17,6 @@ ROWS = {
     "field_flow": "flow of the field, EPE, px",
 }
 TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
-COLOURS = ("#b3361e", "#35618f", "#4d8b57", "#8a5aa8")
 MARKERS = ("o", "s", "^", "v")
 FEW_DECADES = 30.0  # ratio of the largest error to the smallest
 LEAST = 1e-4  # of errors on a logarithmic axis
@@ -36,7 +37,7 @@ def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
     for row, (name, title) in enumerate(ROWS.items()):
         for column, focal in enumerate(focals):
             axes = grid[row, column]
-            for kind, colour, marker in zip(kinds, COLOURS, MARKERS, strict=False):
+            for kind, colour, marker in zip(kinds, CURVES, MARKERS, strict=False):
                 mine = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
                 known = [(o["ratio"], max(o[name], LEAST)) for o in mine if o[name] is not None]
                 if known:

@@ -13,8 +13,9 @@ from matplotlib.transforms import Bbox
 
 from bench.shared.columns import STANDARD_SIZE, Column, present, standard_time
 from bench.shared.contest import Contest
+from bench.shared.curves import BLUE, VERMILION
 
-OURS, THEIRS = "#b3361e", "#35618f"
+OURS, THEIRS = VERMILION, BLUE
 DIRECTIONS = 16
 DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points
 LEADER_FROM = 14  # points; a label further off has a line to its mark

@@ -7,7 +7,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-COLOURS = ("#8c8c8c", "#c9a227", "#d9822b", "#b3361e", "#35618f", "#4d8b57")
+from bench.shared.curves import CURVES
+
 LEAST = 1e-8  # of gaps: below, single precision decides
 MOST_WORK = 130.0
 
@@ -19,7 +20,7 @@ def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
     figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
     grid = figure.subplots(1, len(sizes), sharex=True, sharey=True, squeeze=False)[0]
     for axes, size in zip(grid, sizes, strict=True):
-        for name, colour in zip(names, COLOURS, strict=False):
+        for name, colour in zip(names, CURVES, strict=False):
             mine = [
                 course for course in found if (course["size"], course["method"]) == (size, name)
             ]

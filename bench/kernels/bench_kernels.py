@@ -39,7 +39,6 @@ TOLERANCES = {
     "share_of_data": 1e-5,  # of determinants, which are such differences
     "update": 1e-4,
     "squared_residual": 1e-4,
-    "add_frame": 1e-5,
     "answered": 1e-5,
     "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
     "defeated": 1e-2,
@@ -90,9 +89,9 @@ class Case:
         if self.kernel in AT_PLACES:
             # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
             return AT_PLACES[self.kernel] * problem.width * 2.0**-22
-        if self.kernel == "constancy_constraints":
+        if self.kernel in OF_FLOW:
             # The robust weights are of (p, q)·(u, v) + c, a difference of numbers as large as ∇I·u.
-            return TOLERANCE * max(1.0, 1.5 * np.abs(problem.flow).max())
+            return OF_FLOW[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
         return TOLERANCES.get(self.kernel, TOLERANCE)
 
     def label(self, problem: Problem) -> dict:
@@ -100,6 +99,7 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
+OF_FLOW = {"constancy_constraints": 1e-6, "join": 1e-6, "add_frame": 1e-5}
 # Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
 AT_PLACES = {
     "warp": 1,

@@ -21,13 +21,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from bench.scaling.bars import PEER_SIZE, bars, gib, over_peer, per_pixel, size_of
+from bench.shared.curves import BLUE, GREEN, PURPLE, VERMILION
 from bench.shared.machine import RESULTS, ROOT, machine
 from tisfm.scenes import two_blocks
 from tisfm.settings import Preset
 
 SIZES = ("120x160", "240x320", "480x640", "1080x1920", "2160x3840")
 SMOKE_SIZES = ("48x64", "96x128")
-COLOURS = {"fast": "#4d8b57", "balanced": "#35618f", "accurate": "#b3361e", "paper": "#8c8c8c"}
+COLOURS = {"fast": GREEN, "balanced": BLUE, "accurate": VERMILION, "paper": PURPLE}
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -178,7 +179,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
     axes.set_ylabel("ns per pixel of a whole pair")
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     figure.savefig(path)
 
 

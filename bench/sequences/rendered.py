@@ -42,6 +42,7 @@ from bench.sequences.rendered_scores import (
     share_of_mesh,
 )
 from bench.shared.bar import Bar
+from bench.shared.curves import CURVES
 from bench.shared.machine import RESULTS, machine
 from tisfm import runtime
 from tisfm.scenes import Film
@@ -229,8 +230,8 @@ def draw(errors: Found, path: Path) -> None:
     """Write the picture of the error over the number of frames."""
     figure = Figure(figsize=(6, 4), dpi=150, layout="constrained")
     axes = figure.add_subplot()
-    for name, values in errors.items():
-        axes.plot(COUNTS, 100 * np.array(values), "o-", label=name)
+    for color, (name, values) in zip(itertools.cycle(CURVES), errors.items(), strict=False):
+        axes.plot(COUNTS, 100 * np.array(values), "o-", color=color, label=name)
     axes.set_xlabel("frames, the keyframe included")
     axes.set_ylabel("mean error of the keyframe's depth, %")
     axes.set_ylim(bottom=0)

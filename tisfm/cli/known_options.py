@@ -15,16 +15,16 @@ _BRACES = re.compile(r"\{([^{} ]+)\}")
 _LINE = re.compile(r"[│| ] (-{1,2}[a-z].*)")  # in a frame of lines, or of ASCII
 _OPTION = re.compile(r"(?<!\S)(--?[a-z][\w-]*)(?: ([^,]+(?:,[^ ,][^,]*)*))?")
 _ANY = {"None", "INT", "FLOAT", "STR"}
-FORMATS = (
+_FORMATS = (
     "tum", "kitti", "ply", "glb", "mesh-ply", "mesh-glb", "gltf-camera", "chan", "colmap",
     "colmap-text", "nerfstudio", "undistortion", "undistortion-tiff", "depth-tum", "depth-kitti",
     "depth-exr", "depth-tiff", "depth-pfm", "depth-dpt", "masks", "video-depth", "video-flow",
     "video-side-by-side", "video-anaglyph", "video-wiggle",
 )  # fmt: skip
-OUTPUTS = ("depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz")
+_OUTPUTS = ("depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz")
 LISTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "export": {"--to": FORMATS},
-    "run": {"--outputs": OUTPUTS},
+    "export": {"--to": _FORMATS},
+    "run": {"--outputs": _OUTPUTS},
 }
 """Options that take several words, with commas, and which: their help does not list them."""
 
