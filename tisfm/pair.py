@@ -171,11 +171,12 @@ def interpret_pair(
         known=known,
     )
     pyramid, lens = taken.pyramid, taken.lens
-    from tisfm.motion.agreement import field_doubt, told_of_light, unexplained
+    from tisfm.motion.agreement import field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
     from tisfm.motion.frame_before import frame_before
+    from tisfm.motion.light import told_of_light
     from tisfm.motion.objects.estimation import objects_estimate
 
     before = None

@@ -90,7 +90,6 @@ class Case:
             # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
             return AT_PLACES[self.kernel] * problem.width * 2.0**-22
         if self.kernel in OF_FLOW:
-            # The robust weights are of (p, q)·(u, v) + c, a difference of numbers as large as ∇I·u.
             return OF_FLOW[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
         return TOLERANCES.get(self.kernel, TOLERANCE)
 
@@ -99,7 +98,9 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-OF_FLOW = {"constancy_constraints": 1e-6, "join": 1e-6, "add_frame": 1e-5}
+# Whose weights are of differences of numbers as large as ∇I·u, or (the last) of such numbers
+# squared, where u is how far pixels go.
+OF_FLOW = {"constancy_constraints": TOLERANCE, "join": TOLERANCE, "add_frame": 10 * TOLERANCE}
 # Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
 AT_PLACES = {
     "warp": 1,

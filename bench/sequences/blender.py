@@ -18,6 +18,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 import tisfm
 from bench.shared.bar import Bar
@@ -60,7 +61,7 @@ def differences(
     poses = result.poses[list(frames)]
     expected = _Z_UP @ _Y_UP @ poses @ _Y_UP
     between = expected[:, :3, :3].transpose(0, 2, 1) @ seen["poses"][:, :3, :3]
-    turned = np.degrees(np.linalg.norm((between - np.eye(3))[:, (2, 0, 1), (1, 2, 0)], axis=1))
+    turned = np.degrees(Rotation.from_matrix(between).magnitude())
     extent = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))
     places = np.linalg.norm(expected[:, :3, 3] - seen["poses"][:, :3, 3], axis=1)
     height, width = result.shape
@@ -71,9 +72,9 @@ def differences(
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (result.camera.focal * c / depth for c in (x, y))
         column, row = column + cx + 0.5, row + cy + 0.5
-        inside = (ahead > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
-        off = np.hypot(across * width - column, (1 - up) * height - row)[inside]
-        apart.append(off)
+        inside = (depth > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
+        off = np.hypot(across * width - column, (1 - up) * height - row)
+        apart.append(np.where(ahead > 0, off, np.inf)[inside])
     angle = 2 * np.arctan(height / 2 / result.camera.focal)
     found = (
         places.max() / extent,
@@ -98,7 +99,8 @@ def seen_by_blender(
     np.savez(asked, frames=frames, points=points, rate=RATE)
     reader = Path(__file__).with_name("blender_reader.py")
     subprocess.run([python, reader, folder, asked, found], check=True, stdout=sys.stderr)
-    return {**np.load(found), "points": points}
+    with np.load(found) as seen:
+        return {**seen, "points": points}
 
 
 def report(found: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
@@ -150,6 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "command": "python -m bench.sequences.blender --python FILE",
         "sequence": SEQUENCE,
         "preset": options.preset,
+        "points": f"{len(seen['points'])} in each of {len(chosen)} frames",
         "Blender": version,
         **machine(),
     }

@@ -60,6 +60,7 @@ def test_bash_completes_commands_options_and_values(complete):
     assert complete("tisfm export x --to mesh-") == ["mesh-ply", "mesh-glb"]
     assert complete("tisfm export x --to ply,depth-t") == ["ply,depth-tum", "ply,depth-tiff"]
     assert complete("tisfm run x --outputs depth,np") == ["depth,npz"]
+    assert complete("tisfm run --preset x,f") == []  # which takes one word
     assert complete("tisfm demo --pre") == []  # an option of other commands
     assert complete("tisfm run fra") == []  # left to the names of files
 

@@ -30,7 +30,10 @@ def colors_in(data, count=3):
     begin = tree["bufferViews"][accessor["bufferView"]]["byteOffset"] + accessor.get(
         "byteOffset", 0
     )
-    return np.frombuffer(binary, "<f4", 3 * accessor["count"], begin).reshape(-1, 3)
+    found = np.frombuffer(binary, "<f4", 3 * accessor["count"], begin).reshape(-1, 3)
+    np.testing.assert_allclose(accessor["min"], found.min(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(accessor["max"], found.max(axis=0), rtol=1e-6)
+    return found
 
 
 @pytest.mark.parametrize("data", [

@@ -8,7 +8,6 @@ import pytest
 
 import tisfm
 from tests.motion.one_motion import CAMERA, FAST, interpreted
-from tests.reconstruction.films import walk
 from tests.rendered import room, static_scene, three_blocks, two_blocks
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
@@ -16,17 +15,14 @@ from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
 from tisfm.motion.agreement import (
     BEHIND,
-    DOUBTS,
     UNCERTAIN,
     UNEXPLAINED,
     UNSURE,
     one_direction,
-    told_of_light,
     unexplained,
     unrelated,
 )
 from tisfm.motion.problems import pyramid_of
-from tisfm.outcome import Status
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
@@ -40,55 +36,6 @@ def status(frame0, frame1, preset, motion, **options):
     settings = tisfm.Settings.preset(preset, motion=motion)
     camera = Camera(focal=float(frame0.shape[1]))
     return tisfm.interpret(frame0, frame1, camera=camera, settings=settings, **options).status
-
-
-# Frames of which one is darker.
-
-
-def test_a_doubt_says_that_one_frame_is_darker():
-    shot = walk(2)
-    dark = np.rint(0.7 * shot.frames[1].astype(float)).astype(np.uint8)
-
-    def found(frame1, motion, **changes):
-        settings = tisfm.Settings.preset("fast", motion=motion, **changes)
-        return tisfm.interpret(shot.frames[0], frame1, camera=shot.camera, settings=settings).status
-
-    doubt = found(dark, "camera")
-    assert doubt in DOUBTS and "Frame 1 is 0.7 times as bright as frame 0" in doubt.message
-    assert "or take brightness=0 and depth_brightness=0" in doubt.message
-    assert "bright" not in found(shot.frames[1], "camera").message
-    assert "bright" not in found(dark, "field").message  # it is hardly disturbed
-    for frame1, told in ((dark[::-1, ::-1], True), (shot.frames[1][::-1, ::-1], False)):
-        doubt = found(frame1, "field")
-        assert doubt in DOUBTS and ("times as bright" in doubt.message) == told
-
-
-@pytest.mark.parametrize(
-    ("changes", "advice"),
-    [
-        ({"motion": "field"}, "one brightness, or take brightness=0"),
-        ({"motion": "camera"}, "one brightness, or take brightness=0 and depth_brightness=0"),
-        ({"motion": "camera", "brightness": 0.0}, "one brightness, or take depth_brightness=0"),
-        ({"motion": "field", "brightness": 0.0}, "one brightness"),
-        ({"motion": "field", "gradient": 0.0}, "one brightness"),
-    ],
-)
-def test_what_is_to_be_done_about_the_light(changes, advice):
-    settings = tisfm.Settings.preset("fast", **changes)
-    doubt = Status("unrelated", "why")
-
-    def told(level0, level1, status=doubt):
-        grey = [np.full((8, 8), level, np.float32) for level in (level0, level1)]
-        pyramid = SimpleNamespace(frames0=[grey[0]], frames1=[grey[1]])
-        return told_of_light(status, pyramid, settings)
-
-    assert told(100, 200) == "unrelated"
-    assert told(100, 200).message.startswith("why. Frame 1 is 2 times as bright as frame 0: ")
-    assert told(100, 80).message.endswith(advice) and "0.8 times" in told(100, 80).message
-    for levels in ((100, 110), (110, 100), (0, 100), (-50, 100), (np.inf, 100), (np.nan, 100)):
-        assert told(*levels) is doubt
-    well = Status("converged", "it is well")
-    assert told(100, 200, well) is well
 
 
 # Nothing in common.

@@ -1,7 +1,7 @@
 """Pages without a browser: to wait for what they show, and to set their controls."""
 
 import time
-from queue import SimpleQueue
+from concurrent.futures import Future
 
 PATIENCE = 120.0  # s, for machines that do much else
 
@@ -16,10 +16,17 @@ def wait_for(condition):
 
 def between_drawings(page, look):
     """Return what the thread that draws finds where it is not drawing."""
-    found = SimpleQueue()
-    page._jobs.put(lambda: found.put(look()))
+    found = Future()
+
+    def job():
+        try:
+            found.set_result(look())
+        except BaseException as error:
+            found.set_exception(error)
+
+    page._jobs.put(job)
     page._wake.set()
-    return found.get(timeout=PATIENCE)
+    return found.result(timeout=PATIENCE)
 
 
 def is_drawn(page):

@@ -141,12 +141,12 @@ def test_a_click_reads_the_pixel_that_is_there(look, tmp_path):
     write_run(tmp_path / "r", 2)
     page, tab = look(tmp_path / "r")
     tab.get_by_label("Follow the camera").check()
-    wait_until(tab, lambda: is_drawn(page), "it is not drawn in full")
     (client,) = page.server.get_clients().values()
     place = page.scene.pose_of(page.number)[:3, 3]
     wait_until(
         tab, lambda: np.linalg.norm(client.camera.position - place) < 1e-3, "it does not go there"
     )
+    wait_until(tab, lambda: is_drawn(page), "it is not drawn in full")
     wait_until_still(tab)
     box = tab.locator("canvas").first.bounding_box()
     x, y = box["x"] + 0.45 * box["width"], box["y"] + 0.6 * box["height"]

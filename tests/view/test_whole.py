@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trimesh import Trimesh
 
 from tests.view.results import film, write_reconstruction
 from tisfm.formats import FormatError
 from tisfm.formats.glb import glb_surface
+from tisfm.formats.srgb import linear_from_srgb
 from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result import Reconstruction
@@ -60,8 +62,17 @@ def test_files_are_read_as_they_were_written(tmp_path):
         assert found.origin == name
         np.testing.assert_allclose(found.positions, mesh.vertices, atol=1e-6)
         np.testing.assert_array_equal(found.faces, mesh.faces)
-        near = 4 if name == "mesh.glb" else 0  # which keeps 8 bits of light
-        np.testing.assert_allclose(found.colors.astype(int), mesh.colors, atol=near)
+        assert found.colors.dtype == np.uint8
+        np.testing.assert_array_equal(found.colors, mesh.colors)
+
+
+def test_a_surface_of_before_whose_light_has_8_bits_is_read(tmp_path):
+    made = sheet(4)
+    light = np.rint(255 * linear_from_srgb()[made.colors]).astype(np.uint8)
+    old = Trimesh(made.positions, made.faces, vertex_colors=light, process=False)
+    (tmp_path / "mesh.glb").write_bytes(old.export(file_type="glb"))
+    found = stored_whole(tmp_path, "surface")
+    np.testing.assert_allclose(found.colors.astype(int), made.colors, atol=4)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("points.ply", "points"), ("mesh.glb", "surface")])

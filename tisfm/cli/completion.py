@@ -8,7 +8,7 @@ from tisfm.cli.nearest import hint
 _BASH = """\
 _tisfm() {{
   local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" words=""
-  local given="${{COMP_WORDS[1]}}"
+  local given="${{COMP_WORDS[1]}}" kept=""
   COMPREPLY=()
   if [ "$COMP_CWORD" -eq 1 ]; then
     words="{first}"
@@ -29,12 +29,12 @@ _tisfm() {{
     esac
   fi
   if [ -n "$words" ]; then
-    local kept="${{current%"${{current##*,}}"}}"
-    COMPREPLY=( $(compgen -P "$kept" -W "$words" -- "${{current##*,}}") )
+    COMPREPLY=( $(compgen -P "$kept" -W "$words" -- "${{current#"$kept"}}") )
   fi
 }}
 complete -o default -F _tisfm tisfm
 """
+_KEPT = 'kept="${current%"${current##*,}"}"'  # of a list with commas, all but its last word
 _FIRST = "complete -c tisfm -n __fish_use_subcommand"
 _ZSH = """\
 autoload -U +X compinit && compinit -u
@@ -70,8 +70,13 @@ def _bash(known: Known) -> str:
     values = [
         f'      "{command} {option}") words="{" ".join(chosen)}" ;;'
         for command, options in known.options.items()
-        for option, chosen in {**options, **LISTS.get(command, {})}.items()
+        for option, chosen in options.items()
         if chosen
+    ]
+    values += [
+        f'      "{command} {option}") words="{" ".join(chosen)}" {_KEPT} ;;'
+        for command, options in LISTS.items()
+        for option, chosen in options.items()
     ]
     options = [
         f'              {command}) words="{_joined(taken)}" ;;'

@@ -26,7 +26,7 @@ LISTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "export": {"--to": _FORMATS},
     "run": {"--outputs": _OUTPUTS},
 }
-"""Options that take several words, with commas, and which: their help does not list them."""
+"""Options that take several words, with commas, and which: the help has them in no braces."""
 
 Help = Callable[[list[str]], object]
 

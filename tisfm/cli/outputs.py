@@ -121,6 +121,7 @@ class PairWriter:
             "figures": self.files.figures,
             "start": start,
             "step": step,
+            # Of runs without anaglyphs it is no matter.
             "disparity": disparity if "anaglyph" in chosen else None,
             "screen": screen if "anaglyph" in chosen else None,
         }

@@ -87,7 +87,8 @@ def _exported(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
         ((primitive,),) = (mesh["primitives"] for mesh in tree["meshes"])
         accessor = list(tree["accessors"].values())[primitive["attributes"]["COLOR_0"]]
         del accessor["normalized"]
-        accessor.update(componentType=_FLOAT, type="VEC3")
+        ends = {"min": light.min(axis=0).tolist(), "max": light.max(axis=0).tolist()}
+        accessor.update(componentType=_FLOAT, type="VEC3", **ends)
         buffers[list(buffers)[accessor["bufferView"]]] = light.tobytes()
 
     data = export_glb(

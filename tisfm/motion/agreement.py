@@ -6,7 +6,6 @@ import numpy as np
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.windows import window_variance
 from tisfm.outcome import Status
-from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
@@ -37,11 +36,6 @@ UNSURE, UNCERTAIN = 0.5, 0.05
 # them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
 VARIED, ALONG = 0.01, 0.25
 FAINT = 0.01  # of the usual variation: windows with less do not count
-LIT = 1.15  # times as bright is one frame as the other, and more: the light may have changed
-DOUBTS = (
-    "uncertain", "little_parallax", "pure_rotation", "two_motions", "behind_camera", "unexplained",
-    "unrelated", "diverged",
-)  # fmt: skip
 BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
 SAMPLED = 3  # px: of as many columns and rows, one tells
 HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
@@ -250,29 +244,6 @@ def _worse_than_flow(
         f"motion and depth do not make the frames alike at {100 * share:.0f}% of the texture that "
         "is seen, so depth is wrong there: take frames closer in time, check the camera, the pose "
         'if one is given, and that nothing large moves on its own (motion="objects" allows that)',
-    )
-
-
-def told_of_light(status: Status, pyramid: ImagePyramid, settings: Settings) -> Status:
-    """Return a status whose message also says that one frame is brighter, where that may be why.
-
-    Its code stays: what a camera sees may be brighter from another place.
-    """
-    if status not in DOUBTS:
-        return status
-    mean0, mean1 = (float(frames[-1].mean()) for frames in (pyramid.frames0, pyramid.frames1))
-    dark, bright = sorted((mean0, mean1))
-    if not LIT * dark <= bright < np.inf or dark <= 0:
-        return status
-    weights = ["brightness"] if settings.motion == "field" else ["brightness", "depth_brightness"]
-    weights = [name for name in weights if getattr(settings, name) > 0 < settings.gradient]
-    advice = "bring both frames to one brightness"
-    if weights:
-        advice += ", or take " + " and ".join(f"{name}=0" for name in weights)
-    return Status(
-        status,
-        f"{status.message}. Frame 1 is {mean1 / mean0:.2g} times as bright as frame 0: if light or "
-        f"exposure changed, {advice}",
     )
 
 

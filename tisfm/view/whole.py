@@ -68,6 +68,8 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
         if path.suffix == ".glb":  # there Y points up, and colours are amounts of light
             positions = positions * np.array((1, -1, -1), np.float32)
             colors = colors_of(colors)
+        else:
+            colors = colors.astype(np.uint8)
         found = Whole(
             positions=positions,
             colors=colors,
