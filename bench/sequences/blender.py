@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,11 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 import tisfm
+from bench.sequences.one_sequence import parsed
 from bench.shared.bar import Bar
 from bench.shared.machine import RESULTS, machine
-from bench.shared.sequences import data_folder
-from tisfm.datasets import find_sequences
 from tisfm.exports import write_gltf_cameras, write_points
 from tisfm.formats import read_image
-from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 PART = (400, 500)  # rows and columns, from the upper left corner
@@ -120,19 +118,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return 1 if a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.sequences.blender")
     parser.add_argument("--python", required=True, metavar="FILE", help="a Python that has bpy")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="the folder of sequences")
-    parser.add_argument("--preset", choices=get_args(Preset), default="fast")
-    parser.add_argument("--output", default="blender", metavar="NAME", help="in bench/results")
-    options = parser.parse_args(arguments)
-    data = data_folder(options.data)
-    if data is None:
-        parser.error("no folder of sequences is named: give --data, or set TISFM_DATA")
-    (sequence,) = find_sequences(data / SEQUENCE)
-    loaded = sequence.load(1)
+    options, loaded = parsed(parser, arguments, sequence=SEQUENCE, preset="fast", output="blender")
     frames = np.stack([read_image(file) for file in loaded.frames])
     stated = loaded.camera
     if stated is None:
-        parser.error(f"{data / SEQUENCE} does not state its camera")
+        parser.error(f"{SEQUENCE} does not state its camera")
     part = tisfm.Camera(focal=stated.focal, center=stated.center_for(*frames.shape[1:3]))
     settings = tisfm.Settings.preset(options.preset, motion="camera")
     cases = {

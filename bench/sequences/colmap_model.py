@@ -9,19 +9,17 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pycolmap
 from rich.console import Console
 
 import tisfm
+from bench.sequences.one_sequence import parsed
 from bench.shared.bar import Bar
 from bench.shared.machine import RESULTS, machine
-from bench.shared.sequences import data_folder
-from tisfm.datasets import find_sequences
 from tisfm.exports import write_colmap
-from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 IMAGES, POINTS, REPROJECTION = 30, 5000, 1.0  # the bars of that sequence; the last in px
@@ -90,15 +88,9 @@ def report(found: dict[str, float], held: Sequence[Bar], conditions: dict[str, A
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return 1 if a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.sequences.colmap_model")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="the folder of sequences")
-    parser.add_argument("--preset", choices=get_args(Preset), default="balanced")
-    parser.add_argument("--output", default="colmap", metavar="NAME", help="in bench/results")
-    options = parser.parse_args(arguments)
-    data = data_folder(options.data)
-    if data is None:
-        parser.error("no folder of sequences is named: give --data, or set TISFM_DATA")
-    (sequence,) = find_sequences(data / SEQUENCE)
-    loaded = sequence.load(1)
+    options, loaded = parsed(
+        parser, arguments, sequence=SEQUENCE, preset="balanced", output="colmap"
+    )
     settings = tisfm.Settings.preset(options.preset, motion="camera")
     with tempfile.TemporaryDirectory() as place:
         result = tisfm.reconstruct(
