@@ -176,39 +176,37 @@ def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer
     assert (result.piece == 0).any()
 
 
-@pytest.mark.parametrize(("first", "best"), [(40, 60), (55, 55), (0, 60)])
-def test_what_explains_little_is_begun_elsewhere(first, best):
-    """Focal lengths of 100, 42 and 240 px explain 45, 60 and 30 of 100 observations."""
-    explained = {90.0: first, 100.0: 45, 42.0: 60, 240.0: 30}
+@pytest.mark.parametrize(("first", "best"), [(0.4, 0.6), (0.55, 0.55), (0.0, 0.6)])
+def test_a_path_that_explains_little_is_begun_with_another_focal_length(first, best):
+    """Focal lengths of 100, 42 and 240 px have scores of 0.45, 0.6 and 0.3."""
+    scores = {90.0: first, 100.0: 0.45, 42.0: 0.6, 240.0: 0.3}
 
     def grown(camera, calibrate):
-        count = explained[round(camera.focal, 6)]
+        score = scores[round(camera.focal, 6)]
         lens = SimpleNamespace(params=[camera.focal, 50.0, 40.0])
-        one = SimpleNamespace(cameras={1: lens}, compute_num_observations=lambda: count)
-        return [one] if count else []
+        return [SimpleNamespace(cameras={1: lens}, score=score)] if score else []
 
-    shared = SimpleNamespace(grown=grown, matched=lambda: 100)
+    shared = SimpleNamespace(grown=grown, score=lambda found: sum(one.score for one in found))
     (found,) = self_calibration._grown(shared, Camera(focal=100.0), 90.0, "focal")
-    assert found.compute_num_observations() == best
+    assert found.score == best
 
 
-@pytest.mark.parametrize(("counts", "kept"), [([49], True), ([30, 20], False), ([], False)])
-def test_what_is_grown_again_has_to_explain_half_as_much(monkeypatch, counts, kept):
-    """The motion hardly shows the focal length: models are grown again with it; 100 count before.
+@pytest.mark.parametrize(("scores", "kept"), [([49], True), ([30, 20], False), ([], False)])
+def test_models_grown_again_have_to_explain_half_as_much(monkeypatch, scores, kept):
+    """The motion hardly shows the focal length: models are grown again with it; 100 is the score.
 
-    None at all is what a turn of the camera leads to.
+    A turn of the camera leads to no model at all.
     """
-    before = SimpleNamespace(compute_num_observations=lambda: 100)
-    shared = SimpleNamespace(models=lambda *_: ["before"])
-    again = [SimpleNamespace(explained=count) for count in counts]
+    shared = SimpleNamespace(models=lambda *_: ["before"], score=lambda _: 0.5, matches=lambda: 200)
+    again = [SimpleNamespace(score=score) for score in scores]
     hardly = FocalEstimate(focal=100.0, deviation=10.0)
     for name, answer in (
-        ("Shared", SimpleNamespace(of=lambda *_: shared)),
+        ("Shared", SimpleNamespace(of=lambda *_, **__: shared)),
         ("_best_start", lambda *_: 100.0),
-        ("_grown", lambda *_: [before]),
+        ("_grown", lambda *_: ["before"]),
         ("_adjust", lambda *_: None),
         ("_estimate", lambda *_: hardly),
-        ("models_of", lambda *_: again),
+        ("models_of", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
     models, _ = self_calibration.models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")

@@ -56,7 +56,7 @@ class Cover:
             poses = {
                 k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()
             }
-            rays = {view: _rays(self._points[view], camera) for view in poses}
+            rays = {view: rays_of(self._points[view], camera) for view in poses}
             for (first, second), both in self._pairs.items():
                 if first in poses and second in poses:
                     before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
@@ -98,7 +98,7 @@ def places_in(shape: tuple[int, int]) -> np.ndarray:
     return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
-def _rays(points: np.ndarray, camera: Any) -> np.ndarray:
+def rays_of(points: np.ndarray, camera: Any) -> np.ndarray:
     """Return the directions of points in a view, (N, 3), of unit length."""
     rays = np.column_stack([camera.cam_from_img(points + CENTRE), np.ones(len(points))])
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)

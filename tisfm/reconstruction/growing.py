@@ -1,12 +1,13 @@
 """Models grown view by view: a first pair, then whatever sees enough of what is known."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.colmap import pycolmap
+from tisfm.reconstruction.parallax import beyond_homography, beyond_rotation
 from tisfm.reconstruction.places import OnePlace
 
 FEWEST = 15  # observations that two views, or a view and the points, share
@@ -19,20 +20,49 @@ GROWN = 1.5  # times as many views, or points, as when all of them were adjusted
 # Of adjustments of all, while a model grows and at its end: steps at most, and the relative change
 # of the sum of squares that is none.
 GROWING, ENDING = (10, 1e-4), (50, 1e-5)
-# Of first pairs: triangulation angles in degrees, the first that finds one counts; the parallax
-# from where on more is no better, rad; and how many are tried.
-ANGLES, ENOUGH_PARALLAX, TRIED = (4.0, 1.0), 0.03, 24
-NEAREST, ROUNDS = 5e-4, 5  # rad: of parallax, noise has no more; and of the fit of a homography
-BETTER = 2.5  # times: than a homography, a motion explains the directions of a first pair
+# Degrees: triangulation angles of first pairs, tried in this order. Where a car goes forward, only
+# small ones are found.
+ANGLES = (4.0, 1.0, 0.5)
+TRIED = 24  # first pairs, at most, for each angle
+# px: errors that RANSAC tolerates at a first pair of frames from 480 to 1000 px long. With a larger
+# one than the parallax, which may be 2 px, any motion is accepted.
+TOLERANCE = 1.0
+SMALL_FRAME, LARGE_FRAME = 480, 1000  # px: the longer side where the tolerance begins to change
+LEAST_PARALLAX = 5e-4  # rad: matching noise has as much
+ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
+# A first pair's motion explains its directions so many times better than a homography if the focal
+# length is a guess. If it is known, so many times better than a rotation with any focal length, and
+# than a homography: matches in one plane leave 1.75 times as much beside their homography as beside
+# epipolar lines, as distances have one dimension there, and two here.
+BETTER_IF_GUESSED = 2.5
+BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
 QUANTILE = 0.75  # of the parallax of two views
-EXPLAINED = 0.65  # of all matched observations: a model that explains as many is right
+EXPLAINED = 0.65  # score per match: a model that explains as much is right
 STARTS, ELSEWHERE = 3, 4  # models that are grown otherwise; views from one beginning to another
 NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def grown(database: Any, pairs: Pairs, count: int, calibrate: Calibrate = "nothing") -> list[Any]:
+class Score(Protocol):
+    """How well models explain the matches of views; see `MatchScore`."""
+
+    def score(self, model: Any) -> float:
+        """Return the sum of the scores of the matches between the views of a model."""
+
+    def matches(self, views: Collection[int] | None = None) -> int:
+        """Return the number of matches between views, whose numbers begin with 1."""
+
+
+def grown(
+    database: Any,
+    pairs: Pairs,
+    count: int,
+    score: Score,
+    calibrate: Calibrate = "nothing",
+    *,
+    focal_known: bool = True,
+) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first.
 
     Parameters
@@ -43,17 +73,23 @@ def grown(database: Any, pairs: Pairs, count: int, calibrate: Calibrate = "nothi
         points.
     count : int
         Of views.
+    score : Score
+        Chooses among models that begin with different pairs.
     calibrate : {"nothing", "focal", "radial"}
         What of the camera is adjusted with the rest, from what it is on.
+    focal_known : bool
+        Whether the focal length is known. Then a first pair may show a single plane: it has to show
+        parallax beyond a rotation. With a guess, it has to show parallax beyond a homography.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options(calibrate)
+    options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
     left = set(range(1, count + 1)) & set(cache.images)
-    promising = _promising(pairs)
+    first_pairs = _FirstPairs(pairs, focal_known)
     found = []
     while len(left) >= SMALLEST:
-        reconstruction = _one(mapper, cache, options, pairs, promising, left)
+        reconstruction = _one(mapper, score, options, first_pairs, left)
         if reconstruction is None:
             break
         left -= set(reconstruction.reg_image_ids())
@@ -107,24 +143,98 @@ def _cache(database: Any) -> Any:
     return pycolmap().DatabaseCache.create(database, settings)
 
 
+def first_pair_tolerance(longer_side: float) -> float:
+    """Return the error, px, that a match of a first pair may have.
+
+    Parameters
+    ----------
+    longer_side : float
+        Of the frames, px.
+    """
+    return TOLERANCE * max(1.0, longer_side / LARGE_FRAME)
+
+
+def _longer_side(cache: Any) -> int:
+    """Return the longer side of the frames, px."""
+    camera = next(iter(cache.cameras.values()))
+    return int(max(camera.width, camera.height))
+
+
+class _FirstPairs:
+    """Chooses pairs of views that a path may begin with.
+
+    Parameters
+    ----------
+    pairs : mapping of (int, int) to two (N, 3) arrays
+        As for `grown`.
+    focal_known : bool
+        As for `grown`.
+    """
+
+    def __init__(self, pairs: Pairs, focal_known: bool) -> None:
+        self._pairs, self._focal_known = pairs, focal_known
+        self._parallax = beyond_rotation if focal_known else beyond_homography
+        self._ranked = self._rank()
+
+    def starts(
+        self, mapper: Any, options: Any, left: set[int], begun: Sequence[int]
+    ) -> Iterator[tuple[int, int, Any]]:
+        """Give pairs of the views that are left, with the motion from the first to the second.
+
+        Pairs near views of `begun`, which may grow meanwhile, are left out.
+        """
+        possible = [pair for pair in self._ranked if left.issuperset(pair)]
+        for angle in ANGLES:
+            options.mapper.init_min_tri_angle = angle
+            for first, second in possible[:TRIED]:
+                if any(abs(one - other) < ELSEWHERE for one in (first, second) for other in begun):
+                    continue
+                motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
+                if motion is not None and self._is_needed(motion.matrix(), first, second):
+                    yield first, second, motion
+
+    def _rank(self) -> list[tuple[int, int]]:
+        """Return pairs that share many points with parallax, the best first."""
+        worth = {}
+        for pair, (before, after) in self._pairs.items():
+            if len(before) >= 2 * FEWEST:
+                parallax = self._parallax(before, after)
+                if np.median(parallax) > LEAST_PARALLAX:
+                    worth[pair] = len(before) * min(
+                        float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
+                    )
+        return sorted(worth, key=lambda one: (-worth[one], one))
+
+    def _is_needed(self, motion: np.ndarray, first: int, second: int) -> bool:
+        """Return whether a motion, (3, 4), explains directions much better than simpler ones.
+
+        A motion with a depth for each point explains noise a little better as well.
+        """
+        before, after = self._pairs[first, second]
+        normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        away = float(np.median(np.abs((after * normal).sum(axis=1))))
+        by_homography = float(np.median(beyond_homography(before, after)))
+        if not self._focal_known:
+            return by_homography > BETTER_IF_GUESSED * away
+        by_rotation = float(np.median(beyond_rotation(before, after)))
+        return (
+            by_rotation > BETTER_THAN_ROTATION * away
+            and by_homography > BETTER_THAN_HOMOGRAPHY * away
+        )
+
+
 def _one(
-    mapper: Any,
-    cache: Any,
-    options: Any,
-    pairs: Pairs,
-    promising: Sequence[tuple[int, int]],
-    left: set[int],
+    mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, left: set[int]
 ) -> Any | None:
     """Return a reconstruction of some of the views that are left, None if there is none.
 
-    A first pair may leave the motion open, and a model that is grown from it is bent: it explains
-    little. Then others are grown, and the one that explains most counts.
+    A first pair may leave the motion open. A model that is grown from it is bent and explains
+    little. Then further models are grown from other pairs, and the one with the best score counts.
     """
-    best, most, begun = None, 0, list[int]()
-    possible = [pair for pair in promising if left.issuperset(pair)]
-    for pair in _starts(mapper, options, pairs, possible):
-        if any(abs(number - other) < ELSEWHERE for number in pair[:2] for other in begun):
-            continue
+    best, most, begun = None, 0.0, list[int]()
+    enough = EXPLAINED * score.matches(left)
+    for pair in first_pairs.starts(mapper, options, left, begun):
         begun += pair[:2]
         reconstruction = pycolmap().Reconstruction()
         mapper.begin_reconstruction(reconstruction)
@@ -132,36 +242,13 @@ def _one(
         mapper.triangulate_image(options.triangulation, pair[0])
         _grow(mapper, reconstruction, options, left)
         mapper.end_reconstruction(False)
-        explained = reconstruction.compute_num_observations()
-        if reconstruction.num_reg_images() >= SMALLEST and explained > most:
-            best, most = reconstruction, explained
-        matched = sum(map(cache.correspondence_graph.num_observations_for_image, left))
-        if most > EXPLAINED * matched or len(begun) >= 2 * STARTS:
+        if reconstruction.num_reg_images() >= SMALLEST:
+            explained = score.score(reconstruction)
+            if explained > most:
+                best, most = reconstruction, explained
+        if most > enough or len(begun) >= 2 * STARTS:
             break
     return best
-
-
-def _starts(
-    mapper: Any, options: Any, pairs: Pairs, promising: Sequence[tuple[int, int]]
-) -> Iterator[tuple[int, int, Any]]:
-    """Give pairs that serve as a beginning, with the motion from the first to the second."""
-    for angle in ANGLES:
-        options.mapper.init_min_tri_angle = angle
-        for first, second in promising[:TRIED]:
-            motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
-            if motion is not None and _needed(motion.matrix(), *pairs[first, second]):
-                yield first, second, motion
-
-
-def _needed(motion: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
-    """Return whether a motion, (3, 4), explains directions much better than any homography.
-
-    With a way of its own for each point, a motion explains noise a little better as well.
-    """
-    normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    away = np.abs((after * normal).sum(axis=1))
-    return bool(np.median(_parallax(before, after)) > BETTER * np.median(away))
 
 
 def _grow(
@@ -206,44 +293,6 @@ def _grow(
             views, points = adjust_all(1)
     adjust_all(1)
     adjust_all(1, ENDING)
-
-
-def _promising(pairs: Pairs) -> list[tuple[int, int]]:
-    """Return pairs of views to begin with, the best first.
-
-    They share many points that neither a turn of the camera nor a plane explains: either leaves
-    the motion open.
-    """
-    worth = {}
-    for pair, (before, after) in pairs.items():
-        if len(before) >= 2 * FEWEST:
-            parallax = _parallax(before, after)
-            if np.median(parallax) > NEAREST:
-                worth[pair] = len(before) * min(
-                    float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
-                )
-    return sorted(worth, key=lambda one: (-worth[one], one))
-
-
-def _parallax(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the angles that a homography leaves between directions, (N,), rad."""
-    x, y, z = after.T[:, :, None]
-    nothing = np.zeros_like(before)
-    equations = np.stack(  # of the nine entries of H, row by row: after × (H before) = 0
-        [
-            np.hstack([nothing, -z * before, y * before]),
-            np.hstack([z * before, nothing, -x * before]),
-            np.hstack([-y * before, x * before, nothing]),
-        ]
-    )
-    weights = np.ones(len(before))
-    for _ in range(ROUNDS):
-        weighted = (equations * weights[:, None]).reshape(-1, 9)
-        moved = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
-        moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
-        left = np.linalg.norm(np.cross(after, moved), axis=1)
-        weights = 1 / np.sqrt(left + NEAREST)
-    return np.asarray(left)
 
 
 def _options(calibrate: Calibrate = "nothing") -> Any:

@@ -74,7 +74,7 @@ class PartGrower:
 
     Parameters
     ----------
-    views, matches, camera, shape
+    views, matches, camera, shape, focal_known
         As for `tisfm.reconstruction.mapping.models_of`.
     spans : sequence of (int, int)
         The first view of each part, and the one after its last.
@@ -90,9 +90,12 @@ class PartGrower:
         shape: tuple[int, int],
         spans: Sequence[tuple[int, int]],
         size: int,
+        *,
+        focal_known: bool = True,
     ) -> None:
         self._views, self._matches, self._spans = views, matches, spans
         self._camera, self._shape, self._size = camera, shape, size
+        self._focal_known = focal_known
         self._elsewhere = _matched_elsewhere(matches, spans)
 
     def parts(self) -> list[GrownPart]:
@@ -135,7 +138,7 @@ class PartGrower:
             for (earlier, later), both in self._matches.items()
             if earlier in place and later in place
         }
-        shared = Shared.of(views, inside, self._shape)
+        shared = Shared.of(views, inside, self._shape, focal_known=self._focal_known)
         if known is None:
             grown = shared.grown(self._camera)
         else:

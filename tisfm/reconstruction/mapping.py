@@ -23,6 +23,7 @@ from tisfm.reconstruction.database import (
 )
 from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
 from tisfm.reconstruction.lasting import lasting
+from tisfm.reconstruction.match_score import MatchScore
 from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
 from tisfm.reconstruction.tracks import Seen
 
@@ -39,13 +40,13 @@ class Model:
         Camera to world, by frame.
     points : TrackPoints
         In the world.
-    explained : int
-        Observations in views that it was adjusted for.
+    score : float
+        How well it explains the matches of its views (`MatchScore`).
     """
 
     poses: dict[int, np.ndarray]
     points: TrackPoints
-    explained: int = 0
+    score: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +61,14 @@ class Shared:
         For pairs of indices of views, indices of points that are the same.
     shape : (int, int)
         Height and width of the frames, px.
+    focal_known : bool
+        Whether the focal length is known, or is a guess.
     """
 
     views: list[View]
     pairs: dict[tuple[int, int], np.ndarray]
     shape: tuple[int, int]
+    focal_known: bool = True
 
     @classmethod
     def of(
@@ -72,11 +76,13 @@ class Shared:
         views: Sequence[View],
         matches: Mapping[tuple[int, int], np.ndarray],
         shape: tuple[int, int],
+        *,
+        focal_known: bool = True,
     ) -> "Shared":
         """Return what views have in common; arguments are those of `models_of`."""
         kept = lasting([view.seen for view in views], max(shape))
         few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
-        return cls(views=few, pairs=pairs_of(few, matches), shape=shape)
+        return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
 
     def part(self, first: int, last: int) -> "Shared":
         """Return what the views from one up to another, that one left out, have in common."""
@@ -115,15 +121,23 @@ class Shared:
         known = colmap_camera(camera, self.shape, calibrate)
         directions = Directions(self.views, pairs, camera, self.shape)
         with database_of(self.views, pairs, known) as database:
-            return grown(database, directions, len(self.views), calibrate)
+            return grown(
+                database,
+                directions,
+                len(self.views),
+                MatchScore(self.views, pairs, self.shape),
+                calibrate,
+                focal_known=self.focal_known,
+            )
 
-    def matched(self) -> int:
-        """Return how many points of views pairs match."""
-        points: dict[int, list[np.ndarray]] = {}
-        for (one, other), both in self.pairs.items():
-            points.setdefault(one, []).append(both[:, 0])
-            points.setdefault(other, []).append(both[:, 1])
-        return sum(len(np.unique(np.concatenate(few))) for few in points.values())
+    def score(self, reconstructions: Sequence[Any]) -> float:
+        """Return how well pycolmap's reconstructions explain the matches: their mean score."""
+        score = MatchScore(self.views, self.pairs, self.shape)
+        return sum(map(score.score, reconstructions)) / max(score.matches(), 1)
+
+    def matches(self) -> int:
+        """Return the number of matches."""
+        return sum(map(len, self.pairs.values()))
 
     def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
         """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
@@ -145,7 +159,8 @@ class Shared:
 
     def model(self, reconstruction: Any) -> Model:
         """Return the model of one, with the points of the tracks that it was adjusted for."""
-        return _model(reconstruction, self.views)
+        score = MatchScore(self.views, self.pairs, self.shape).score(reconstruction)
+        return replace(_model(reconstruction, self.views), score=score)
 
 
 def models_of(
@@ -153,6 +168,8 @@ def models_of(
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
+    *,
+    focal_known: bool = True,
 ) -> list[Model]:
     """Find poses of views and points of tracks.
 
@@ -167,6 +184,9 @@ def models_of(
         A pinhole.
     shape : (int, int)
         Height and width of the frames, px.
+    focal_known : bool
+        Whether the focal length is known. If it is a guess, a path does not begin where all matches
+        lie in one plane.
 
     Returns
     -------
@@ -178,7 +198,7 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
-    shared = Shared.of(views, matches, shape)
+    shared = Shared.of(views, matches, shape, focal_known=focal_known)
     return shared.models(shared.grown(camera), views, camera)
 
 
@@ -280,11 +300,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
             tracks = views[element.image_id - 1].seen.tracks
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
-    return Model(
-        poses=dict(sorted(poses.items())),
-        points=TrackPoints.of(points),
-        explained=reconstruction.compute_num_observations(),
-    )
+    return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
 
 
 def _with_others(

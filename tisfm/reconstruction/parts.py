@@ -78,12 +78,14 @@ def models_in_parts(
     camera: Camera,
     shape: tuple[int, int],
     seen: Sequence[Seen],
+    *,
+    focal_known: bool = True,
 ) -> list[Model]:
     """Find poses of views and points of tracks, as `models_of` does, in bounded memory.
 
     Parameters
     ----------
-    views, matches, camera, shape
+    views, matches, camera, shape, focal_known
         As for `tisfm.reconstruction.mapping.models_of`.
     seen : sequence of Seen
         Tracks in every frame.
@@ -95,7 +97,8 @@ def models_in_parts(
     """
     size = max(SMALLEST_GROUP, len(views) // GROUPS)
     spans = parts_of(len(views))
-    parts = PartGrower(views, matches, camera, shape, spans, size).parts()
+    grower = PartGrower(views, matches, camera, shape, spans, size, focal_known=focal_known)
+    parts = grower.parts()
     begins = np.cumsum([0, *(len(part.groups) for part in parts)]).tolist()
     edges = [*_inside(parts, begins), *_joints(parts, begins, views)]
     edges += sorted(_loops(parts, begins, matches), key=lambda edge: -edge.worth)

@@ -152,7 +152,10 @@ class PathFinder:
         if self._readout != 0 and way.pieces:
             instants = np.arange(len(self._seen)) if instants is None else np.asarray(instants)
             way, rolling = self._unrolled(way, instants)
-        lost = {frame: why_lost(way.seen[frame], way.pieces, different) for frame in way.unplaced}
+        lost = {
+            frame: why_lost(way.seen[frame], way.pieces, different, focal_known=self._focal_known)
+            for frame in way.unplaced
+        }
         return CameraPath(
             pieces=tuple(sorted(way.pieces, key=lambda piece: min(piece.poses))),
             lost=lost,
@@ -162,13 +165,20 @@ class PathFinder:
             rolling=rolling,
         )
 
+    @property
+    def _focal_known(self) -> bool:
+        """Whether the focal length was stated."""
+        return self._calibrate == "nothing"
+
     def _unrolled(self, way: Way, instants: np.ndarray) -> tuple[Way, Rolling | None]:
         """Return the way of middle rows, and how frames moved while they were read, if they did."""
         pinhole, matches = way.camera.pinhole(), self._views.matches
 
         def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
             if len(views) > MOST:
-                models = models_in_parts(views, matches, pinhole, self._shape, seen)
+                models = models_in_parts(
+                    views, matches, pinhole, self._shape, seen, focal_known=self._focal_known
+                )
             else:
                 known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
                 models = models_again(views, matches, pinhole, self._shape, known)
@@ -183,7 +193,7 @@ class PathFinder:
             anew = self._way(found.views, found.seen, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
                 anew = near(found.views, found.seen, anew.pieces)
-            if anew.explained > found.explained and _is_of_use(anew.focal):
+            if anew.score > found.score and _is_of_use(anew.focal):
                 found = anew
         if found.focal is None:
             found = replace(found, camera=way.camera, focal=way.focal)
@@ -212,10 +222,12 @@ class PathFinder:
             lens = camera if focal is None else focal.taken(camera)
             seen = _straight(tracks, lens, shape)
             straight_views = _straight_views(views, lens, shape)
-            models = models_in_parts(straight_views, matches, lens.pinhole(), shape, seen)
+            models = models_in_parts(
+                straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_known
+            )
             return self._complete(models, views, seen, lens, focal)
         if calibrate == "nothing":
-            models = models_of(views, matches, camera, shape)
+            models = models_of(views, matches, camera, shape, focal_known=self._focal_known)
         else:
             models, focal = models_and_focal(
                 views, matches, camera, shape, calibrate, limit=self._limit
@@ -246,7 +258,7 @@ class PathFinder:
             seen=seen,
             camera=camera,
             focal=focal,
-            explained=sum(model.explained for model in models),
+            score=sum(model.score for model in models),
         )
 
 
@@ -322,8 +334,22 @@ def with_others(
     ], unplaced
 
 
-def why_lost(seen: Seen, pieces: Sequence[Piece], different: int) -> Status:
-    """Return the status of a frame without a pose, where so many frames differ from one another."""
+def why_lost(
+    seen: Seen, pieces: Sequence[Piece], different: int, *, focal_known: bool = True
+) -> Status:
+    """Return the status of a frame without a pose.
+
+    Parameters
+    ----------
+    seen : Seen
+        Tracks in the frame.
+    pieces : sequence of Piece
+        All that were found.
+    different : int
+        Number of frames that differ from one another.
+    focal_known : bool
+        Whether the focal length was stated: then a path may begin before a plane.
+    """
     count = len(seen.tracks)
     if count < FEWEST:
         return Status(
@@ -338,11 +364,18 @@ def why_lost(seen: Seen, pieces: Sequence[Piece], different: int) -> Status:
             f"only {different} frames differ, but a path needs {SMALLEST}: take more frames, or "
             "give the pair to tisfm.interpret",
         )
+    if not pieces and focal_known:
+        return Status(
+            "little_parallax",
+            "no two frames show enough parallax to begin a path: the camera only turns, or noise "
+            "hides its motion; move it sideways before something with texture",
+        )
     if not pieces:
         return Status(
             "little_parallax",
-            "no two frames show enough parallax to begin with, as where the camera only turns: "
-            "it has to change its place, before something that has texture",
+            "no two frames show enough parallax to begin a path: the camera only turns, or the "
+            "scene is one plane; move it sideways, or state the focal length of a camera before a "
+            "plane",
         )
     return Status(
         "unrelated",

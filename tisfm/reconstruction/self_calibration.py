@@ -24,7 +24,7 @@ from tisfm.reconstruction.mapping import Model, Shared, models_of
 from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
-WELL = 0.5  # of all matched observations: what explains as many is not bent
+WELL = 0.5  # score per match, from 0 to 1: what explains as much is not bent
 WINDOW = 16  # views: of each of the two windows that beginnings are compared on
 ENOUGH = 6000  # observations that parts are made of
 STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
@@ -167,21 +167,22 @@ def models_and_focal(
     found : FocalEstimate or None
         None if no path is found with any.
     """
-    shared = Shared.of(views, matches, shape)
+    shared = Shared.of(views, matches, shape, focal_known=False)
     begun = _best_start(shared, camera, calibrate)
     found = [] if begun is None else _grown(shared, camera, begun, calibrate)
     if not found:
-        models = models_of(views, matches, camera, shape)
+        models = models_of(views, matches, camera, shape, focal_known=False)
         return models, _unknown(camera) if models else None
     _adjust(found[0], calibrate)
     estimate = replace(_estimate(found[0], camera, shape, calibrate), limit=limit)
     if not estimate.is_of_use:
-        return models_of(views, matches, camera, shape), estimate
+        return models_of(views, matches, camera, shape, focal_known=False), estimate
     if not estimate.is_seen and not estimate.radial:
         # What a wrong focal length has made of a turn may look like a path: from the one that was
         # found it is not begun. But what comes of the same focal length may be bent as well.
-        again = models_of(views, matches, estimate.taken(camera), shape)
-        if not again or sum(model.explained for model in again) >= WELL * _explained(found):
+        again = models_of(views, matches, estimate.taken(camera), shape, focal_known=False)
+        explained = shared.score(found) * shared.matches()
+        if not again or sum(model.score for model in again) >= WELL * explained:
             return again, estimate
     for other in found[1:]:
         _set(other, estimate.focal, estimate.radial)
@@ -269,29 +270,28 @@ def _grown(shared: Shared, camera: Camera, begun: float, calibrate: Calibrate) -
     Windows may be explained by what is bent, as where the camera follows something that moves.
     """
     best = shared.grown(replace(camera, focal=begun), calibrate)
-    if best and _explained(best) >= WELL * shared.matched():
+    if best and shared.score(best) >= WELL:
         return best
     for times in STARTS:
         others = shared.grown(replace(camera, focal=times * camera.focal), calibrate)
-        if others and _explained(others) > _explained(best) and _is_possible(_found(others[0])[0]):
+        if (
+            others
+            and shared.score(others) > shared.score(best)
+            and _is_possible(_found(others[0])[0])
+        ):
             best = others
     return best
 
 
-def _explained(found: Sequence[Any]) -> int:
-    """Return how many observations reconstructions explain."""
-    return sum(one.compute_num_observations() for one in found)
-
-
 def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float | None:
-    """Return the focal length, px, that explains most of what views in windows have in common."""
-    best, most = None, 0
+    """Return the focal length, px, that explains the matches of views in windows best."""
+    best, most = None, 0.0
     for times in STARTS:
-        explained, found = 0, []
+        explained, found = 0.0, []
         for window in _windows(shared):
             grown = window.grown(replace(camera, focal=times * camera.focal), calibrate)
             if grown and _is_possible(_found(grown[0])[0]):
-                explained += grown[0].compute_num_observations()
+                explained += window.score(grown[:1])
                 found.append(_found(grown[0])[0])
         if explained > most:
             best, most = float(np.exp(np.mean(np.log(found)))), explained

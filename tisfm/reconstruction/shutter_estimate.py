@@ -1,7 +1,8 @@
 """How long a camera takes to read a frame, found from what views have in common.
 
-Poses of views, points and the readout are adjusted together: where the camera's motion changes, no
-pose explains what a readout does.
+Poses of views, points, the readout and the focal length are adjusted together. Where the camera's
+motion changes, no pose explains what a readout does. Where it is even, poses and the focal length
+may explain the same, and the deviation of the readout says so.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,10 @@ FEWEST_VIEWS = 3  # that see a point
 VIEWS, OBSERVATIONS = 60, 8000  # at most: those at which the camera turns most
 OUTLYING = (3.0, 1.0)  # px: residuals beyond count less and less; the first is to begin with
 STEPS = 4  # of Gauss–Newton, with each
-DAMPING = 1e-4  # of the diagonal
+DAMPING = 1e-4  # of the diagonal: of the steps
+# Of the diagonal: of the deviation. More would be a prior, and hide that the focal length or poses
+# explain the same.
+LEAST_DAMPING = 1e-10
 BEHIND = 1e-6  # of the usual depth: nearer points are not seen
 # Times the deviation that independent residuals would leave: films whose rows are read at once are
 # off by so many of those.
@@ -100,7 +104,8 @@ def estimate_readout(
     )
     for outlying in OUTLYING:
         for _ in range(STEPS):
-            deviation = problem.step(outlying)
+            problem.step(outlying)
+    deviation = problem.deviation(OUTLYING[-1])
     return ReadoutEstimate(readout=problem.readout, deviation=DEPENDENT * deviation)
 
 
@@ -180,19 +185,34 @@ class _Problem:
         self._seen, self._rates = seen, rates
         self._turns, self._shifts = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
         self._focal = camera.focal
-        self._places = (seen.place - camera.center_for(*shape)) / camera.focal
+        self._places = seen.place - camera.center_for(*shape)
         self._late = (seen.place[:, 1] - (shape[0] - 1) / 2) / shape[0]
         self._points = self._nearest_to_rays()
 
-    def step(self, outlying: float) -> float:
-        """Take a step of Gauss–Newton; return the deviation of the readout before it."""
+    def step(self, outlying: float) -> None:
+        """Take a step of Gauss–Newton."""
+        step, moves, _ = self._solved(*self._linearised(outlying), DAMPING)
+        self._move(step[:-2].reshape(-1, 6), moves)
+        self.readout += float(step[-2])
+        self._focal *= float(np.exp(step[-1]))
+
+    def deviation(self, outlying: float) -> float:
+        """Return the deviation of the readout, if residuals were independent."""
+        return self._solved(*self._linearised(outlying), LEAST_DAMPING)[2]
+
+    def _linearised(self, outlying: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return derivatives by views, by points, and by readout and log focal; and residuals.
+
+        All are weighted.
+        """
         view = self._seen.view
         local = self._in_views()
         late = self.readout * self._late
         speed = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
         moved = local + late[:, None] * speed
         z = np.maximum(moved[:, 2], BEHIND)
-        off = self._focal * (moved[:, :2] / z[:, None] - self._places)
+        seen = self._focal * moved[:, :2] / z[:, None]
+        off = seen - self._places
         square = (off**2).sum(axis=1)
         counts = (moved[:, 2] > BEHIND) & (square < FARTHEST**2)
         weight = np.where(counts, 1 / (1 + square / outlying**2), 0)
@@ -203,29 +223,32 @@ class _Problem:
         by_point = slope @ self._turns[view] * root
         turned = np.stack([np.cross(axis, local) for axis in np.eye(3)], axis=2)
         by_view = np.concatenate([slope, slope @ turned], axis=2) * root
-        by_readout = (slope @ (self._late[:, None] * speed)[:, :, None]) * root
-        step, moves, deviation = self._solved(by_view, by_point, by_readout, off * root[:, :, 0])
-        self._move(step[:-1].reshape(-1, 6), moves)
-        self.readout += float(step[-1])
-        return deviation
+        by_readout = slope @ (self._late[:, None] * speed)[:, :, None]
+        by_camera = np.concatenate([by_readout, seen[:, :, None]], axis=2) * root
+        return by_view, by_point, by_camera, off * root[:, :, 0]
 
     def _solved(
-        self, by_view: np.ndarray, by_point: np.ndarray, by_readout: np.ndarray, off: np.ndarray
+        self,
+        by_view: np.ndarray,
+        by_point: np.ndarray,
+        by_camera: np.ndarray,
+        off: np.ndarray,
+        damping: float,
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the step of views and readout, that of points, and the readout's deviation.
+        """Return the step of views, readout and log focal length, that of points, and a deviation.
 
-        Points are eliminated (Schur complement).
+        The deviation is that of the readout. Points are eliminated (Schur complement).
         """
         view, point = self._seen.view, self._seen.point
         views, points = len(self._turns), len(self._points)
         left = sparse.hstack(
-            [_blocks(by_view, view, views), sparse.csr_matrix(by_readout.reshape(-1, 1))]
+            [_blocks(by_view, view, views), sparse.csr_matrix(by_camera.reshape(-1, 2))]
         ).tocsr()
         right = _blocks(by_point, point, points)
         own = np.zeros((points, 3, 3))
         np.add.at(own, point, np.swapaxes(by_point, 1, 2) @ by_point)
         trace = np.trace(own, axis1=1, axis2=2)[:, None, None]
-        own += (DAMPING * trace + 1e-12) * np.eye(3)
+        own += (damping * trace + 1e-12) * np.eye(3)
         inverse = sparse.bsr_matrix(
             (np.linalg.inv(own), np.arange(points), np.arange(points + 1)),
             shape=(3 * points, 3 * points),
@@ -235,15 +258,34 @@ class _Problem:
         matrix = (left.T @ left).toarray() - (shared @ inverse @ shared.T).toarray()
         vector = left.T @ off.ravel() - shared @ (inverse @ pull)
         diagonal = np.diag(matrix).copy()
-        matrix += np.diag(DAMPING * diagonal + 1e-12 * max(float(diagonal.max()), 1e-12))
-        last = np.zeros(len(vector))
-        last[-1] = 1
-        answers = np.linalg.solve(matrix, np.stack([-vector, last], axis=1))
+        matrix += np.diag(damping * diagonal + 1e-12 * max(float(diagonal.max()), 1e-12))
+        matrix += self._gauge(diagonal)
+        readout = np.zeros(len(vector))
+        readout[-2] = 1
+        answers = np.linalg.solve(matrix, np.stack([-vector, readout], axis=1))
         step = answers[:, 0]
         moves = -(inverse @ (pull + shared.T @ step)).reshape(-1, 3)
         free = max(1, off.size - len(vector) - 3 * points)
-        deviation = np.sqrt(float((off**2).sum()) / free * max(float(answers[-1, 1]), 0.0))
+        deviation = np.sqrt(float((off**2).sum()) / free * max(float(answers[-2, 1]), 0.0))
         return step, moves, float(deviation)
+
+    def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
+        """Return what holds the first view, and the distance of the farthest view from it.
+
+        Poses and points may move, turn and grow together without a change of the images. But the
+        rates keep their unit: without this, any readout would suit a camera that does not turn.
+        """
+        held = np.zeros((7, len(diagonal)))
+        held[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())
+        centers = -np.einsum("nji,nj->ni", self._turns, self._shifts)
+        away = np.einsum("nij,nj->ni", self._turns, centers - centers[0])
+        distances = np.linalg.norm(away, axis=1)
+        farthest = int(np.argmax(distances))
+        if distances[farthest] > 0:
+            columns = slice(6 * farthest, 6 * farthest + 3)
+            direction = away[farthest] / distances[farthest]
+            held[6, columns] = np.sqrt(diagonal[columns].max()) * direction
+        return np.asarray(held.T @ held)
 
     def _move(self, steps: np.ndarray, moves: np.ndarray) -> None:
         for k, step in enumerate(steps):
@@ -260,7 +302,7 @@ class _Problem:
     def _nearest_to_rays(self) -> np.ndarray:
         """Return the points that are nearest to all rays that see them, (P, 3)."""
         view, point = self._seen.view, self._seen.point
-        local = np.column_stack([self._places, np.ones(len(view))])
+        local = np.column_stack([self._places / self._focal, np.ones(len(view))])
         if self.readout:  # as the middle row would have it, but for the way of the camera
             spin = self._rates[view, 3:] * (-self.readout * self._late)[:, None]
             local = local + np.cross(spin, local)

@@ -127,6 +127,7 @@ class SlidingPath:
         self.focal: FocalEstimate | None = None
         self.readout, self.readout_deviation = readout, 0.0
         self._focal_known, self._limit = focal_known, limit
+        self._focal_stated = focal_known
         self.seen = Remembered()
         self._read = Remembered()  # tracks as rows were read
         self._unrolled: dict[int, View] = {}
@@ -197,7 +198,7 @@ class SlidingPath:
             left = [k for k in left if views.chosen[k].frame not in model.poses]
         among = self._among(left)
         if self._focal_known:
-            models = models_of(*among, self.camera, self._shape)
+            models = models_of(*among, self.camera, self._shape, focal_known=self._focal_stated)
         else:
             models, self.focal = models_and_focal(
                 *among, self.camera, self._shape, "focal", limit=self._limit
@@ -212,7 +213,10 @@ class SlidingPath:
         complete, unplaced = with_others(
             list(pieces.values()), self.seen, later, self.camera, self._shape
         )
-        lost = {frame: why_lost(self.seen[frame], complete, different) for frame in unplaced}
+        lost = {
+            frame: why_lost(self.seen[frame], complete, different, focal_known=self._focal_stated)
+            for frame in unplaced
+        }
         return Stretch(
             pieces=dict(zip(pieces, complete, strict=True)),
             held={frame: pose for poses in self._held.values() for frame, pose in poses.items()},
@@ -301,7 +305,7 @@ class SlidingPath:
             seen=tracks,
             camera=camera,
             focal=None,
-            explained=0,
+            score=0.0,
         )
         instants = np.zeros(len(self._read))
         for frame, instant in self._instants().items():

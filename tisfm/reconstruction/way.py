@@ -46,8 +46,8 @@ class Way:
     camera : Camera
     focal : FocalEstimate or None
         If it was to be found, and was.
-    explained : int
-        Observations in views that poses were adjusted for.
+    score : float
+        How well the models explain the matches of views.
     """
 
     pieces: list[Piece]
@@ -56,4 +56,4 @@ class Way:
     seen: Sequence[Seen]
     camera: Camera
     focal: FocalEstimate | None
-    explained: int
+    score: float

@@ -1,0 +1,77 @@
+"""Scores of models by all matches: half lines by explicit points, and right against wrong paths."""
+
+import numpy as np
+import pytest
+
+from tests.reconstruction.test_cover import (
+    CAMERA,
+    MOTION,
+    OTHER,
+    SHAPE,
+    model_of,
+    points_seen,
+    projected,
+    view_of,
+)
+from tisfm.reconstruction.growing import first_pair_tolerance
+from tisfm.reconstruction.match_score import MatchScore, half_line_angles
+
+REST = np.eye(4)[:3]
+SIDEWAYS = np.column_stack([np.eye(3), [-0.5, 0, 0]])  # the camera goes to the right
+STRAIGHT_ON = np.array([[0.0, 0.0, 1.0]])
+
+
+def unit(*direction):
+    return np.array([direction]) / np.linalg.norm(direction)
+
+
+@pytest.mark.parametrize("depth", [0.5, 1.0, 10.0, 1e9])
+def test_a_point_at_any_depth_lies_on_its_half_line(depth):
+    after = unit(-0.5, 0, depth)
+    assert half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, after)[0] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("x", "angle"), [(0.01, np.arctan(0.01)), (-0.01, 0.0)])
+def test_a_point_beyond_infinity_is_as_far_as_infinity(x, angle):
+    """The camera goes to the right, so points move to the left: to the right is behind it."""
+    found = half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, unit(x, 0, 1))
+    assert found[0] == pytest.approx(angle, abs=1e-12)
+
+
+def test_a_point_beside_the_line_is_as_far_as_the_line():
+    found = half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, unit(-0.2, 0.03, 1))
+    assert found[0] == pytest.approx(np.arctan(0.03 / np.hypot(0.2, 1)), rel=1e-6)
+
+
+def test_without_translation_a_point_stays_at_infinity():
+    found = half_line_angles(REST, REST, STRAIGHT_ON, unit(0.02, 0, 1))
+    assert found[0] == pytest.approx(np.arctan(0.02), rel=1e-9)
+
+
+def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
+    random = np.random.default_rng(0)
+    points = points_seen(random, 10, 150, 80)
+    views = [view_of(0, projected(points, REST)), view_of(1, projected(points, MOTION))]
+    both = np.repeat(np.arange(80)[:, None], 2, axis=1)
+    score = MatchScore(views, {(0, 1): both}, SHAPE)
+    assert score.matches() == score.matches({1, 2}) == 80
+    assert score.matches({1}) == 0
+    assert score.score(model_of(MOTION)) == pytest.approx(80, rel=1e-3)
+    assert score.score(model_of(OTHER)) < 40
+    turned_back = np.column_stack([MOTION[:, :3], -MOTION[:, 3]])  # all depths are negative
+    assert score.score(model_of(turned_back)) < 40
+
+
+def test_half_the_tolerance_halves_the_score():
+    """The frames are 160 px long, so a match off by 0.5 px has a score of a half."""
+    points = np.array([[80.0, 60.0], [100.0, 60.0]])
+    moved = points + [-3.0, first_pair_tolerance(160) / 2]
+    both = np.repeat(np.arange(2)[:, None], 2, axis=1)
+    score = MatchScore([view_of(0, points), view_of(1, moved)], {(0, 1): both}, SHAPE)
+    assert CAMERA.center_for(*SHAPE)[1] == pytest.approx(59.5)
+    assert score.score(model_of(SIDEWAYS)) == pytest.approx(1.0, rel=1e-2)
+
+
+def test_the_tolerance_of_first_pairs_grows_with_large_frames():
+    assert first_pair_tolerance(640) == first_pair_tolerance(1000) == 1.0
+    assert first_pair_tolerance(3000) == 3.0
