@@ -354,6 +354,9 @@ def test_options_of_the_source_are_handed_on():
     assert [frame.index for frame in found] == [4, 7, 10]
     assert found[0].picture.shape == (80, 80)
     assert found[0].camera.focal == pytest.approx(film.camera.focal * 80 / 120)
+    about = found[0].calibration  # of the frames of the source
+    assert about.focal == pytest.approx(film.camera.focal)
+    assert about.shape == film.frames[0].shape
 
 
 def test_a_preset_alone_means_the_motion_of_the_camera(monkeypatch):

@@ -124,11 +124,13 @@ def run(
         camera = stated_camera(camera, full or shape[:2])
     elif guess:
         camera = guessed_camera(camera, pairs.first_file or full or shape)
+    of_source = camera, full or shape[:2]
     camera = pairs.camera_after(camera, full)
     writer = PairWriter(
         output,
         camera=camera,
         settings=settings,
+        source=of_source,
         window=window,
         outputs=outputs,
         figures=figures,
