@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
@@ -20,6 +21,10 @@ from bench.shared.machine import RESULTS, ROOT
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
+# Packages that benchmarks are run by, and their modules.
+RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
+FAILED = 1  # exit code of pytest where a test failed, and of no other fault
+DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
 TABLE_WIDTH = 136  # columns, where the output is no terminal
 
 FULL = {
@@ -76,8 +81,13 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> bool:
-    """Run the benchmarks on a number of threads; return whether every answer agreed."""
+def missing_runners() -> list[str]:
+    """Return the packages that benchmarks need and that are not installed."""
+    return [name for name, module in RUNNERS.items() if find_spec(module) is None]
+
+
+def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> int:
+    """Run the benchmarks on a number of threads; return pytest's exit code, 0 if all agreed."""
     command = [sys.executable, "-m", "pytest", str(Path(__file__).parent), "-q", "--tb=short"]
     command += ["-o", "python_files=bench_*.py", "-o", "python_functions=bench_*"]
     command += ["-W", "ignore::DeprecationWarning:taichi._lib.utils"]
@@ -98,7 +108,14 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> b
     # The reference's vectors and 6×6 systems lose by more threads of BLAS, which wait by spinning.
     blas = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = os.environ | dict.fromkeys(blas, "1")
-    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode == 0
+    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+
+
+def fault_of(code: int) -> str:
+    """Return what went wrong in words, by pytest's exit code; nothing for 0."""
+    if code == FAILED:
+        return DISAGREED
+    return f"pytest did not run the benchmarks (exit code {code}): see above" if code else ""
 
 
 def measure_memory() -> dict[str, float]:
@@ -126,12 +143,20 @@ def smoke_contests() -> bool:
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, or 1 where an answer disagreed, a method failed or a bar was missed."""
     options = parse(arguments)
+    missing = missing_runners()
+    if missing:
+        print(
+            f"python -m bench needs {' and '.join(missing)}, not installed here: "
+            "pip install -e '.[test]' in the folder of the sources",
+            file=sys.stderr,
+        )
+        return 1
     RESULTS.mkdir(exist_ok=True)
-    agreed, reports = True, []
+    faults, reports = [], []
     for threads in options.threads:
         path = RESULTS / f"{options.output}-threads{threads}.json"
         path.unlink(missing_ok=True)
-        agreed &= run_benchmarks(options, threads, path)
+        faults.append(fault_of(run_benchmarks(options, threads, path)))
         if path.exists() and (text := path.read_text(encoding="utf-8")):
             reports.append(json.loads(text))
     memory: dict[str, float] = {}
@@ -150,9 +175,9 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(str(bar), highlight=False)
     write_markdown(results, RESULTS / f"{options.output}.md", notes=[str(bar) for bar in checked])
     contested = smoke_contests() if options.contests else True
-    if not agreed:
-        console.print("an answer disagreed with the reference, or a benchmark failed: see above")
-    return 0 if agreed and contested and all(bar.met for bar in checked) else 1
+    for fault in dict.fromkeys(filter(None, faults)):
+        console.print(fault, highlight=False)
+    return 0 if not any(faults) and contested and all(bar.met for bar in checked) else 1
 
 
 if __name__ == "__main__":

@@ -47,12 +47,12 @@ def test_frames_of_another_shape_are_refused(tmp_path):
         "{}",
         "1" * 5000,
         "[" * 100_000,
-        '{"format": 2}',
-        '{"format": 1, "height": 0, "width": 1, "focal": 1, "center": null, "distortion": null, '
+        '{"format": 3}',
+        '{"format": 2, "height": 0, "width": 1, "focal": 1, "center": null, "distortion": null, '
         '"aspect": 1}',
-        '{"format": 1, "height": 4, "width": 4, "focal": -1, "center": null, "distortion": null, '
+        '{"format": 2, "height": 4, "width": 4, "focal": -1, "center": null, "distortion": null, '
         '"aspect": 1}',
-        '{"format": 1, "height": 4, "width": 4, "focal": 1, "center": 3, "distortion": null, '
+        '{"format": 2, "height": 4, "width": 4, "focal": 1, "center": 3, "distortion": null, '
         '"aspect": 1}',
     ],
 )
@@ -75,3 +75,12 @@ def test_impossible_cameras_are_not_written(camera, shape, error, tmp_path):
     with pytest.raises(error):
         write_camera(tmp_path / "c.json", camera, shape)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_of_an_earlier_format_is_refused_with_advice(tmp_path):
+    """Its deviation was of frames that had been shrunk."""
+    path = tmp_path / "c.json"
+    write_camera(path, LENS, (4, 4))
+    path.write_text(path.read_text().replace('"format": 2', '"format": 1'))
+    with pytest.raises(FormatError, match="of format 1, this version reads 2: make it anew"):
+        read_camera(path)

@@ -34,6 +34,13 @@ def test_film_stands_for_the_diagonal(tmp_path):
     assert guess.origin == "exif" and "50 mm in terms of 35 mm film" in guess.reason
 
 
+@pytest.mark.parametrize("orientation", [None, 1, 3, 6, 8])
+def test_the_size_is_that_of_the_picture_as_it_is_read(tmp_path, orientation):
+    path = picture(tmp_path / "a.jpg", {FILM: 50}, height=30, width=40, orientation=orientation)
+    assert guess_focal(path).shape == read_image(path).shape[:2]
+    assert guess_focal((30, 40, 3)).shape == (30, 40)
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
 def test_every_format_that_has_exif(tmp_path, suffix):
     assert guess_focal(picture(tmp_path / f"a.{suffix}", {FILM: 28})).focal == pytest.approx(28)
@@ -152,11 +159,13 @@ def test_shapes(shape):
 def test_a_guess_comes_with_a_warning(tmp_path):
     path = picture(tmp_path / "a.jpg", {FILM: 50})
     with pytest.warns(
-        GuessedFocalWarning, match=r"a guess, 50 px, from .*EXIF.*Camera\("
+        GuessedFocalWarning, match=r"a guess, 50 px \(at 36×24\), from .*EXIF.*Camera\("
     ) as record:
         assert guess_camera(path) == tisfm.Camera(guess_focal(path).focal)
     assert record[0].filename == __file__
-    with pytest.warns(GuessedFocalWarning, match=r"a guess, 43 px, 1\.2 times the longer side"):
+    with pytest.warns(
+        GuessedFocalWarning, match=r"a guess, 43 px \(at 36×24\), 1\.2 times the longer side"
+    ):
         assert guess_camera((H, W)) == tisfm.Camera(1.2 * W)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

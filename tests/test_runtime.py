@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import textwrap
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +123,8 @@ def test_an_application_that_started_taichi_gets_the_same_answer(
     np.save(sys.argv[1], result.rho)
     """
     program = textwrap.dedent(code) + INTERPRET + textwrap.dedent(after) + REPORT
-    digest = answer(program, tmp_path / "rho.npy").splitlines()[-1]
+    ignored = "ignore::DeprecationWarning" if bits else "ignore"  # of slow compiling
+    digest = answer(program, tmp_path / "rho.npy", PYTHONWARNINGS=ignored).splitlines()[-1]
     if bits:
         assert digest == default_answer
     variables: dict = {}
@@ -131,6 +133,48 @@ def test_an_application_that_started_taichi_gets_the_same_answer(
     assert np.abs(rho).max() > 0.1
     # A few units in the last place per iteration; seen: 2.5e-6 of values of about 1.
     np.testing.assert_allclose(np.load(tmp_path / "rho.npy"), rho, atol=1e-4)
+
+
+def test_an_application_whose_kernels_compile_slowly_is_told_at_once():
+    """Before anything is compiled, once for each ``ti.init``, with the argument to pass."""
+    code = """
+    import os, sys, warnings
+    os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
+    import taichi as ti
+    from tisfm import runtime
+
+    def said(**options):
+        ti.init(ti.cpu, log_level=ti.WARN, **options)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            runtime.start()
+            runtime.start()
+        return [str(one.message) for one in caught]
+
+    (text,) = said()
+    assert "ti.init(arch=ti.cpu, real_matrix_scalarize=False)" in text, text
+    assert "minutes to compile" in text, text
+    assert said(real_matrix_scalarize=False) == []
+    assert len(said()) == 1
+    """
+    answer(code)
+
+
+# Software Vulkan
+
+
+def test_software_vulkan_is_told(monkeypatch):
+    """A driver without a GPU: what it is, and what to take."""
+    monkeypatch.setattr(runtime, "_is_running", lambda: False)
+    monkeypatch.setattr(runtime, "_initialise", lambda arch, options: None)
+    monkeypatch.setattr(runtime, "software_vulkan", lambda: "llvmpipe (LLVM 15)")
+    with pytest.warns(UserWarning, match="vulkan runs on llvmpipe .LLVM 15., software on the CPU"):
+        runtime._start("vulkan", None, False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        runtime._start("cuda", None, False)
+        monkeypatch.setattr(runtime, "software_vulkan", lambda: "")
+        runtime._start("vulkan", None, False)
 
 
 # Asking again
@@ -253,7 +297,8 @@ def test_an_arch_that_is_not_there_is_refused_and_another_can_be_had(arch):
         runtime.start()
     print(runtime.running_arch(), min(runtime.lanes(), 8), "TI_ARCH" in os.environ)
     """
-    *refusal, last = answer(code, TI_ARCH=None).splitlines()
+    # Software Vulkan is warned of.
+    *refusal, last = answer(code, TI_ARCH=None, PYTHONWARNINGS="ignore").splitlines()
     if not refusal:
         assert last == f"{arch} 1 False"
         pytest.skip(f"Taichi runs on {arch} here")
@@ -505,7 +550,8 @@ def test_forking_while_another_thread_starts():
 def test_an_application_may_let_taichi_check_every_index():
     before = "import taichi as ti\nti.init(ti.cpu, debug=True, log_level=ti.ERROR)\n"
     after = "print(result.status, float(np.abs(result.flow).max()) > 0.5)"
-    assert answer(before + INTERPRET + after).endswith("converged True")
+    said = answer(before + INTERPRET + after, PYTHONWARNINGS="ignore")  # of slow compiling
+    assert said.endswith("converged True")
 
 
 def test_integers_of_64_bits_are_refused_with_advice():

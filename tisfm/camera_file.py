@@ -12,7 +12,7 @@ from tisfm.formats.text import read_json
 
 __all__ = ["read_camera", "write_camera"]
 
-FORMAT = 1
+FORMAT = 2
 NAME = "camera.json"  # in a folder
 LONGEST_SIDE = 2**20  # of frames, px
 SAME_SHAPE = 0.01  # sizes of which one is the other, shrunk, have ratios that differ by less
@@ -95,7 +95,10 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     record = record_in(file)
     try:
         if record["format"] != FORMAT:
-            raise ValueError(f"it is of format {record['format']}, this version reads {FORMAT}")
+            raise ValueError(
+                f"it is of format {record['format']}, this version reads {FORMAT}: make it anew, "
+                "with tisfm reconstruct or write_camera"
+            )
         height, width = record["height"], record["width"]
         if not all(type(side) is int and 1 <= side <= LONGEST_SIDE for side in (height, width)):
             raise ValueError(f"its frames are {width}×{height}")

@@ -17,6 +17,7 @@ __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 SIDES = 1.2  # focal lengths per longer side: a field of view of 45°, between phones and lenses
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
 PLAUSIBLE = (0.1, 100)  # longer sides: what lies outside is a slip of the pen
+_SIDEWAYS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
 _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the units of resolution, inches first
 
 
@@ -36,6 +37,8 @@ class FocalGuess:
         What was known: what the camera wrote into the file, or nothing but the size.
     reason : str
         How it was worked out, in words.
+    shape : (int, int)
+        Height and width of the image, px.
 
     Examples
     --------
@@ -47,6 +50,7 @@ class FocalGuess:
     focal: float
     origin: Literal["exif", "size"]
     reason: str
+    shape: tuple[int, int]
 
 
 def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
@@ -122,7 +126,8 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
     """
     guess = guess_focal(source)
     warnings.warn(
-        f"the focal length is a guess, {guess.focal:.0f} px, {guess.reason}: give a "
+        f"the focal length is a guess, {guess.focal:.0f} px{at_size(guess.shape)}, "
+        f"{guess.reason}: give a "
         "tisfm.Camera(focal=…) if you know it, for instance from a calibration",
         GuessedFocalWarning,
         stacklevel=2,
@@ -130,11 +135,24 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
     return Camera(focal=guess.focal)
 
 
+def at_size(shape: tuple[int, int] | None) -> str:
+    """Return of which frames (H, W) a number of px is, in words; nothing where that is not known.
+
+    Examples
+    --------
+    >>> from tisfm.focal_guess import at_size
+    >>> f"910 px{at_size((720, 1280))}"
+    '910 px (at 1280×720)'
+    """
+    return "" if shape is None else f" (at {shape[1]}×{shape[0]})"
+
+
 def _from_size(size: tuple[int, int]) -> FocalGuess:
     return FocalGuess(
         focal=SIDES * max(size),
         origin="size",
         reason=f"{SIDES:g} times the longer side, as no EXIF data state it",
+        shape=size,
     )
 
 
@@ -152,7 +170,7 @@ def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | N
         focal = film / FILM_DIAGONAL * math.hypot(*original) * scale
         if _plausible(focal, size):
             reason = f"from the image's EXIF data ({film:g} mm in terms of 35 mm film)"
-            return FocalGuess(focal=focal, origin="exif", reason=reason)
+            return FocalGuess(focal=focal, origin="exif", reason=reason, shape=size)
     length = _positive(exif, ExifTags.Base.FocalLength)
     resolution = _positive(exif, ExifTags.Base.FocalPlaneXResolution)
     unit = _MILLIMETRES.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
@@ -161,7 +179,7 @@ def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | N
         focal = length * density * scale
         if _plausible(focal, size):
             reason = f"from the image's EXIF data ({length:g} mm, {density:.4g} px/mm)"
-            return FocalGuess(focal=focal, origin="exif", reason=reason)
+            return FocalGuess(focal=focal, origin="exif", reason=reason, shape=size)
     return None
 
 
@@ -190,13 +208,24 @@ def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, A
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of damaged EXIF data, and of large pictures
             with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
-                exif = _exif(picture)
-                return (picture.height, picture.width), exif
+                return _upright_size(picture), _exif(picture)
     except MemoryError:
         raise
     except Exception:  # not known to Pillow, or too large for it: OpenCV may read it
         height, width = read_image(path).shape[:2]
         return (height, width), {}
+
+
+def _upright_size(picture: Image.Image) -> tuple[int, int]:
+    """Return height and width once the picture is turned as its EXIF data say, as it is read."""
+    try:
+        is_turned = picture.getexif().get(ExifTags.Base.Orientation) in _SIDEWAYS
+    except MemoryError:
+        raise
+    except Exception:  # whatever damaged EXIF data lead Pillow to
+        is_turned = False
+    height, width = picture.height, picture.width
+    return (width, height) if is_turned else (height, width)
 
 
 def _exif(picture: Image.Image) -> Mapping[int, Any]:

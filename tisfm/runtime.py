@@ -5,6 +5,7 @@ import io
 import os
 import sys
 import threading
+import warnings
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
@@ -14,6 +15,7 @@ from tisfm.cores import bind_newest, thread_ids
 from tisfm.machine.address_space import require_for_taichi
 from tisfm.machine.heap import keep_freed_memory
 from tisfm.machine.kernel_cache import cache_options
+from tisfm.machine.vulkan import software_vulkan
 
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid
@@ -24,6 +26,8 @@ Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _starting = threading.Lock()
 _process: int | None = None  # in which Taichi was started, or found running
+_warned_of: int | None = None  # id of the program of Taichi that was said to compile slowly
+_VULKAN_RUNS_ON = "vulkan runs on"
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
@@ -53,6 +57,13 @@ def start(
         Whether each of the CPU's threads is bound to a core of its own, on Linux, where there are
         as many as this process may use cores. Kernels on small images are faster by it. Without
         effect where Taichi runs already.
+
+    Warns
+    -----
+    UserWarning
+        If Vulkan offers no GPU but software on the CPU, which is slow, and may give wrong answers.
+        If an application started Taichi on the CPU without ``real_matrix_scalarize=False``: our
+        kernels may then take minutes to compile.
 
     Raises
     ------
@@ -112,14 +123,20 @@ def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> Non
     Where it already runs it keeps its threads, on which no result depends.
     """
     keep_freed_memory()
-    start(arch, threads=None if _is_running() else threads)
+    with warnings.catch_warnings():
+        # What began the work has said so once.
+        warnings.filterwarnings("ignore", f"{_VULKAN_RUNS_ON} ", UserWarning)
+        start(arch, threads=None if _is_running() else threads)
 
 
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if _is_running():
         _check_running(arch, threads)
+        _warn_of_slow_compiling()
         return
     chosen = arch or _arch_of_environment()
+    if chosen == "vulkan" and (device := software_vulkan()):
+        warnings.warn(software_said(device), stacklevel=3)
     require_for_taichi(threads or os.cpu_count() or 1)
     options = cache_options()
 
@@ -163,6 +180,14 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
         if overriding is not None:
             os.environ["TI_ARCH"] = overriding
     ti.set_logging_level(ti.WARN)
+
+
+def software_said(device: str) -> str:
+    """Return what to know of a Vulkan device that is software, by its name."""
+    return (
+        f"{_VULKAN_RUNS_ON} {device}, software on the CPU and no GPU: it is slow, and answers may "
+        'be wrong; take arch="cpu" (--arch cpu)'
+    )
 
 
 def _arch_of_environment() -> str:
@@ -249,4 +274,21 @@ def _check_running(arch: str | None, threads: int | None) -> None:
         raise RuntimeError(
             f"Taichi already runs with {running.cpu_max_num_threads} threads, asked for "
             f"{threads}: call tisfm.runtime.start before the first interpretation"
+        )
+
+
+def _warn_of_slow_compiling() -> None:
+    """Warn, once for each ``ti.init``, where an application let Taichi take vectors apart."""
+    global _warned_of
+    from tisfm.kernels.layout import internals
+
+    program = id(internals.program())
+    slow = running_arch() == "cpu" and internals.configuration().real_matrix_scalarize
+    if slow and _warned_of != program:
+        _warned_of = program
+        warnings.warn(
+            "Taichi was started without real_matrix_scalarize=False: kernels may take minutes to "
+            "compile, and are slower. Pass it: ti.init(arch=ti.cpu, real_matrix_scalarize=False); "
+            "or call tisfm.runtime.start() in place of ti.init",
+            stacklevel=4,
         )

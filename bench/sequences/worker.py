@@ -67,8 +67,9 @@ def _reconstructed(
         status=[str(status) for status in result.status],
     )
     found = result.calibration
-    deviation = found.focal_std if found.origin == "estimated" else result.camera.focal
-    focal = result.camera.focal, deviation, found.seen
+    length = found.focal or result.camera.focal  # px of the frames of the source, as the deviation
+    deviation = found.focal_std if found.origin == "estimated" else length
+    focal = length, deviation, found.seen
     return {"results": {"": "result"}, "seconds": seconds, "focal": focal}
 
 

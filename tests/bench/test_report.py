@@ -2,7 +2,8 @@
 
 import pytest
 
-from bench.__main__ import parse
+from bench import __main__ as command
+from bench.__main__ import DISAGREED, fault_of, parse
 from bench.bars import bars
 from bench.kernels.traffic import TRAFFIC
 from bench.report import HEAD, collect, describe, write_markdown
@@ -118,3 +119,29 @@ def test_the_gpu_is_named():
     named["machine_info"] |= {"arch": "cuda", "gpu": "NVIDIA X, 1.2"}
     assert "Kernels on cuda: NVIDIA X, 1.2" in describe(collect([named], {}))
     assert not any("Kernels on" in line for line in describe(collect([report()], {})))
+
+
+@pytest.mark.parametrize(
+    ("gone", "told"),
+    [
+        ({"pytest", "pytest_benchmark"}, "needs pytest and pytest-benchmark, not installed"),
+        ({"xdist"}, "needs pytest-xdist, not installed"),
+    ],
+)
+def test_what_benchmarks_are_run_by_is_missed_at_once(monkeypatch, capsys, gone, told):
+    def found(module):
+        return None if module in gone else module
+
+    def begun(*arguments):
+        raise AssertionError("nothing is run")
+
+    monkeypatch.setattr(command, "find_spec", found)
+    monkeypatch.setattr(command, "run_benchmarks", begun)
+    assert command.main(["--smoke"]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and told in err and "pip install -e '.[test]'" in err and err.count("\n") == 1
+
+
+def test_only_a_test_that_failed_is_an_answer_that_disagreed():
+    assert fault_of(0) == "" and fault_of(1) == DISAGREED
+    assert "exit code 4" in fault_of(4) and "disagreed" not in fault_of(4)

@@ -53,6 +53,20 @@ def test_a_library_that_cannot_be_imported(tmp_path, module):
 
 
 @pytest.mark.slow
+def test_the_module_answers_as_the_command_does(tmp_path):
+    """Where `import tisfm` fails as well."""
+    (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1 is not there')")
+    done = subprocess.run(
+        [sys.executable, "-m", "tisfm", "doctor"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "PYTHONIOENCODING": "utf-8"},
+    )
+    assert done.returncode == 1 and done.stderr == ""
+    assert "libGL.so.1 is not there" in done.stdout
+
+
+@pytest.mark.slow
 def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
     (tmp_path / "cv2.py").write_text("import os; os.abort()")
     done = doctor("--json", PYTHONPATH=str(tmp_path))

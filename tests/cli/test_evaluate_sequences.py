@@ -55,6 +55,12 @@ def test_a_sequence_is_reconstructed_and_compared(tisfm_run, wall, reconstruct):
     np.testing.assert_allclose(written.poses[:, :3, 3], 0.5 * PATH[[0, 1, 3, 4, 5], :3, 3])
 
 
+def test_a_motion_of_pairs_is_refused(tisfm_run, wall, reconstruct):
+    code, _, err = tisfm_run("eval", "wall", "--sequence", "--motion", "field")
+    assert_one_line(code, err, "--motion field is of pairs", "camera or objects")
+    assert not reconstruct
+
+
 def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(foretelling.time, "monotonic", lambda: now[0])

@@ -18,6 +18,14 @@ def test_help_names_the_commands(tisfm_run):
         assert word in out
 
 
+def test_help_of_batch_names_no_column_that_is_refused(tisfm_run):
+    code, out, _ = tisfm_run("batch", "--help")
+    text = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
+    assert code == 0
+    told = "A CSV file with columns source and output, and one for each option, such as focal."
+    assert told in text
+
+
 def test_help_of_run_names_every_setting_and_its_default(tisfm_run):
     code, out, _ = tisfm_run("run", "--help")
     assert code == 0

@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+import sys
 
 import pytest
 
@@ -20,6 +21,15 @@ def test_a_process_of_its_own(frames):
     assert (done.returncode, done.stdout) == (0, "")
     assert re.fullmatch(r"3 pairs: [^\n]*\n", done.stderr)
     assert set(files("out")) == promised("f0", "f1", "f2")
+
+
+def test_the_module_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "tisfm", "run"], capture_output=True, text=True, check=False
+    )
+    command = subprocess.run([*TISFM, "run"], capture_output=True, text=True, check=False)
+    assert done.returncode == command.returncode != 0
+    assert done.stderr == command.stderr != "" and done.stderr.startswith("tisfm: ")
 
 
 def test_streams_without_greek_letters():

@@ -275,7 +275,7 @@ def test_the_focal_length_can_be_guessed(tisfm_run, frames, command, film):
     line, *others = err.splitlines()
     assert len(others) == 1
     reason = "35 mm in terms of" if film else "1.2 times the longer side"
-    assert line.startswith(f"focal length guessed: {focal:.0f} px, ")
+    assert line.startswith(f"focal length guessed: {focal:.0f} px (at {W}×{H}), ")
     assert reason in line and "give --focal" in line
     if command == "run":
         assert load("out", "f0").camera.focal == pytest.approx(focal)
@@ -290,8 +290,21 @@ def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, place):
         writer.write(cv2.resize(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), (64, 48)))
     writer.release()
     code, _, err = tisfm_run("run", "clip.avi", "-o", "out", "--no-figures", "--focal", "guess")
-    assert code == 0 and err.startswith("focal length guessed: 77 px, ")
+    assert code == 0 and err.startswith("focal length guessed: 77 px (at 64×48), ")
     assert load("out", "clip_000000").camera.focal == pytest.approx(1.2 * 64)
+
+
+def test_the_focal_length_that_is_told_is_of_the_frames_of_the_source(tisfm_run, frames):
+    """Copied back, it gives the same, although frames are shrunk; so does that of the report."""
+    options = ["--no-figures", "--size", "32"]
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--focal", "guess", *options)
+    assert code == 0 and err.startswith(f"focal length guessed: {1.2 * W:.0f} px (at {W}×{H}), ")
+    assert record("out")["source"] == {"focal": 1.2 * W, "width": W, "height": H}
+    assert record("out")["camera"]["focal"] == pytest.approx(1.2 * 32)  # of what was written
+    code, _, _ = tisfm_run("run", "frames", "-o", "again", "--focal", f"{1.2 * W:.0f}", *options)
+    assert code == 0 and files("again") == files("out")
+    assert tisfm_run("report", "out")[0] == 0
+    assert f"{1.2 * W:g} px (at {W}×{H})" in Path("out", "report.html").read_text(encoding="utf-8")
 
 
 def test_without_figures(tisfm_run, frames, monkeypatch):

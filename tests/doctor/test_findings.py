@@ -258,6 +258,22 @@ def test_kernels_and_gpus():
     assert found.verdict == "absent" and "no device" in found.text
 
 
+def test_software_vulkan_is_no_gpu():
+    tried = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": "llvmpipe (LLVM 15)"}}
+    found = machine.about_gpus(tried, {})
+    assert found.verdict == "absent" and "none that Taichi can use" in found.text
+    assert "llvmpipe (LLVM 15), software on the CPU and no GPU" in found.text
+    assert "leave out --arch vulkan" in found.advice
+    beside = {"archs": {"archs": ["cuda", "vulkan"]}, "software_vulkan": {"device": "llvmpipe"}}
+    found = machine.about_gpus(beside, {"kernel:cuda": {"arch": "cuda"}})
+    assert found.verdict == "ok" and found.text.startswith("kernels run on cuda: --arch cuda")
+    assert "llvmpipe, software" in found.text
+    found = machine.about_gpus(beside, {"kernel:cuda": {"error": "no device"}})
+    assert found.verdict == "absent" and "no device" in found.text and "llvmpipe" in found.text
+    real = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": ""}}
+    assert machine.about_gpus(real, {"kernel:vulkan": {"arch": "vulkan"}}).verdict == "ok"
+
+
 def test_text_and_json():
     findings = [
         Finding(name="A", verdict="ok", text="1.0"),

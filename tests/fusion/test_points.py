@@ -10,6 +10,7 @@ import tisfm
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.fusion import DepthView, fused_points
+from tisfm.fusion import points as points_module
 from tisfm.fusion.neighbours import neighbours
 from tisfm.fusion.views import Views
 from tisfm.rigid import pose_matrix
@@ -162,6 +163,39 @@ def test_options_change_the_points(rendered):
         for bound in (1.0, None)
     ]
     assert farthest[0] < farthest[1]
+
+
+def test_a_cube_has_the_mean_of_its_points_by_precision():
+    random = np.random.default_rng(0)
+    positions = np.concatenate([random.uniform(0.1, 0.9, (4, 3)), random.uniform(1.1, 1.9, (3, 3))])
+    deviation = np.array([0.01, 0.02, 0.05, 0.01, 0.03, 0.01, 0.01])
+    colors, confidence = random.uniform(0, 255, (7, 3)), random.uniform(0, 1, 7)
+    found = points_module._Found()
+    given = (positions, deviation, colors, confidence)
+    found.add(*(values.astype(np.float32) for values in given))
+    found.thin(1.0)
+    for cube, inside in enumerate([slice(0, 4), slice(4, 7)]):
+        precision = 1 / deviation[inside] ** 2
+        for mean, values in (
+            (found.positions, positions),
+            (found.colors, colors),
+            (found.confidence, confidence),
+        ):
+            expected = np.average(values[inside], axis=0, weights=precision)
+            np.testing.assert_allclose(mean[cube], expected, rtol=1e-5)
+        expected = 1 / np.sqrt(precision.sum())
+        np.testing.assert_allclose(found.relative_deviation[cube], expected, rtol=1e-5)
+
+
+def test_the_deviation_of_a_point_is_that_of_the_mean():
+    """Its precision is the sum of those of the views, relative to the inverse depth."""
+    stds = (0.02, 0.01, 0.03)
+    read = Views([wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, held=3)
+    view, *others = read
+    shown = np.zeros(view.inverse_depth.shape, bool)
+    _, relative, _, _ = points_module._points_of(view, others, shown, 3)
+    expected = 1 / np.sqrt(sum(1 / std**2 for std in stds))
+    np.testing.assert_allclose(relative, expected, rtol=1e-4)
 
 
 def test_voxels_hold_one_point_each(rendered):

@@ -276,6 +276,8 @@ def check_frame(
 def check_calibration(found):
     promise(found.origin in ("given", "estimated", "guessed"), f"origin is {found.origin}")
     promise(found.focal_std >= 0, f"focal_std is {found.focal_std}")
+    promise(found.focal is not None and found.focal > 0, f"focal is {found.focal}")
+    promise(found.shape is not None, "the size of the frames of the source is not said")
     promise(found.origin == "given" or found.message, "the calibration says nothing")
     promise(found.origin != "guessed" or not found.seen, "a guess is relied on")
     values = (found.radial, found.radial_std, found.readout, found.readout_std)

@@ -189,12 +189,12 @@ def objects():
         extent=np.ones(3),
         scale_from="size",
     )
-    return [json.dumps({"format": 1, "objects": [thing.as_json()]}).encode()]
+    return [json.dumps({"format": 2, "objects": [thing.as_json()]}).encode()]
 
 
 def reconstructions(motion="objects"):
     about = {
-        "format": 1,
+        "format": 2,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},

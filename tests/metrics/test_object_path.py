@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.trajectory.paths import PATIENT, random_path, similar
 from tisfm.metrics import object_path_errors, path_length
+from tisfm.metrics.object_path import nearest_rotation
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import bodies_film, bodies_path
 
@@ -64,6 +66,20 @@ def test_errors_are_those_that_were_made():
             found[k, :3, :3] @ rigid_motion([0, 0, 0, np.radians(4 * (-1) ** k), 0, 0])[0]
         )
     assert object_path_errors(found, truth, cameras, cameras).rotation == pytest.approx(4)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_nearest_rotation_is_none_of_a_mirror(sign):
+    random = np.random.default_rng(7)
+    others = Rotation.random(200, random_state=8).as_matrix()
+    for _ in range(20):
+        matrix = random.normal(size=(3, 3))
+        matrix *= sign * np.sign(np.linalg.det(matrix))
+        nearest = nearest_rotation(matrix)
+        assert np.linalg.det(nearest) == pytest.approx(1)
+        np.testing.assert_allclose(nearest @ nearest.T, np.eye(3), atol=1e-12)
+        traces = np.einsum("nij,ij->n", others, matrix)  # of Rᵀ M
+        assert np.sum(nearest * matrix) >= traces.max()
 
 
 def test_a_scale_that_drifts_is_an_error():

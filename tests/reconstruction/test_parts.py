@@ -2,6 +2,7 @@
 
 import hashlib
 from itertools import pairwise
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -83,6 +84,32 @@ def test_a_round_trip_closes_across_parts():
 
 
 @pytest.mark.slow
+def a_part(span, groups):
+    """A part whose cameras are where the world begins; only its poses are looked at."""
+    poses = {view: np.eye(4) for view in range(*span)}
+    return SimpleNamespace(span=span, poses=poses, groups=groups)
+
+
+def shifted(x):
+    place = np.eye(4)
+    place[0, 3] = x
+    return place
+
+
+def test_one_pose_goes_over_into_the_other():
+    """Views count by how far they are from an end of a part, and between the middles of groups."""
+    first, second = a_part((0, 10), [list(range(10))]), a_part((6, 16), [list(range(6, 16))])
+    found = parts._merged([first, second], [[shifted(0.0)], [shifted(1.0)]])
+    assert sorted(found) == list(range(16))
+    for view in range(16):
+        here, there = max(0, min(view + 1, 10 - view)), max(0, min(view - 5, 16 - view))
+        assert found[view][0, 3] == pytest.approx(there / (here + there)), view
+    alone = a_part((0, 10), [list(range(5)), list(range(5, 10))])  # their middles are 2 and 7
+    found = parts._merged([alone], [[shifted(0.0), shifted(1.0)]])
+    expected = np.clip((np.arange(10) - 2) / 5, 0, 1)
+    np.testing.assert_allclose([found[view][0, 3] for view in range(10)], expected, atol=1e-12)
+
+
 def test_two_scenes_are_two_pieces():
     mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in frames(WALK[:14], seed=5)]
     found = path_in_parts(frames(WALK[:14]) + mirrored)

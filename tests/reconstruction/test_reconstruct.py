@@ -46,6 +46,16 @@ def test_every_frame_has_a_pose_and_depth_in_one_scale(film, found):
     assert found.names == tuple(f"frame_{k:06d}" for k in range(len(found)))
 
 
+def test_a_preset_alone_means_the_motion_of_the_camera(film):
+    """As in `Settings.preset("fast")`, whose motion is that of pairs."""
+    frames, preset = film.frames[:3], Settings.preset("fast")
+    options = {"camera": film.camera, "depth_of": "none"}
+    result = tisfm.reconstruct(frames, settings=preset, **options)
+    assert result.settings == FAST and preset.motion == "field"
+    expected = tisfm.reconstruct(frames, settings=FAST, **options)
+    np.testing.assert_array_equal(result.poses, expected.poses)
+
+
 def test_depth_is_in_the_unit_of_the_poses(found):
     first = found.depth(found.keyframes[0])
     assert np.nanmedian(first) == pytest.approx(1, abs=2e-3)
@@ -368,7 +378,6 @@ def test_a_camera_at_rest_is_told(film):
 @pytest.mark.parametrize(
     ("changes", "error", "text"),
     [
-        ({"settings": Settings()}, ValueError, 'motion is "field"'),
         ({"settings": "fast"}, TypeError, "settings"),
         ({"camera": 600}, TypeError, "camera"),
         ({"poses": np.eye(4)}, ValueError, "poses is"),

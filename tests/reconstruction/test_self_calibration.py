@@ -17,6 +17,7 @@ import tisfm
 from tests.reconstruction.films import along, path_error
 from tisfm import Camera, Reconstruction, Settings
 from tisfm.camera_file import read_camera, write_camera
+from tisfm.cli.command_line import main
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
 from tisfm.formats import FormatError
 from tisfm.lens import undistort
@@ -91,7 +92,8 @@ def test_the_focal_length_is_found(found):
 def test_the_path_is_as_good_as_with_it_given(found):
     film = arc()
     given = path_of(film, camera=film.camera)
-    assert given.calibration == GIVEN
+    shape = film.frames[0].shape
+    assert given.calibration == replace(GIVEN, focal=film.camera.focal, shape=shape)
     assert (found.piece == 0).all()
     error = path_error(found.poses, film.poses)
     assert error < 1.5 * path_error(given.poses, film.poses) + 0.001
@@ -106,6 +108,7 @@ def test_it_is_kept_and_written(found, tmp_path):
     about = json.loads((tmp_path / "camera.json").read_text())
     assert (about["height"], about["width"]) == SIZE
     assert about["focal_std"] == found.calibration.focal_std and about["origin"] == "estimated"
+    assert about["focal"] == found.calibration.focal and found.calibration.shape == SIZE
 
 
 def test_records_of_other_versions_are_read(found, tmp_path):
@@ -139,6 +142,40 @@ def test_the_file_is_of_the_frames_of_the_source(tmp_path):
     assert result.camera.focal == pytest.approx(0.8 * film.camera.focal, rel=0.04)
     written = read_camera(tmp_path, SIZE)
     assert written.focal == pytest.approx(result.camera.focal / 0.8, rel=1e-9)
+
+
+def test_a_focal_length_that_is_printed_can_be_copied_back(tmp_path, capsys):
+    """It is that of the frames of the source, whatever these are shrunk to."""
+    film, command = arc(), ["reconstruct", str(tmp_path / "film"), "--preset", "fast"]
+    command += ["--size", "192", "--depth-of", "none", "-o"]
+    (tmp_path / "film").mkdir()
+    for k, frame in enumerate(film.frames):
+        cv2.imwrite(str(tmp_path / "film" / f"{k:02d}.png"), frame)
+    assert main([*command, str(tmp_path / "found")]) == 0
+    told = re.search(
+        r"focal length: (\S+) ± (\S+) px \(at 240×180\), found", capsys.readouterr().err
+    )
+    printed, deviation = map(float, told.groups())
+    found = Reconstruction.load(tmp_path / "found")
+    assert printed == pytest.approx(film.camera.focal, rel=0.03)
+    assert printed == pytest.approx(found.camera.focal / 0.8, rel=1e-3)
+    # Files, messages and the result state one unit.
+    about = json.loads((tmp_path / "found" / "camera.json").read_text())
+    record = json.loads((tmp_path / "found" / "reconstruction.json").read_text())
+    for stated in (about, record["calibration"], vars(found.calibration)):
+        assert stated["focal"] == pytest.approx(printed, rel=1e-3)
+        assert stated["focal_std"] == pytest.approx(deviation, rel=0.5)
+        assert stated["focal_std"] == found.calibration.focal_std
+        assert f"{told[1]} ± {told[2]} px (at 240×180)" in stated["message"]
+    assert (about["height"], about["width"]) == found.calibration.shape == SIZE
+    assert main([*command, str(tmp_path / "given"), "--focal", told[1]]) == 0
+    given = Reconstruction.load(tmp_path / "given")
+    assert given.camera.focal == pytest.approx(found.camera.focal, rel=1e-3)
+    assert path_error(given.poses, found.poses) < 1e-3
+    # The report says the same.
+    assert main(["report", str(tmp_path / "found")]) == 0
+    page = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
+    assert f"{told[1]} ± {told[2]} px (at 240×180), estimated" in page
 
 
 def test_the_file_of_a_lens_is_of_what_was_done_to_frames(tmp_path):
@@ -331,29 +368,40 @@ def test_wrong_arguments_are_refused(options, text):
 
 
 CAMERA = Camera(focal=100.0)
-GUESS = FocalGuess(focal=100.0, origin="size", reason="by its size")
+GUESS = FocalGuess(focal=200.0, origin="size", reason="by its size", shape=(300, 400))
 
 
 @pytest.mark.parametrize(
     ("deviation", "origin", "seen", "text"),
     [
-        (2.0, "estimated", True, r"^50 ± 2 px, found"),
+        (2.0, "estimated", True, r"^100 ± 4 px \(at 400×300\), found"),
         (3.0, "estimated", False, "hardly shows it"),
-        (16.0, "guessed", False, "100 px, by its size: the motion does not show"),
+        (16.0, "guessed", False, r"200 px \(at 400×300\), by its size: the motion does not show"),
     ],
 )
 def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
+    """Of frames that were shrunk to half of those of the source, whose px count."""
     estimate = FocalEstimate(focal=50.0, deviation=deviation)
     camera = estimate.taken(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)
-    told = calibration_of(estimate, GUESS, camera, sought=True)
+    shape, focal = (300, 400), 2 * camera.focal
+    told = calibration_of(estimate, GUESS, camera, sought=True, focal=focal, shape=shape)
     assert (told.origin, told.seen) == (origin, seen)
-    assert told.focal_std == (math.inf if origin == "guessed" else deviation)
+    assert (told.focal, told.shape) == (focal, shape)
+    assert told.focal_std == (math.inf if origin == "guessed" else 2 * deviation)
     assert re.search(text, told.message)
 
 
 @pytest.mark.parametrize(
-    "changes", [{"origin": "known"}, {"focal_std": -1.0}, {"focal_std": math.inf}]
+    "changes",
+    [
+        {"origin": "known"},
+        {"focal_std": -1.0},
+        {"focal_std": math.inf},
+        {"focal": 0.0},
+        {"shape": (0, 4)},
+        {"shape": (4, 4, 3)},
+    ],
 )
 def test_impossible_calibrations_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
@@ -370,17 +418,19 @@ def test_a_camera_in_a_file_is_as_good_as_the_file_says(found, tmp_path):
 
 def test_a_doubted_focal_length_stays_doubted(tmp_path):
     height, width = SIZE
-    doubt = Calibration(origin="guessed", focal_std=math.inf, seen=False, message="a guess, 9 px")
+    message = "a guess, 9 px (at 480×360)"
+    doubt = Calibration(origin="guessed", focal_std=math.inf, seen=False, message=message)
     twice = arc().camera.scaled(2, *SIZE)
     about = as_json(doubt)
     write_camera(tmp_path / "c.json", twice, (2 * height, 2 * width), about=about)
     with pytest.warns(GuessedFocalWarning, match="a guess, 9 px"):
         result = path_of(arc(), camera=tmp_path / "c.json")
-    size = f"for frames of {2 * width}×{2 * height} px, "
-    assert result.calibration == replace(doubt, message=size + doubt.message)
-    assert result.camera.focal == pytest.approx(arc().camera.focal)
+    focal = arc().camera.focal
+    assert result.calibration == replace(doubt, focal=focal, shape=SIZE)  # words are of the file
+    assert result.camera.focal == pytest.approx(focal)
     write_camera(tmp_path / "c.json", arc().camera, SIZE)
-    assert path_of(arc(), camera=tmp_path / "c.json").calibration == GIVEN
+    again = path_of(arc(), camera=tmp_path / "c.json").calibration
+    assert again == replace(GIVEN, focal=focal, shape=SIZE)
 
 
 def test_a_file_that_says_nonsense_is_refused(tmp_path):

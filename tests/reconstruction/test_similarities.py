@@ -1,5 +1,7 @@
 """Similarities in space, and graphs of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,30 @@ def test_an_exact_similarity_is_found():
     assert scale_of(found) == pytest.approx(1.7)
 
 
+def test_three_points_are_turned_and_never_mirrored():
+    """Their plane leaves the sign of the third axis to the singular vectors."""
+    random = np.random.default_rng(3)
+    for _ in range(40):
+        others = random.uniform(-1, 1, (3, 3))
+        found = fitted(moved(TRUE, others), others, np.ones(3))
+        np.testing.assert_allclose(found, TRUE, atol=1e-6)
+
+
+def test_a_mirrored_cloud_gets_a_rotation():
+    found = fitted(cloud() * (-1, 1, 1), cloud(), np.ones(60))
+    assert np.linalg.det(found[:3, :3]) > 0
+
+
+def test_a_weight_of_two_counts_as_a_point_twice():
+    random = np.random.default_rng(4)
+    others, points = cloud(), moved(TRUE, cloud()) + 0.3 * random.normal(size=(60, 3))
+    counts = random.integers(0, 5, 60)
+    twice = fitted(np.repeat(points, counts, axis=0), np.repeat(others, counts, axis=0),
+                   np.ones(counts.sum()))  # fmt: skip
+    np.testing.assert_allclose(fitted(points, others, counts.astype(float)), twice, atol=1e-12)
+    assert np.abs(twice - fitted(points, others, np.ones(60))).max() > 1e-3
+
+
 def test_noise_on_both_sides_leaves_the_scale():
     random = np.random.default_rng(1)
     points, others = (one + 0.5 * random.normal(size=(20000, 3)) for one in [cloud(20000)] * 2)
@@ -65,6 +91,34 @@ def test_what_most_points_agree_on_is_found():
     assert agreed(points[:2], others[:2], distances[:2], fewest=0, share=0.0) is None
 
 
+def near_and_far():
+    """Return 30 points near and 30 far, off by 0.02 and 2 % of their distances, and these."""
+    random = np.random.default_rng(5)
+    near, far = random.uniform(-1, 1, (30, 3)), 100 * random.uniform(-1, 1, (30, 3))
+    others = np.concatenate([near, far]) + np.array([0, 0, 2])
+    distances = 1.7 * np.linalg.norm(others, axis=1)
+    off = 0.02 * distances[:, None] * random.normal(size=(60, 3)) / np.sqrt(3)
+    off[:30] /= 100
+    return moved(TRUE, others) + off, others, distances
+
+
+def test_what_is_far_counts_less_by_the_square_of_its_distance():
+    points, others, distances = near_and_far()
+    found, agree = agreed(points, others, distances, fewest=20, share=0.5)
+    assert agree.all()
+    # It is 0.0007; 0.15 without weights by distance, 0.004 with its inverse.
+    assert np.abs(moved(found, others[:30]) - moved(TRUE, others[:30])).max() < 0.002
+
+
+def test_what_is_far_counts_less_beside_poses_as_well():
+    points, others, distances = near_and_far()
+    poses = np.array([moved_pose(TRUE, pose) for pose in path()])
+    random = np.random.default_rng(6)
+    poses[:, :3, 3] += 0.02 * np.median(distances) * random.normal(size=(len(poses), 3))
+    found = refined(TRUE, (points, others), distances, (poses, path()))
+    assert np.abs(moved(found, others[:30]) - moved(TRUE, others[:30])).max() < 0.0008
+
+
 def test_poses_say_more_than_points_that_are_rough():
     random = np.random.default_rng(2)
     points = moved(TRUE, cloud()) + 0.1 * random.normal(size=(60, 3))
@@ -80,6 +134,31 @@ def test_a_pose_stays_rigid_and_the_mean_lies_between():
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     mean = mean_pose(path()[[2, 4]], np.array([1.0, 1.0]))
     np.testing.assert_allclose(mean, path()[3], atol=1e-12)
+
+
+def test_the_mean_of_poses_is_weighted():
+    """Turns about one axis have the angle of the mean of their sines and cosines."""
+    few, weights = path()[[2, 4, 9]], np.array([1.0, 3.0, 0.5])
+    mean = mean_pose(few, weights)
+    angles = np.array([0.06, 0.12, 0.27])
+    angle = np.arctan2(weights @ np.sin(angles), weights @ np.cos(angles))
+    expected = step(0.0, np.array([0, angle, 0]), np.array([weights @ [0.2, 0.4, 0.9] / 4.5, 0, 0]))
+    np.testing.assert_allclose(mean, expected, atol=1e-12)
+
+
+def test_surer_edges_count_more():
+    """Of two edges that differ in scale: by what they stand for over deviation squared."""
+    points = cloud()
+    centre = points.mean(axis=0)
+    scales, worths, deviations = (0.01, -0.02), (60.0, 120.0), (0.01, 0.03)
+    edges = []
+    for scale, worth, deviation in zip(scales, worths, deviations, strict=True):
+        about = step(scale, np.zeros(3), centre - np.exp(scale) * centre)
+        edges.append(replace(edge(0, 1, about), worth=worth, deviation=deviation))
+    (place,) = placed(2, edges)
+    weights = np.array(worths) / np.array(deviations) ** 2
+    expected = weights @ scales / weights.sum()
+    assert np.log(scale_of(place[1])) == pytest.approx(expected, abs=1e-5)
 
 
 def chain(count=6, drift=0.02):

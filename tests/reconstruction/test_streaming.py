@@ -10,7 +10,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import depth_error, path_error
 from tisfm import Camera, Settings
-from tisfm.reconstruction import mapping, stream
+from tisfm.reconstruction import mapping, stream, streaming
 from tisfm.reconstruction.sliding_path import ANCHORS, REMEMBERED, SlidingPath
 from tisfm.reconstruction.stream import Stream
 from tisfm.scenes import room_film
@@ -354,6 +354,16 @@ def test_options_of_the_source_are_handed_on():
     assert [frame.index for frame in found] == [4, 7, 10]
     assert found[0].picture.shape == (80, 80)
     assert found[0].camera.focal == pytest.approx(film.camera.focal * 80 / 120)
+    about = found[0].calibration  # of the frames of the source
+    assert about.focal == pytest.approx(film.camera.focal)
+    assert about.shape == film.frames[0].shape
+
+
+def test_a_preset_alone_means_the_motion_of_the_camera(monkeypatch):
+    taken = []
+    monkeypatch.setattr(streaming, "_streamed", lambda *given: taken.append(given[3]))
+    tisfm.reconstruct_stream(swing().frames, settings=Settings.preset("fast"))
+    assert taken == [Settings.preset("fast", motion="camera")]
 
 
 @pytest.mark.parametrize(
@@ -361,7 +371,7 @@ def test_options_of_the_source_are_handed_on():
     [
         ({"delay": 5}, ValueError, "delay is 5"),
         ({"delay": 9.5}, TypeError, "delay is 9.5"),
-        ({"settings": Settings.preset("fast", motion="field")}, ValueError, "motion"),
+        ({"settings": Settings.preset("fast", motion="objects")}, ValueError, "motion"),
         ({"step": 0}, ValueError, "step"),
     ],
 )

@@ -46,7 +46,7 @@ class Batch:
     """
 
     jobs: Annotated[Positional[Path], arg(metavar="LIST")]
-    """A CSV file with columns source, output, and options."""
+    """A CSV file with columns source and output, and one for each option, such as focal."""
     command: Literal["run", "reconstruct"] = "run"
     """What is done with each."""
     workers: int = 1

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
-from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.foretelling import Foretelling
+from tisfm.cli.kernels_start import start_kernels
 from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
@@ -46,7 +46,7 @@ def evaluate(
             f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
             "it out"
         )
-    runtime.start(arch, threads=threads)
+    start_kernels(arch, threads=threads)
     writer = (
         None
         if output is None
@@ -107,7 +107,7 @@ def figures(
     """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
     pairs = FrameSource(tuple(frames))
     inputs = InputFiles(pairs.files)
-    runtime.start(threads=threads)
+    start_kernels(None, threads=threads)
     for pair in pairs:
         if isinstance(camera, Path):
             camera = stated_camera(camera, pair.frame0.shape[:2])

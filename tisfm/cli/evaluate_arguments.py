@@ -89,6 +89,10 @@ class Eval:
         if self.objects:
             return evaluate_objects(self.folders, self.output, result=self.result, step=self.step)
         if self.sequence:
+            if self.settings.motion == "field":
+                raise ValueError(
+                    "--motion field is of pairs, and --sequence is given: take camera or objects"
+                )
             return evaluate_sequences(
                 self.folders,
                 self.output,

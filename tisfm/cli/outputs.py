@@ -41,7 +41,11 @@ class PairWriter:
     folder : path
         Made if it does not exist.
     camera : Camera
+        Of the frames as they are interpreted.
     settings : Settings
+    source : (Camera, (int, int)), optional
+        The camera of the frames of the source, before they are cropped and shrunk, and their height
+        and width, px.
     window : int
         How many frames an interpretation sees.
     outputs : collection of str
@@ -82,6 +86,7 @@ class PairWriter:
         *,
         camera: Camera,
         settings: Settings,
+        source: tuple[Camera, tuple[int, int]] | None = None,
         window: int = 2,
         outputs: Collection[str] = USUAL,
         figures: int = 1,
@@ -115,6 +120,7 @@ class PairWriter:
             "arch": None,
             "lanes": None,
             "camera": asdict(camera),
+            "source": None if source is None else _about_source(*source),
             "settings": asdict(settings),
             "window": window,
             "outputs": list(chosen),
@@ -243,3 +249,8 @@ class PairWriter:
         with self._with:
             self._inputs.refuse(*(self.folder / name for name in (RECORD, TABLE, TIMINGS)))
             self._record.write()
+
+
+def _about_source(camera: Camera, shape: tuple[int, int]) -> dict[str, float]:
+    """Return what the record says of the frames of the source: their size and focal length, px."""
+    return {"focal": camera.focal, "width": shape[1], "height": shape[0]}

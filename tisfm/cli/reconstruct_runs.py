@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import tisfm
-from tisfm import runtime
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.kernels_start import start_kernels, tell_device
 from tisfm.cores import usable_cores
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.reconstruction.asked import (
@@ -106,7 +106,7 @@ class WholeRun:
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
         """Make the result, from the beginning."""
-        runtime.start(self._arch, threads=self._threads)
+        start_kernels(self._arch, threads=self._threads)
         return tisfm.reconstruct(
             self._source,
             folder=self._folder,
@@ -164,7 +164,7 @@ class ChunksRun:
             threads=threads,
             others=others,
         )
-        self._workers, self._cluster = workers, cluster
+        self._workers, self._cluster, self._arch = workers, cluster, arch
 
     def is_done(self) -> bool:
         """Return whether the folder holds the complete result; ValueError if that of another."""
@@ -172,6 +172,7 @@ class ChunksRun:
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
         """Make the chunks that are not there, and of all the whole."""
+        tell_device(self._arch)
         with _finished(self._workers, self._cluster) as finished:
             return self._run.result(finished, resume=resume, progress=progress)
 

@@ -20,6 +20,7 @@ from tisfm.cli.console import tell
 from tisfm.cli.crew import Crew, check_workers, crew
 from tisfm.cli.foretelling import MUCH, Foretelling
 from tisfm.cli.frame_options import FrameOptions
+from tisfm.cli.kernels_start import start_kernels
 from tisfm.cli.outputs import PairWriter
 from tisfm.cli.pair_files import USUAL
 from tisfm.cli.pair_work import PairSource, PairWork
@@ -118,16 +119,18 @@ def run(
     full, shape = first.full, first.frame0.shape
     following = chain([first], posed)
     del first  # or it would be held to the end
-    runtime.start(arch, threads=threads)
+    start_kernels(arch, threads=threads)
     if isinstance(camera, Path):
         camera = stated_camera(camera, full or shape[:2])
     elif guess:
         camera = guessed_camera(camera, pairs.first_file or full or shape)
+    of_source = camera, full or shape[:2]
     camera = pairs.camera_after(camera, full)
     writer = PairWriter(
         output,
         camera=camera,
         settings=settings,
+        source=of_source,
         window=window,
         outputs=outputs,
         figures=figures,

@@ -17,8 +17,8 @@ from tisfm.formats.accounts import check_sum, differing, said
 RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
-    "version", "arch", "lanes", "camera", "settings", "window", "outputs", "figures", "start",
-    "step", "disparity", "screen",
+    "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
+    "start", "step", "disparity", "screen",
 )  # fmt: skip
 ENDINGS = {
     "depth": "_depth.png",

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 import tisfm
-from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, progress_bar, tell
 from tisfm.cli.foretelling import STAGES, Foretelling
+from tisfm.cli.kernels_start import start_kernels
 from tisfm.datasets import (
     SEQUENCE_LAYOUTS,
     DatasetSequence,
@@ -67,7 +67,7 @@ def evaluate_sequences(
     if max_depth is not None and not max_depth > 0:
         raise ValueError(f"max_depth is {max_depth}: expected a positive depth")
     if result is None:
-        runtime.start(arch, threads=threads)
+        start_kernels(arch, threads=threads)
     evaluations: list[SequenceEvaluation] = []
     paths = {} if output is None else _paths(sequences, output)
     with progress_bar() as progress:

@@ -6,7 +6,7 @@ from pathlib import Path
 from tisfm.camera import Camera
 from tisfm.camera_file import doubt_of, read_camera
 from tisfm.cli.console import tell
-from tisfm.focal_guess import guess_focal
+from tisfm.focal_guess import at_size, guess_focal
 
 
 def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
@@ -21,5 +21,6 @@ def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
 def guessed_camera(camera: Camera, first: Path | tuple[int, ...]) -> Camera:
     """Return the camera with a focal length guessed by the first frame, or its shape; say so."""
     guess = guess_focal(first)
-    tell(f"focal length guessed: {guess.focal:.0f} px, {guess.reason}; give --focal if known")
+    told = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
+    tell(f"focal length guessed: {told}; give --focal if known")
     return replace(camera, focal=guess.focal)

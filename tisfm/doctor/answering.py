@@ -11,11 +11,16 @@ _OPTIONS: tuple[list[str], ...] = ([], ["--json"], ["--no-json"])
 
 def is_asked() -> bool:
     """Return whether this process is ``tisfm doctor``."""
-    return (
-        Path(sys.argv[0] if sys.argv else "").stem == "tisfm"
-        and sys.argv[1:2] == ["doctor"]
-        and sys.argv[2:] in _OPTIONS
-    )
+    return _is_tisfm() and sys.argv[1:2] == ["doctor"] and sys.argv[2:] in _OPTIONS
+
+
+def _is_tisfm() -> bool:
+    """Return whether this process is the command ``tisfm``, or ``python -m tisfm``."""
+    name = sys.argv[0] if sys.argv else ""
+    if name != "-m":  # which it is as long as Python looks for the module
+        return Path(name).stem == "tisfm"
+    module = sys.orig_argv[-len(sys.argv) :][0]  # "tisfm" of "-m tisfm", or "-mtisfm"
+    return module.removeprefix("-m") == "tisfm"
 
 
 def answer() -> None:

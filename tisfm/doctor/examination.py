@@ -20,11 +20,13 @@ def examine() -> list[Finding]:
     optional = [packages.module_of(name) for found in extras.values() for name in found]
     kernel = Trial([COMMANDS, "kernel:default"], limit=_KERNEL_LIMIT)
     imports = Trial([*modules, *optional])
-    archs = Trial(["archs"], limit=_GPU_LIMIT)
+    archs = Trial(["archs", "software_vulkan"], limit=_GPU_LIMIT)
     tried = results(imports, kernel, archs)
     started: Tried = {}
+    software = machine.software_vulkan_in(tried)
     for arch in tried["archs"].get("archs", []):
-        started |= try_out([f"kernel:{arch}"], limit=_GPU_LIMIT)
+        if not (arch == "vulkan" and software):
+            started |= try_out([f"kernel:{arch}"], limit=_GPU_LIMIT)
     # Importing Taichi takes longest: it is done no third time. A kernel that ran has imported it;
     # where none did, another library may be why.
     about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]

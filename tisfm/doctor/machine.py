@@ -182,18 +182,34 @@ def about_gpus(tried: Tried, started: Tried) -> Finding:
             text=f"not known: {about['error']}",
             advice="none is needed; give --arch cpu if TI_ARCH says otherwise",
         )
-    works = [arch for arch in about["archs"] if "error" not in started.get(f"kernel:{arch}", {})]
-    fails = [arch for arch in about["archs"] if arch not in works]
+    software = software_vulkan_in(tried)
+    gpus = [arch for arch in about["archs"] if not (arch == "vulkan" and software)]
+    works = [arch for arch in gpus if "error" not in started.get(f"kernel:{arch}", {})]
+    fails = [arch for arch in gpus if arch not in works]
+    emulated = f"Vulkan here is {software}, software on the CPU and no GPU"
     if works:
-        arch = works[0]
-        return Finding(
-            name="GPU", verdict="ok", text=f"kernels run on {', '.join(works)}: --arch {arch}"
-        )
-    text = "none that Taichi can use; none is needed"
+        text = f"kernels run on {', '.join(works)}: --arch {works[0]}"
+        if software:
+            text += f". {emulated}"
+        return Finding(name="GPU", verdict="ok", text=text)
+    text = "none that Taichi can use"
     if fails:
         error = started[f"kernel:{fails[0]}"]["error"]
-        text = f"{', '.join(fails)} cannot be started ({error}); none is needed"
-    return Finding(name="GPU", verdict="absent", text=text)
+        text = f"{', '.join(fails)} cannot be started ({error})"
+    if software:
+        text += f". {emulated}"
+    return Finding(
+        name="GPU",
+        verdict="absent",
+        text=f"{text}; none is needed",
+        advice="leave out --arch vulkan: the CPU alone is faster" if software else "",
+    )
+
+
+def software_vulkan_in(tried: Tried) -> str:
+    """Return the name of the software device that Vulkan offers in place of a GPU, or ""."""
+    name: str = tried.get("software_vulkan", {}).get("device", "")
+    return name
 
 
 def _advice_of_taichi() -> str:

@@ -67,6 +67,13 @@ def try_archs(name: str) -> None:
     tell(name, archs=found)
 
 
+def try_software_vulkan(name: str) -> None:
+    """Ask the Vulkan drivers whether the device that Taichi would take is software, no GPU."""
+    from tisfm.machine.vulkan import software_vulkan
+
+    tell(name, device=software_vulkan())
+
+
 def main(names: list[str]) -> None:
     """Try each of the names, in order; an error of one stops no other."""
     if sys.path[:1] == [""]:
@@ -78,6 +85,8 @@ def main(names: list[str]) -> None:
                 try_kernel(name)
             elif name == "archs":
                 try_archs(name)
+            elif name == "software_vulkan":
+                try_software_vulkan(name)
             else:
                 try_import(name)
         except BaseException as error:

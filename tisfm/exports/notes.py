@@ -8,6 +8,7 @@ from tisfm.exports.depths import LARGEST, VALUES_PER_UNIT, DepthKind, check_fits
 from tisfm.exports.export import Export, source_camera
 from tisfm.exports.pieces import pieces_of
 from tisfm.exports.result_frames import PairFrames
+from tisfm.focal_guess import at_size
 
 
 def of_poses(export: Export) -> list[str]:
@@ -65,9 +66,10 @@ def of_lens(export: Export) -> list[str]:
     if is_centered(result.camera, result.shape):
         return []
     cx, cy = result.camera.center_for(*result.shape)
+    size = at_size(result.shape)
     return [
-        f"the principal point is at ({cx:.1f}, {cy:.1f}) px, not in the middle, for which the file "
-        "has no place: set the shift of the lens by lens.json"
+        f"the principal point is at ({cx:.1f}, {cy:.1f}) px{size}, not in the middle, for which "
+        "the file has no place: set the shift of the lens by lens.json"
     ]
 
 

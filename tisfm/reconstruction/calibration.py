@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from tisfm.camera_file import file_of, record_in
+from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
 
 Calibrate = Literal["nothing", "focal", "radial"]
@@ -17,17 +18,25 @@ Origin = Literal["given", "estimated", "guessed"]
 class Calibration:
     """Where a camera's focal length is from, and how far to trust it.
 
+    Its lengths are px of the frames of the source, before these are cropped and shrunk, as those of
+    `tisfm.Camera` and ``--focal`` are. `Reconstruction.camera` is of the frames of the result.
+
     Attributes
     ----------
     origin : {"given", "estimated", "guessed"}
         Whether it was given, found from the sequence, or guessed from the image file or the size.
         Of a camera that was given as a file, what the file says of it.
+    focal : float or None
+        The focal length, px of the frames of the source; None where no frame is known yet.
     focal_std : float
-        Its standard deviation, px: 0 where it was given, infinite where it was guessed.
+        Its standard deviation, px of the frames of the source: 0 where it was given, infinite where
+        it was guessed.
+    shape : (int, int) or None
+        Height and width of the frames of the source, px.
     seen : bool
         Whether it can be relied on: False where it was guessed, or the motion hardly shows it.
     message : str
-        That in words; empty where it was given.
+        That in words; empty where it was given. It says of which size of frames its px are.
     radial : float
         The coefficient k1 of the lens that was found with it, whose distortion was removed; 0 if
         none was sought.
@@ -42,7 +51,9 @@ class Calibration:
     """
 
     origin: Origin
+    focal: float | None = None
     focal_std: float = 0.0
+    shape: tuple[int, int] | None = None
     seen: bool = True
     message: str = ""
     radial: float = 0.0
@@ -56,9 +67,24 @@ class Calibration:
             raise ValueError(f"origin is {self.origin!r}")
         if not self.focal_std >= 0 or (self.origin == "estimated" and math.isinf(self.focal_std)):
             raise ValueError(f"focal_std is {self.focal_std}")
+        if self.focal is not None and not 0 < self.focal < math.inf:
+            raise ValueError(f"focal is {self.focal}")
+        if self.shape is not None and (len(self.shape) != 2 or min(self.shape) < 1):
+            raise ValueError(f"shape is {self.shape}")
 
 
 GIVEN = Calibration(origin="given")
+
+
+def focal_in_words(focal: float, deviation: float, shape: tuple[int, int] | None) -> str:
+    """Return a focal length and its deviation, px, with the size (H, W) of their frames.
+
+    A deviation of 0 is left out, and so is an infinite one.
+    """
+    told = f"{focal:.4g}"
+    if 0 < deviation < math.inf:
+        told += f" ± {float(f'{deviation:.1g}'):g}"  # one digit of it says enough
+    return f"{told} px{at_size(shape)}"
 
 
 def as_json(calibration: Calibration) -> dict[str, Any]:
@@ -73,11 +99,16 @@ def from_json(about: dict[str, Any]) -> Calibration:
     """Return what `as_json` made."""
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
     known = {field.name for field in fields(Calibration)}  # later versions may say more
-    kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str}
+    kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}
     # The file of a camera has null for a readout that is not known.
     stated = [name for name in known - {"focal_std"} if about.get(name) is not None]
     values = {name: kinds.get(name, float)(about[name]) for name in stated}
     return Calibration(**values, focal_std=deviation)
+
+
+def _shape(given: Any) -> tuple[int, int]:
+    height, width = map(int, given)
+    return height, width
 
 
 def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
@@ -88,7 +119,8 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
     path : path
         One that `tisfm.camera_file.read_camera` reads.
     focal : float
-        Of the frames that it was read for, px, which may be larger or smaller.
+        Of the frames that it was read for, px, which may be larger or smaller. So are the focal
+        length and its deviation that are returned; the message is that of the file.
 
     Raises
     ------
@@ -102,16 +134,14 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
         return GIVEN
     try:
         about = from_json({"focal_std": 0.0} | record)
-        ratio, message = focal / float(record["focal"]), str(about.message)
-        if message and abs(ratio - 1) > 1e-9:
-            message = f"for frames of {record['width']}×{record['height']} px, {message}"
+        ratio = focal / float(record["focal"])
     except (ValueError, KeyError, TypeError, ArithmeticError) as error:
         raise FormatError(f"{file_of(path)} is damaged: {error}") from error
     return replace(
         about,
+        focal=focal,
         focal_std=ratio * about.focal_std,
-        seen=bool(about.seen),
-        message=message,
+        shape=None,  # of the frames that it was read for, which are not known here
         readout=0.0,  # it is given now
         readout_std=0.0,
     )

@@ -79,7 +79,8 @@ def reconstruct(
         part in nothing, as far as it does not fit the rest. With ``motion="objects"`` it is found
         first, labelled in every frame, and left out of path and depth; each thing gets a path and
         a depth of its own, as far as its motion shows them. A readout is undone then
-        if the camera states it, but not found.
+        if the camera states it, but not found. ``motion="field"``, the default of `Settings`, is
+        of pairs alone: ``"camera"`` is taken in its place, and `Reconstruction.settings` says so.
     poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
         alone is found then, in their unit. Where a trajectory and all frames have times, each frame
@@ -131,12 +132,11 @@ def reconstruct(
     Raises
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
-        If the source does not exist, has fewer than two frames, or a frame cannot be read; if
-        settings ask for ``motion="field"``; if a file is no camera, or one of frames of another
-        shape; if poses are not (N, 4, 4), rigid, and as many as frames, or none is near to a frame
-        in time; if labels or sizes are given without ``motion="objects"``; if labels are not
-        numbers from 0 to 255 of the size of the frames, or masks may be labels or not; if sizes are
-        not positive, or of what does not move.
+        If the source does not exist, has fewer than two frames, or a frame cannot be read; if a
+        file is no camera, or one of frames of another shape; if poses are not (N, 4, 4), rigid, and
+        as many as frames, or none is near to a frame in time; if labels or sizes are given without
+        ``motion="objects"``; if labels are not numbers from 0 to 255 of the size of the frames, or
+        masks may be labels or not; if sizes are not positive, or of what does not move.
 
     Examples
     --------
@@ -289,11 +289,16 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
 def checked_settings(
     settings: Settings | None, motions: Collection[str] = ("camera", "objects")
 ) -> Settings:
-    """Return settings that serve for sequences; by default the preset balanced."""
+    """Return settings that serve for sequences; by default the preset balanced.
+
+    A sequence has no motion that is free at every pixel: ``"camera"`` takes its place.
+    """
     if settings is None:
-        return Settings.preset("balanced", motion="camera")
+        settings = Settings.preset("balanced")
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is {settings!r}: expected a tisfm.Settings")
+    if settings.motion == "field":
+        settings = replace(settings, motion="camera")
     if settings.motion not in motions:
         names = " or ".join(f'motion="{motion}"' for motion in motions)
         raise ValueError(

@@ -30,7 +30,7 @@ from tisfm.reconstruction.report_file import REPORT
 from tisfm.settings import Settings
 from tisfm.trajectory.path import check_poses
 
-FORMAT = 1
+FORMAT = 2
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"

@@ -43,10 +43,12 @@ class Reconstruction:
         Frames whose depth was found from several others; that of the rest is as they
         show it, and filled along the edges of the frame.
     camera : Camera
-        The pinhole of the frames, without distortion.
+        The pinhole of the frames of the result, cropped and shrunk, without distortion: that of
+        `depth` and `picture`.
     calibration : Calibration
         Where its focal length is from, and how far to trust it: ``origin`` (given, estimated or
-        guessed), ``focal_std`` (px), ``seen`` and ``message``.
+        guessed), ``focal``, ``focal_std``, ``shape``, ``seen`` and ``message``. Its px are those of
+        the frames of the source, of which ``shape`` is the height and width.
     settings : Settings
     names : tuple of str
         Of the frames.

@@ -126,7 +126,9 @@ class Run:
             if number > 0:
                 first = min(part.poses)
                 status[first] = begins_piece(status[first])
-        write_camera(self._folder / CAMERA, *self._taken, about=as_json(calibration))
+        about = as_json(calibration)
+        del about["shape"]  # the file has width and height
+        write_camera(self._folder / CAMERA, *self._taken, about=about)
         result = Reconstruction(
             poses=poses,
             piece=piece,
@@ -293,6 +295,8 @@ class Run:
             self._guess,
             self._frames.camera,
             sought=self._calibrate != "nothing",
+            focal=self._taken[0].focal,
+            shape=self._taken[1],
             stated=self._stated,
         )
         if path.rolling is not None and path.rolling.deviation:  # it was not given

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import LONGEST, SHORTEST, Camera
-from tisfm.focal_guess import FocalGuess
-from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration
+from tisfm.focal_guess import FocalGuess, at_size
+from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration, focal_in_words
 from tisfm.reconstruction.colmap import pycolmap
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.growing import robust
@@ -95,42 +95,57 @@ def calibration_of(
     camera: Camera,
     *,
     sought: bool,
+    focal: float,
+    shape: tuple[int, int],
     stated: Calibration = GIVEN,
 ) -> Calibration:
-    """Return where the focal length of a camera is from.
+    """Return where the focal length of a camera is from, in px of the frames of the source.
 
     Parameters
     ----------
     found : FocalEstimate or None
-        From the sequence.
+        From the sequence, in px of its frames as they are used, cropped and shrunk.
     guess : FocalGuess or None
         From the first file or the size of frames; None if a camera was given.
     camera : Camera
-        As it is used.
+        Of the frames as they are used.
     sought : bool
         Whether it was to be found from the sequence.
+    focal : float
+        That of `camera`, px of the frames of the source.
+    shape : (int, int)
+        Height and width of the frames of the source, px.
     stated : Calibration
         What is known of a camera that was given.
     """
     if not sought and guess is None:
-        return stated
+        return replace(stated, focal=focal, shape=shape)
     if found is None or not found.is_of_use:
-        told = f"the focal length is a guess, {camera.focal:.0f} px"
+        told = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
         if guess is not None:
             told += f", {guess.reason}"
         if sought:
             told += f": {'no path was found' if found is None else UNSEEN_SAID}"
         message = f"{told}; {ADVICE}"
-        return Calibration(origin="guessed", focal_std=math.inf, seen=False, message=message)
-    deviation = float(f"{found.deviation:.1g}")  # one digit of it says enough
-    told = f"{found.focal:.4g} ± {deviation:g} px, found from the sequence"
+        return Calibration(
+            origin="guessed",
+            focal=focal,
+            focal_std=math.inf,
+            shape=shape,
+            seen=False,
+            message=message,
+        )
+    deviation = found.deviation * focal / camera.focal
+    told = f"{focal_in_words(focal, deviation, shape)}, found from the sequence"
     if found.radial:
         told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
     doubt = BENT_SAID if found.bent else HARDLY_SAID
     message = told if found.is_seen else f"the focal length is {told}: {doubt}; {ADVICE}"
     return Calibration(
         origin="estimated",
-        focal_std=found.deviation,
+        focal=focal,
+        focal_std=deviation,
+        shape=shape,
         seen=found.is_seen,
         message=message,
         radial=found.radial,

@@ -59,6 +59,8 @@ class Stream:
         self._guess: FocalGuess | None = None
         self._stated = GIVEN
         self._share_of_rows = 1.0  # of a frame, where it is cropped
+        self._shape = (0, 0)  # height and width of the source's frames, px
+        self._scale = 1.0  # px of the source's frames to a px of those that are used
         self._delay, self._effort = delay, effort_of(settings)
         self._folder = Path()
         self._frames: PreparedFrames
@@ -117,6 +119,8 @@ class Stream:
                 camera = Camera(focal=self._guess.focal)
             camera_taken = camera
             camera = self._source.camera_after(camera, frame.full)
+            height, width = frame.full or frame.image.shape[:2]
+            self._shape, self._scale = (height, width), camera_taken.focal / camera.focal
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
             self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
@@ -175,6 +179,8 @@ class Stream:
             self._guess,
             self._path.camera,
             sought=self._calibrate != "nothing",
+            focal=self._scale * self._path.camera.focal,
+            shape=self._shape,
             stated=self._stated,
         )
         if path.readout and path.readout_deviation:  # it was not given

@@ -42,11 +42,11 @@ def reconstruct_stream(
     Parameters
     ----------
     source, camera, calibrate, settings, mask, step, start, stop, size, crop
-        As for `tisfm.reconstruct`; or ``"webcam"``, ``"webcam:1"``, … for a camera, whose frames
-        are dropped while others are worked on. A focal length and a readout that are not known are
-        found with the first path, and stay: the guess, and 0, where that does not show them,
-        whatever later frames show, since what was said of earlier ones stays. That readout is
-        found after the focal length, and undone from the first frame on.
+        As for `tisfm.reconstruct`, but for ``motion="objects"``; or ``"webcam"``, ``"webcam:1"``, …
+        for a camera, whose frames are dropped while others are worked on. A focal length and a
+        readout that are not known are found with the first path, and stay: the guess, and 0, where
+        that does not show them, whatever later frames show, since what was said of earlier ones
+        stays. That readout is found after the focal length, and undone from the first frame on.
     delay : int
         A frame is given out before more than so many later frames are read, 6 at least. The more,
         the better: a path needs views from places that are apart.
@@ -69,8 +69,8 @@ def reconstruct_stream(
     Raises
     ------
     FileNotFoundError, OSError, TypeError, ValueError
-        At once if the source does not exist, is known to have fewer than two frames, or if
-        settings ask for another motion; while iterating if it ends after one frame, or if a frame
+        At once if the source does not exist, is known to have fewer than two frames, or if settings
+        ask for ``motion="objects"``; while iterating if it ends after one frame, or if a frame
         cannot be read: after the frames before it.
 
     Examples

@@ -2,7 +2,7 @@
 
 Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
 May import: `tisfm.formats`, `tisfm.machine`, `tisfm.reconstruction`, `tisfm.show`, and of the top
-level `camera`, `interpretation`, `outcome`, `settings` and `version`.
+level `camera`, `focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
 from tisfm.reconstruction.report_file import REPORT, is_report

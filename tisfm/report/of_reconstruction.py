@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.machine.amounts import as_duration
+from tisfm.reconstruction.calibration import focal_in_words
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.file import refuse_foreign, write_page
@@ -160,9 +161,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
     placed = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     about = result.calibration
-    focal = f"{result.camera.focal:.4g} px"
-    if 0 < about.focal_std < np.inf:
-        focal = f"{result.camera.focal:.4g} ± {float(f'{about.focal_std:.1g}'):g} px"
+    focal = focal_in_words(about.focal or result.camera.focal, about.focal_std, about.shape)
     height, width = result.shape
     rows = [
         *([("Source", source)] if source else []),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.machine.amounts import as_duration
 from tisfm.outcome import Status
@@ -76,11 +77,12 @@ class _Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """What the record says."""
+    """What the record says; the focal length is px of frames of the size `focal_of` (H, W)."""
 
     pairs: Sequence[_Pair]
     settings: Settings
     focal: float
+    focal_of: tuple[int, int] | None
     start: int
     step: int
     arch: str
@@ -102,10 +104,12 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             )
             for name, pair in record["pairs"].items()
         ]
+        source = record["source"]  # its frames, before they were cropped and shrunk
         return _Run(
             pairs=pairs,
             settings=Settings(**_as_tuples(record["settings"])),
-            focal=float(record["camera"]["focal"]),
+            focal=float((record["camera"] if source is None else source)["focal"]),
+            focal_of=None if source is None else (int(source["height"]), int(source["width"])),
             start=int(record["start"]),
             step=int(record["step"]),
             arch=str(record["arch"]),
@@ -183,7 +187,7 @@ def _summary(
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
         ("Preset", nearest_preset(run.settings)),
         ("Motion", run.settings.motion),
-        ("Focal length", f"{run.focal:.5g} px"),
+        ("Focal length", f"{run.focal:.5g} px{at_size(run.focal_of or shape)}"),
         ("First frame, step", f"{run.start}, {run.step}"),
         ("Kernels ran on", run.arch),
         ("Version", run.version),

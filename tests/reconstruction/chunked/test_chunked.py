@@ -20,7 +20,7 @@ from tests.reconstruction.chunked.filmed import (
 from tests.reconstruction.films import along, path_error
 from tisfm import Reconstruction
 from tisfm.camera_file import read_camera
-from tisfm.reconstruction.chunked.entry import reconstruct_in_chunks
+from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.run import NEW_PIECE
 from tisfm.scenes import room_film
 
@@ -199,7 +199,6 @@ def test_other_processes_find_the_same(frames, found, tmp_path):
         ("film", {"chunk": 11}, ValueError, "chunk is 11: expected a number of frames, at least"),
         ("film", {"settings": tisfm.Settings.preset("fast", motion="objects")}, ValueError,
          "no number that is the same in all of them"),
-        ("film", {"settings": tisfm.Settings.preset("fast")}, ValueError, 'motion is "field"'),
         ("film", {"mask": np.ones((180, 240), bool)}, TypeError, "mask is ndarray"),
         ("film", {"poses": np.tile(np.eye(4), (3, 1, 1))}, ValueError, "poses are 3"),
         ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "bad_frames": "skip"}, ValueError,
@@ -216,6 +215,11 @@ def test_what_cannot_be_made_in_chunks(frames, tmp_path, source, options, error,
     with pytest.raises(error, match=text):
         in_chunks(given, tmp_path / "out", **options)
     assert not (tmp_path / "out" / "reconstruction.json").exists()
+
+
+def test_a_preset_alone_means_the_motion_of_the_camera(frames, tmp_path):
+    run = ChunkedRun(frames, tmp_path / "out", settings=tisfm.Settings.preset("fast"), chunk=12)
+    assert run.asked["settings"]["motion"] == "camera"
 
 
 def test_what_a_chunk_raises_is_told(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import along
+from tisfm.reconstruction.chunked import overlaps
 from tisfm.reconstruction.chunked.overlaps import (
     scale_of_depth,
     scale_of_places,
@@ -71,6 +72,14 @@ SHARED = [(k, k) for k in range(COUNT)]
 def test_the_similarity_is_found(both):
     found = similarity_of(*both, SHARED)
     np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
+
+
+def test_the_surer_scale_counts_more(both, monkeypatch):
+    """That of depth or of the camera's places, each by its precision."""
+    monkeypatch.setattr(overlaps, "scale_of_depth", lambda *_: (0.01, 0.01))
+    monkeypatch.setattr(overlaps, "scale_of_places", lambda *_: (0.06, 0.02))
+    found = np.log(scale_of(similarity_of(*both, SHARED)))
+    assert found == pytest.approx((0.01 / 0.01**2 + 0.06 / 0.02**2) / (0.01**-2 + 0.02**-2))
 
 
 def test_depth_of_other_frames_will_do(both, tmp_path):

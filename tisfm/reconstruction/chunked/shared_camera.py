@@ -68,11 +68,17 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
         found += [result for _, result in sorted(_made(asked, finished), key=lambda one: one[0])]
     best = next((one for one in found if one.calibration.seen), None)
     if best is None:
-        best = min(found, key=lambda one: one.calibration.focal_std / one.camera.focal)
+        best = min(found, key=_relative_deviation)
     camera = read_camera(best.folder)
     if camera.readout is None:  # the motion shows none, and no chunk is to look for one
         camera = replace(camera, readout=0.0)
     return SharedCamera(camera=camera, found=best)
+
+
+def _relative_deviation(result: Reconstruction) -> float:
+    """Return the deviation of the focal length as a share of it; infinite where it is a guess."""
+    about = result.calibration
+    return about.focal_std / about.focal if about.focal else np.inf
 
 
 def _made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[tuple[int, Reconstruction]]:
