@@ -26,7 +26,7 @@ from tisfm.formats.text import read_json
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.report_file import REPORT
+from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.trajectory.path import check_poses
 
@@ -41,7 +41,7 @@ PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
 ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
 OTHERS = (
-    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT
+    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
 )  # fmt: skip
 
 

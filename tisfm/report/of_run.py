@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from tisfm.interpretation import Interpretation
-from tisfm.machine.amounts import as_duration
 from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.file import refuse_foreign, write_page
@@ -35,7 +34,6 @@ def write_run_report(
     folder: Path,
     record: Mapping[str, Any],
     *,
-    seconds: Sequence[float] = (),
     source: str | None = None,
 ) -> Path:
     """Write ``report.html`` of a run into its folder; return its path.
@@ -46,8 +44,6 @@ def write_run_report(
         What `tisfm run` wrote. Pictures are of the pairs whose ``.npz`` is there.
     record : mapping
         What its ``run.json`` says.
-    seconds : sequence of float
-        How long pairs were interpreted, as far as that is known.
     source : str, optional
         What it was a run of, if that is known.
 
@@ -58,7 +54,7 @@ def write_run_report(
     """
     path = refuse_foreign(folder)
     run = _read(folder, record)
-    write_page(path, html(_page(folder, run, seconds, source)))
+    write_page(path, html(_page(folder, run, source)))
     return path
 
 
@@ -116,7 +112,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
         raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
 
 
-def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None) -> Page:
+def _page(folder: Path, run: _Run, source: str | None) -> Page:
     names = [pair.name for pair in run.pairs]
     statuses = [pair.status for pair in run.pairs]
     counts = counted(statuses, names)
@@ -124,14 +120,6 @@ def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None)
     numbers = chosen(len(names), [codes.index(status.code) for status in counts])
     shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
     slides, shape, flow_limit = _slides(folder, shown, run.flow_limit)
-    known = [float(value) for value in seconds]
-    timings = []
-    if known:
-        timings = [
-            ("Interpreting, the last command", as_duration(sum(known))),
-            ("A pair, median", as_duration(float(np.median(known)))),
-            ("The slowest pair", as_duration(max(known))),
-        ]
     if not names:
         told = "There is no pair."
     elif not slides:
@@ -166,7 +154,6 @@ def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None)
         legends=legends if slides else (),
         preset=nearest_preset(run.settings),
         settings=setting_rows(run.settings),
-        timings=timings,
     )
 
 

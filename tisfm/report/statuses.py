@@ -40,6 +40,7 @@ _COLORS = {
     "unrelated": "#cc79a7",
 }
 _WRONG = "#d55e00"
+_UNKNOWN = "This version of tisfm does not know this status: take it as doubt."
 _MOST_NAMED, _LONGEST = 4, 600  # frames; characters of a message
 
 
@@ -84,7 +85,7 @@ def counted(
         found.append(
             StatusCount(
                 code=code,
-                meaning=meanings.get(code, ""),
+                meaning=meanings.get(code, _UNKNOWN),
                 advice=shortened(message),
                 count=count,
                 names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),
