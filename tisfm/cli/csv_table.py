@@ -22,11 +22,14 @@ def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     rows : iterable of sequences
         Texts, numbers, and None for an empty cell.
     """
+    return "".join(_line([_quoted(cell) for cell in row]) for row in (columns, *rows))
+
+
+def _line(cells: Sequence[Any]) -> str:
+    """Return a line that ends in a line feed; cells that hold either kind of end are quoted."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_quoted(cell) for cell in row] for row in rows)
-    return text.getvalue()
+    csv.writer(text, lineterminator="\r\n").writerow(cells)
+    return text.getvalue().removesuffix("\r\n") + "\n"
 
 
 def _quoted(cell: Any) -> Any:

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -81,6 +82,18 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
         if isinstance(error, OSError) and error.strerror and error.errno in _OF_THE_DISK:
             raise _explained(error, name, folder) from error
         raise
+
+
+def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
+    """Copy what a file holds to another, which is complete or not there at all.
+
+    Raises
+    ------
+    OSError
+        If one cannot be read, or the other cannot be written.
+    """
+    with open(source, "rb") as given, atomic_write(target) as file:
+        shutil.copyfileobj(given, file, _BUFFER)
 
 
 def is_temporary(name: str) -> bool:

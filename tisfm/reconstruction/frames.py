@@ -1,6 +1,5 @@
 """Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import atomic_write
+from tisfm.formats.atomic import copy_file
 from tisfm.formats.npz import write_npy
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
@@ -139,7 +139,7 @@ class PreparedFrames:
         for number in sorted(rolling.rates):
             for path in self._paths(number):
                 if path.exists():
-                    shutil.copyfile(path, _as_it_was(path))
+                    copy_file(path, _as_it_was(path))
             self._as_read.add(number)
             self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
 

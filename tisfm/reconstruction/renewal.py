@@ -1,13 +1,12 @@
 """A folder that a reconstruction is written to, and the earlier one in it, which may come back."""
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tisfm.formats.atomic import is_temporary
+from tisfm.formats.atomic import copy_file, is_temporary
 from tisfm.formats.folder_lock import LOCK, locked_folder
 from tisfm.formats.outputs import make_folder
 from tisfm.formats.removal import (
@@ -94,9 +93,9 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
                 continue
             make_inner_folder(path / name)
             for file in sorted((source / name).iterdir()):
-                shutil.copyfile(file, path / name / file.name)
+                copy_file(file, path / name / file.name)
         if (source / CAMERA).exists():  # earlier versions wrote none
-            shutil.copyfile(source / CAMERA, path / CAMERA)
+            copy_file(source / CAMERA, path / CAMERA)
         write_record(path, result)
 
 
