@@ -69,6 +69,16 @@ def test_an_export_that_is_renewed(tisfm_run, place, outside):
 
 
 @pytest.mark.slow
+def test_eval(tisfm_run, place, outside, benchmark_folder):
+    (place / "out").mkdir()
+    (place / "out" / "flows").symlink_to(outside)
+    (place / "out" / "eval.json").symlink_to(outside / "nothing")
+    code, _, err = tisfm_run("eval", benchmark_folder, "-o", "out", "--preset", "fast")
+    assert code == 0, err
+    assert links_in(place / "out") == [] and list((place / "out").rglob("*_flow.flo"))
+
+
+@pytest.mark.slow
 def test_run(tisfm_run, place, outside):
     (place / "frames").mkdir()
     for k in range(2):
