@@ -11,6 +11,8 @@ STATUSES = (
     "unexplained", "uncertain",
 )  # fmt: skip
 """Codes of `Status`."""
+UNKNOWN = "This version of tisfm does not know this status: take it as doubt."
+"""What is said of a code that is none of `STATUSES`."""
 _CODE = re.compile(r"[a-z_]+")
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tisfm.outcome import Status
+from tisfm.outcome import UNKNOWN, Status
 
 MEANINGS = {
     "converged": "The unknowns ceased to evolve.",
@@ -40,7 +40,6 @@ _COLORS = {
     "unrelated": "#cc79a7",
 }
 _WRONG = "#d55e00"
-_UNKNOWN = "This version of tisfm does not know this status: take it as doubt."
 _MOST_NAMED, _LONGEST = 4, 600  # frames; characters of a message
 
 
@@ -85,7 +84,7 @@ def counted(
         found.append(
             StatusCount(
                 code=code,
-                meaning=meanings.get(code, _UNKNOWN),
+                meaning=meanings.get(code, UNKNOWN),
                 advice=shortened(message),
                 count=count,
                 names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tisfm.outcome import STATUSES
+from tisfm.outcome import STATUSES, UNKNOWN
 from tisfm.view.colors import Legend, Quantity, Ranges, legend
 from tisfm.view.frame import PixelReading, ViewFrame
 from tisfm.view.result import Result
@@ -127,7 +127,7 @@ def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str
         status = frame.status
         parts.append(str(status))
         if status not in STATUSES:
-            parts.append("This version of tisfm does not know this status: take it as doubt.")
+            parts.append(UNKNOWN)
         if str(status) != "converged" and status.message:
             parts.append(status.message)
         if result.has_one_scale and result.piece[number] < 0:
