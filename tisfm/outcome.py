@@ -1,5 +1,6 @@
 """How an interpretation ended: a status, and a record of its iterations."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ STATUSES = (
     "unexplained", "uncertain",
 )  # fmt: skip
 """Codes of `Status`."""
+UNKNOWN = "This version of tisfm does not know this status: take it as doubt."
+"""What is said of a code that is none of `STATUSES`."""
+_CODE = re.compile(r"[a-z_]+")
 
 
 class Status(str):
@@ -32,12 +36,36 @@ class Status(str):
     behind the camera; and ``"unexplained"``, much of the texture is not alike where motion and
     depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``: it contradicts the
     images, and the depth is what follows from it all the same.
+
+    A file of another version may hold a code that is not in this list. It is kept, and counts as
+    doubt.
+
+    Parameters
+    ----------
+    code : str
+        Small letters of ASCII and underscores.
+    message : str
+        What to try.
+
+    Raises
+    ------
+    TypeError
+        If the code or the message is no text.
+    ValueError
+        If the code has any other character.
     """
 
     message: str
 
     def __new__(cls, code: str, message: str = "") -> "Status":
         """Make a status that compares equal to its code."""
+        for name, text in (("status", code), ("message", message)):
+            if not isinstance(text, str):
+                raise TypeError(f"{name} is {text!r}: expected a text")
+        if _CODE.fullmatch(code) is None:
+            raise ValueError(
+                f"status is {code!r}: expected small letters and underscores, such as 'converged'"
+            )
         status = super().__new__(cls, code)
         status.message = message
         return status

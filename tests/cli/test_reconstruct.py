@@ -45,7 +45,7 @@ def test_the_folder_holds_what_is_promised(tisfm_run, film, place):
     assert told
     assert sorted(path.name for path in (place / "out").iterdir()) == [
         "asked.json", "camera.json", "depth", "frames", "path.npz", "points.ply", "poses.txt",
-        "reconstruction.json", "trajectory.txt",
+        "reconstruction.json", "timings.csv", "trajectory.txt",
     ]  # fmt: skip
     result = tisfm.Reconstruction.load("out")
     assert len(result) == COUNT and len(result.keyframes) == int(told[1])

@@ -76,16 +76,46 @@ def test_atomic_write_refuses_folders_and_devices(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="permissions and links of POSIX")
-def test_atomic_write_honours_the_umask_and_follows_links(tmp_path):
-    (tmp_path / "there").mkdir()
-    target, link = tmp_path / "there" / "target", tmp_path / "link"
+def test_atomic_write_honours_the_umask(tmp_path):
+    with atomic_write(tmp_path / "written") as file:
+        file.write(b"x")
+    (tmp_path / "plain").write_bytes(b"x")
+    assert (tmp_path / "written").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+@pytest.mark.parametrize("is_there", [True, False])
+def test_atomic_write_replaces_a_link_and_not_what_it_leads_to(tmp_path, is_there):
+    target, link = tmp_path / "target", tmp_path / "link"
+    if is_there:
+        target.write_bytes(b"kept")
     link.symlink_to(target)
     with atomic_write(link) as file:
         file.write(b"x")
-    assert link.is_symlink()
-    assert target.read_bytes() == b"x"
-    (tmp_path / "plain").write_bytes(b"x")
-    assert target.stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert not link.is_symlink() and link.read_bytes() == b"x"
+    assert target.exists() == is_there
+    assert not is_there or target.read_bytes() == b"kept"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_atomic_write_goes_through_a_folder_that_is_a_link(tmp_path):
+    (tmp_path / "there" / "inner").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "there" / "inner")
+    for name in ("link/a", "link/../b"):
+        with atomic_write(tmp_path / name) as file:
+            file.write(b"x")
+    assert (tmp_path / "there" / "inner" / "a").read_bytes() == b"x"
+    assert (tmp_path / "there" / "b").read_bytes() == b"x"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+def test_atomic_write_refuses_links_to_folders_and_devices(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for name, target in (("one", tmp_path / "folder"), ("two", "/dev/null")):
+        (tmp_path / name).symlink_to(target)
+        with pytest.raises(OSError, match="cannot write"), atomic_write(tmp_path / name):
+            pytest.fail("the block must not run")
+        assert (tmp_path / name).is_symlink()
 
 
 def test_atomic_write_takes_the_longest_names(tmp_path):

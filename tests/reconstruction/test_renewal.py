@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,37 @@ def test_an_earlier_result_comes_back(earlier, error):
         raise error
     assert contents(earlier) == before
     assert not (earlier / EARLIER).exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+@pytest.mark.parametrize(
+    "name",
+    ["cache", ".tisfm-chunks", ".tisfm-leaving", ".tisfm-restoring", ".tisfm-earlier",
+     ".tisfm.lock", "reconstruction.begun", "poses.txt", "camera.json", "masks"],
+)  # fmt: skip
+@pytest.mark.parametrize("fails", [True, False])
+def test_links_are_not_followed_and_the_earlier_result_comes_back(earlier, tmp_path, name, fails):
+    shutil.rmtree(earlier / "cache")
+    before = contents(earlier)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "note.txt").write_text("mine")
+    # In place of files: a link to a file that there is not.
+    is_folder = name in ("cache", "masks") or name.startswith(".tisfm-")
+    (earlier / name).symlink_to(outside if is_folder else outside / "nothing")
+    ends = pytest.raises(ValueError, match="again") if fails else contextlib.nullcontext()
+    with ends, renewed_folder(earlier) as path:
+        for part in ("cache/x", "masks/x", "poses.txt", "camera.json"):
+            (path / part).parent.mkdir(exist_ok=True)
+            (path / part).write_text("new")
+        if fails:
+            raise ValueError("again")
+    assert contents(outside) == {"note.txt": b"mine"}
+    if fails:
+        assert contents(earlier) == before
+    else:
+        assert (earlier / "poses.txt").read_text() == "new"
+        assert not [path for path in earlier.rglob("*") if path.is_symlink()]
 
 
 def test_a_new_result_replaces_it(earlier):

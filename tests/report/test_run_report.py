@@ -31,7 +31,7 @@ def test_a_run_has_a_report(tisfm_run, frames, place):  # noqa: F811
     assert err.splitlines()[-1] == f"Open {os.path.join('out', REPORT)} in a browser."
     page = read(place / "out")
     for words in ("3 of 3", "40 × 24 px", "fast", "but for 1, which stand first", "smoothness 55",
-                  "A pair, median", "f0", "f1", "f2"):  # fmt: skip
+                  "f0", "f1", "f2"):  # fmt: skip
         assert words in page.text, words
     assert len(page.all("div", _class="slide")) == 3
     assert len(page.all("img")) == 3 * 4 + 1  # frame, depth, motion, confidence; and a legend
@@ -146,14 +146,12 @@ def a_run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_same_results_give_the_same_bytes(tisfm_run, frames, place):  # noqa: F811
-    """In other processes and folders, but for the timings."""
+    """In other processes and folders."""
     pages = []
     for parent in ("one", "two"):
         call = ["run", "frames", "-o", f"{parent}/out", "--report", "--preset", "fast"]
         subprocess.run([*TISFM, *call], check=True, capture_output=True)
-        text = (place / parent / "out" / REPORT).read_text(encoding="utf-8")
-        begin, end = text.index("<section><h2>Timings"), text.index("<section><h2>Settings")
-        pages.append(text[:begin] + text[end:])
+        pages.append((place / parent / "out" / REPORT).read_bytes())
     assert pages[0] == pages[1] and len(pages[0]) > 5000
 
 
@@ -176,7 +174,8 @@ def test_a_reconstruction_has_a_report(tisfm_run, place):  # noqa: F811
     call = ("reconstruct", "film", "-o", "out", "--preset", "fast", *focal)
     assert tisfm_run(*call, "--report")[0] == 0
     page = read(place / "out")
-    assert "6 of 6" in page.text and "Depth of every frame" in page.text
+    assert "6 of 6" in page.text
+    assert "Depth of every frame," in (place / "out" / "timings.csv").read_text()
     assert len(page.all("svg")) == 2 and len(page.all("div", _class="slide")) == 6
     first = (place / "out" / REPORT).read_bytes()
     # It is no part of what the folder is held against: it may be made again, or removed.
@@ -186,7 +185,7 @@ def test_a_reconstruction_has_a_report(tisfm_run, place):  # noqa: F811
     code, _, err = tisfm_run(*call, "--resume", "--report")
     assert code == 0 and "is complete" in err
     again = (place / "out" / REPORT).read_bytes()
-    assert "Timings" in first.decode() and "Timings" not in again.decode()
+    assert again == first
     shutil.copytree("out", "copy")
     assert tisfm_run("report", "copy")[0] == 0
     assert len(tisfm.Reconstruction.load("copy")) == 6

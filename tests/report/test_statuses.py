@@ -23,6 +23,13 @@ def test_every_status_has_a_meaning_and_a_colour():
     assert all(re.fullmatch("#[0-9a-f]{6}", color_of(code)) for code in (*codes, "another"))
 
 
+def test_a_status_of_another_version_counts_as_doubt():
+    (found,) = counted([Status("brand_new", "do so")], ["f0"])
+    assert found.code == "brand_new" and found.advice == "do so"
+    assert "doubt" in found.meaning
+    assert color_of("brand_new") != color_of("converged")
+
+
 def test_they_are_counted_with_the_advice_of_the_first():
     statuses = [Status("converged", "as usual")] * 6
     statuses += [Status("aperture", "turn"), Status("aperture", "other")]

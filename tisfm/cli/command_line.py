@@ -14,6 +14,7 @@ import cv2
 import tyro
 from tyro.conf import Positional, arg, subcommand
 
+from tisfm.cli.console import tell_error
 from tisfm.cli.demo_arguments import Demo
 from tisfm.cli.doctor_arguments import Doctor
 from tisfm.cli.evaluate_arguments import Eval
@@ -133,8 +134,7 @@ def _print_completion(shells: list[str]) -> int:
 
 def _fail(text: str, code: int = 1) -> int:
     """Print an error in one line and return the exit code."""
-    shown = " ".join(text.split()).encode("utf-8", "replace").decode("utf-8")
-    print(f"tisfm: {shown}", file=sys.stderr)
+    tell_error(text)
     return code
 
 

@@ -1,40 +1,52 @@
-"""What commands print: lines and progress on standard error, tables on standard output."""
+"""What commands print: lines and progress on standard error, tables on standard output.
 
-from rich.console import Console
+Texts that a file supplies go through `printable` here, and Rich takes nothing in them as markup.
+"""
+
+import sys
+from collections.abc import Iterator
+
+from rich.console import Console, ConsoleOptions
 from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
-    TextColumn,
+    ProgressColumn,
+    Task,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
-
-def as_text(name: str) -> str:
-    """Return a name of a file as text: a question mark for what the system has that is none."""
-    return name.encode("utf-8", "replace").decode("utf-8")
+from tisfm.machine.terminal import printable
 
 
 def tell(line: str) -> None:
     """Print one line on standard error, as it is."""
-    Console(stderr=True).print(as_text(line), highlight=False, markup=False, soft_wrap=True)
+    Console(stderr=True, highlight=False).print(Text(printable(line)), soft_wrap=True)
+
+
+def tell_error(text: str) -> None:
+    """Print an error of the command in one line on standard error."""
+    print(f"tisfm: {printable(' '.join(text.split()))}", file=sys.stderr)
 
 
 def print_whole(table: Table) -> None:
     """Print a table with all its columns, were it wider than the terminal."""
-    console = Console()
+    console = Console(markup=False, emoji=False)
     wanted = Measurement.get(console, console.options.update(max_width=1000), table).maximum
-    Console(width=max(console.width, wanted)).print(table)
+    width = max(console.width, wanted)
+    Console(width=width, markup=False, emoji=False).print(_Printable(table))
 
 
 def progress_bar() -> Progress:
     """Return a progress bar on standard error, which a log gets nothing of."""
     console = Console(stderr=True)
     return Progress(
-        TextColumn("{task.description}", markup=False),
+        _Description(),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -43,3 +55,22 @@ def progress_bar() -> Progress:
         transient=True,
         disable=not console.is_terminal,  # it would leave blank lines in a log
     )
+
+
+class _Description(ProgressColumn):
+    """What is done, or the name of the item that is done last."""
+
+    def render(self, task: Task) -> Text:
+        return Text(printable(task.description))
+
+
+class _Printable:
+    """A table of whose texts none is a command to the terminal."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for text, style, control in console.render(self._table, options):
+            lines = "\n".join(map(printable, text.split("\n")))
+            yield Segment(lines, style, control)

@@ -28,6 +28,7 @@ from tisfm.cores import usable_cores
 from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.outputs import make_folder
+from tisfm.formats.removal import make_inner_folder
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
 
@@ -62,8 +63,9 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     require_writable_flow("the demo scene", height, width)
     folders = output, output / "camera", output / "objects"
     _refuse_foreign(folders)
-    for folder in folders:
-        make_folder(folder)
+    make_folder(output)
+    for folder in folders[1:]:
+        make_inner_folder(folder)
     workers, each = _shares(threads)
     rows: Rows = {}
     with progress_bar() as progress, crew(workers) as processes, NamedTemporaryFile() as alive:

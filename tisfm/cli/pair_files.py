@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tisfm.cli.console import as_text
 from tisfm.cli.motion_text import motion_rows, write_motions
 from tisfm.cli.nearest import hint
 from tisfm.cli.run_record import ENDINGS
@@ -21,6 +20,7 @@ from tisfm.formats import (
 from tisfm.formats.accounts import check_sum
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation
+from tisfm.machine.terminal import printable
 from tisfm.show import (
     anaglyph,
     comparison_figure,
@@ -219,7 +219,7 @@ class PairFiles:
             write_png(f"{path}_anaglyph.png", picture)
         if "figure" in wanted:
             figure = _figure(
-                as_text(name),
+                printable(name),
                 result,
                 baseline_flow=baseline_flow,
                 depth_limit=limit,

@@ -18,18 +18,21 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.crew import check_workers
+from tisfm.cli.csv_table import csv_table
 from tisfm.cli.foretelling import MUCH, STAGES, Foretelling
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report_command import report_reconstruction
 from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats import atomic_write
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.fusion.meshing import check_library
 from tisfm.machine.amounts import as_size
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
+from tisfm.reconstruction.report_file import TIMINGS
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report import refuse_foreign
 from tisfm.runtime import Arch
@@ -167,9 +170,10 @@ def reconstruct(
             result.points().save(output / POINTS)
         if mesh is not None:
             result.mesh().save(output / f"mesh.{mesh}")
+        write_timings(output, stages.seconds)
         run.finish()
     if report:
-        report_reconstruction(result, output, timings=stages.seconds, source=source)
+        report_reconstruction(result, output, source=source)
     return 0
 
 
@@ -271,6 +275,12 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
         return
     write_tum(folder / TRAJECTORY, poses, np.array(known, np.float64))
     write_kitti(folder / POSES, poses)
+
+
+def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
+    """Write how long the stages took, which no other file says: they stay the same each time."""
+    with atomic_write(folder / TIMINGS) as file:
+        file.write(csv_table(("stage", "seconds"), seconds.items()).encode())
 
 
 def _tell(result: Reconstruction, output: Path) -> None:

@@ -13,7 +13,7 @@ class Report:
 
     DIR is the folder that tisfm run or tisfm reconstruct wrote. It receives report.html, which
     needs no network and no other file: a summary, the path of the camera, statuses with advice,
-    pictures of the frames with a slider, settings and timings.
+    pictures of the frames with a slider, and settings.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]

@@ -1,12 +1,10 @@
 """What `tisfm report` does, and `--report` of other commands."""
 
-import csv
 import os
-from collections.abc import Mapping
 from pathlib import Path
 
 from tisfm.cli.console import tell
-from tisfm.cli.run_record import RECORD, TIMINGS, read_record
+from tisfm.cli.run_record import RECORD, read_record
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report import write_reconstruction_report, write_run_report
@@ -32,21 +30,15 @@ def report_run(folder: Path, source: Source | None = None) -> None:
     record = read_record(folder)
     if record is None:
         raise FileNotFoundError(f"{folder} holds no {RECORD}: the run wrote nothing")
-    path = write_run_report(
-        folder, record, seconds=_seconds(folder / TIMINGS), source=title_of(source)
-    )
+    path = write_run_report(folder, record, source=title_of(source))
     tell(f"Open {path} in a browser.")
 
 
 def report_reconstruction(
-    result: Reconstruction,
-    folder: Path,
-    *,
-    timings: Mapping[str, float] | None = None,
-    source: Source | None = None,
+    result: Reconstruction, folder: Path, *, source: Source | None = None
 ) -> None:
     """Write the report of a reconstruction, and say what to open."""
-    path = write_reconstruction_report(result, folder, timings=timings, source=title_of(source))
+    path = write_reconstruction_report(result, folder, source=title_of(source))
     tell(f"Open {path} in a browser.")
 
 
@@ -59,12 +51,3 @@ def title_of(source: Source | None) -> str | None:
         return Path(name).name or Path(name).resolve().name
     names = [Path(os.fspath(part)).name for part in source if isinstance(part, (str, os.PathLike))]
     return f"{names[0]} … {names[-1]}" if len(names) > 2 else ", ".join(names)
-
-
-def _seconds(path: Path) -> list[float]:
-    """Return how long pairs took; nothing where that is not known."""
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            return [float(row["seconds"]) for row in csv.DictReader(file)]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error):
-        return []

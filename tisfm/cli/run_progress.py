@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TypeVar
 
-from tisfm.cli.console import as_text, progress_bar
+from tisfm.cli.console import progress_bar
 
 RECENT = 20  # pairs: what the speed and the stage that limits are of
 
@@ -79,5 +79,5 @@ class RunProgress:
         limit = max(spent, key=lambda stage: spent[stage], default="")
         limits = f", {limit}" if limit and spent[limit] > 0 else ""
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
-        said = f"{as_text(name)}: {speed:.3g} pairs/s{limits}" + (f"; {counts}" if counts else "")
+        said = f"{name}: {speed:.3g} pairs/s{limits}" + (f"; {counts}" if counts else "")
         self._bar.update(self._task, advance=count, description=said)

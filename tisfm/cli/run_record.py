@@ -1,7 +1,5 @@
 """The account of a run: what it was asked for, which pairs are finished, and by which files."""
 
-import csv
-import io
 import json
 import math
 import os
@@ -11,10 +9,13 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tisfm.cli.csv_table import csv_table
 from tisfm.formats import atomic_write
 from tisfm.formats.accounts import check_sum, differing, said
+from tisfm.outcome import Status
+from tisfm.reconstruction.report_file import TIMINGS
 
-RECORD, TABLE, TIMINGS = "run.json", "run.csv", "timings.csv"
+RECORD, TABLE = "run.json", "run.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
@@ -148,14 +149,14 @@ class RunRecord:
         self._about["pairs"] = pairs  # those of other processes come in any order
         rows = ((name, *_row(pair)) for name, pair in pairs.items())
         if self._is_written:
-            table = _table(_COLUMNS, rows)
+            table = csv_table(_COLUMNS, rows)
             if self.pairs and _read(self._folder / TABLE) != _encoded(table):
                 _write(self._folder / TABLE, table)
             return
         begin = time.monotonic()
         text = json.dumps(self._about, indent=2, ensure_ascii=False) + "\n"
-        _write(self._folder / TIMINGS, _table(("pair", "seconds"), self._seconds.items()))
-        _write(self._folder / TABLE, _table(_COLUMNS, rows))
+        _write(self._folder / TIMINGS, csv_table(("pair", "seconds"), self._seconds.items()))
+        _write(self._folder / TABLE, csv_table(_COLUMNS, rows))
         _write(self._folder / RECORD, text, durable=True)
         self._is_written = True
         end = time.monotonic()
@@ -212,7 +213,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
             raise ValueError("it is of no run")
         for name, pair in about["pairs"].items():
             if os.path.basename(name) != name:
-                raise ValueError(f"{name} is no name of a pair")
+                raise ValueError(f"{name!r} is no name of a pair")
+            Status(pair["status"], pair["message"])  # refused here if it is none
             pair.setdefault("files", None)  # of versions that did not say so much
             if not set(pair["files"] or ()) <= set(ENDINGS.values()):
                 raise ValueError(f"it names files of {name} that no pair has")
@@ -260,15 +262,6 @@ def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
         yield pair.get(key)
     motions = pair.get("twists")
     yield from motions[0] if motions else (None,) * 6
-
-
-def _table(columns: tuple[str, ...], rows: Any) -> str:
-    """Return rows as CSV."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _write(path: Path, text: str, *, durable: bool = False) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from tisfm.doctor import machine, packages
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
 from tisfm.doctor.trying import Trial, Tried, results, try_out
+from tisfm.machine.terminal import printable
 
 COMMANDS = "tisfm.cli.command_line"  # what a command imports first
 _KERNEL_LIMIT = 45.0  # s: a slow machine compiles
@@ -63,6 +64,7 @@ def doctor(*, json: bool = False) -> int:
     """Print what is found; return the exit code, 1 if something is broken."""
     findings = examine()
     text = as_json(findings) if json else as_text(findings)
+    text = "\n".join(map(printable, text.split("\n")))
     encoding = sys.stdout.encoding or "utf-8"
     print(text.encode(encoding, "replace").decode(encoding), flush=True)
     return 0 if is_well(findings) else 1

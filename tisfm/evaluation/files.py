@@ -16,6 +16,7 @@ from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
 from tisfm.formats import atomic_write, write_flo
 from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.formats.removal import make_inner_folder
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
 from tisfm.settings import Settings
@@ -129,7 +130,7 @@ class EvaluationWriter:
         if result is not None and loaded is not None:
             stem = self._stem(evaluation.pair)
             self._inputs.refuse(*self._files(stem))
-            make_folder((self.folder / stem).parent)
+            make_inner_folder((self.folder / stem).parent)
             self._write_files(f"{self.folder / stem}", evaluation, result, loaded)
         self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
         self._write_record()

@@ -8,6 +8,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
 from tisfm.exports.result_frames import PairFrames, SequenceFrames
+from tisfm.formats.removal import make_inner_folder
 from tisfm.reconstruction.result import Reconstruction
 
 
@@ -52,9 +53,7 @@ class Export:
 
     def subfolder(self, name: str) -> Path:
         """Return a folder in that which is written to; it is made if need be."""
-        place = self.folder / name
-        place.mkdir(exist_ok=True)
-        return place
+        return make_inner_folder(self.folder / name)
 
 
 def source_camera(export: Export) -> tuple[Camera, tuple[int, int]]:

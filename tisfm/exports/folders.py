@@ -12,6 +12,7 @@ from tisfm.formats import atomic_write
 from tisfm.formats.atomic import is_temporary
 from tisfm.formats.folder_lock import LOCK, locked_folder
 from tisfm.formats.outputs import make_folder
+from tisfm.formats.removal import is_there, remove
 
 FORMAT = 1
 RECORD = "export.json"  # written last, removed first
@@ -65,7 +66,7 @@ def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
     """Do so in a folder that exists."""
     with locked_folder(path):
         refuse_others(path)
-        shutil.rmtree(path / NEW, ignore_errors=True)
+        remove(path / NEW)
         (path / NEW).mkdir()
         try:
             yield path / NEW
@@ -79,18 +80,18 @@ def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
 
 def _exchange(path: Path) -> None:
     """Put what is new in the place of what was there; ``export.json`` goes first and comes last."""
-    shutil.rmtree(path / EARLIER, ignore_errors=True)
+    remove(path / EARLIER)
     (path / EARLIER).mkdir()
     placed: list[str] = []
     try:
         _move(path, path / EARLIER, PARTS)
         for name in reversed(PARTS):
-            if (path / NEW / name).exists():
+            if is_there(path / NEW / name):
                 placed.append(name)
                 (path / NEW / name).replace(path / name)
     except BaseException:
         for name in placed:
-            _remove(path / name)
+            remove(path / name)
         _move(path / EARLIER, path, PARTS[::-1])
         shutil.rmtree(path / NEW, ignore_errors=True)
         raise
@@ -101,15 +102,8 @@ def _exchange(path: Path) -> None:
 
 def _move(source: Path, target: Path, names: Iterable[str]) -> None:
     for name in names:
-        if (source / name).exists():
+        if is_there(source / name):
             (source / name).replace(target / name)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def refuse_others(path: Path) -> None:

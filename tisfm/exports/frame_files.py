@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
@@ -10,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from tisfm.formats import FormatError, write_png
+from tisfm.formats.atomic import copy_file
 from tisfm.reconstruction.folder import PICTURES
 from tisfm.reconstruction.result import Reconstruction
 
@@ -54,7 +54,7 @@ def write_pictures(
             with contextlib.suppress(OSError):
                 os.link(source, target)
                 continue
-        shutil.copyfile(source, target)
+        copy_file(source, target)
 
 
 def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suffix: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.exports.pieces import chosen_frames
 from tisfm.exports.result_frames import ResultFrames
 from tisfm.formats import write_png
+from tisfm.formats.removal import make_inner_folder
 
 
 def write_masks(
@@ -58,8 +59,7 @@ def write_masks(
     taken, written = chosen_frames(chosen, len(frames)), []
     for done, frame in enumerate(taken, 1):
         for name, mask in frames.masks(frame).items():
-            place = Path(folder) / name
-            place.mkdir(exist_ok=True)
+            place = make_inner_folder(Path(folder) / name)
             file = place / f"{frames.names[frame]}.png"
             write_png(file, np.where(mask, np.uint8(255), np.uint8(0)))
             written.append(file)

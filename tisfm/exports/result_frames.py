@@ -12,6 +12,7 @@ from tisfm.camera import Camera
 from tisfm.formats import FormatError
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
+from tisfm.outcome import Status
 from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
@@ -173,7 +174,7 @@ class PairFrames:
             pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
             self.names = tuple(_checked(name) for name, _ in pairs)
             self.times = tuple((pair.get("times") or (None,))[0] for _, pair in pairs)
-            self._statuses = [pair["status"] for _, pair in pairs]
+            self._statuses = [Status(pair["status"]) for _, pair in pairs]
             self.is_posed = any(_is_posed(pair) for _, pair in pairs)
             self.camera = _camera_of(record["camera"])
             is_kept = "npz" in record.get("outputs", ("npz",))

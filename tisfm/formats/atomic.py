@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -19,8 +20,8 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 
     The block writes to a temporary file in the same folder, so that replacing is one rename
     within one file system. After any exception, ``KeyboardInterrupt`` included, the temporary
-    file is removed and whatever was at `path` before is untouched. A symbolic link is followed:
-    the file it points to is replaced, and the link stays.
+    file is removed and whatever was at `path` before is untouched. A symbolic link at `path` is
+    replaced as well: what it leads to stays as it is. The folder may be a link.
 
     Parameters
     ----------
@@ -50,11 +51,12 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     b'complete'
     """
     name = os.fspath(path)
-    target = os.path.realpath(name)
+    target = os.path.join(os.path.realpath(os.path.dirname(name)), os.path.basename(name))
     if os.path.isdir(target):
         raise IsADirectoryError(f"cannot write {name}: it is a folder; give the path of a file")
     if os.path.exists(target) and not os.path.isfile(target):
-        # Renaming over a device or a pipe would delete it (root could lose /dev/null).
+        # Renaming over a device or a pipe, or a link to one, would delete it (root could lose
+        # /dev/null).
         raise OSError(f"cannot write {name}: it is a device or a pipe, not a file; give a file")
     folder = os.path.dirname(target)
     # The name does not contain the target's, which may already be as long as the system allows.
@@ -80,6 +82,18 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
         if isinstance(error, OSError) and error.strerror and error.errno in _OF_THE_DISK:
             raise _explained(error, name, folder) from error
         raise
+
+
+def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
+    """Copy what a file holds to another, which is complete or not there at all.
+
+    Raises
+    ------
+    OSError
+        If one cannot be read, or the other cannot be written.
+    """
+    with open(source, "rb") as given, atomic_write(target) as file:
+        shutil.copyfileobj(given, file, _BUFFER)
 
 
 def is_temporary(name: str) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
+from tisfm.formats.removal import remove, remove_link
 
 LOCK = ".tisfm.lock"
 _PATIENCE, _POLL = 0.2, 0.02  # s: who only looks whether a lock is held has it for a moment
@@ -44,6 +45,7 @@ def locked_folder(folder: str | os.PathLike[str], *, with_inner: bool = False) -
     if name in held:
         yield
         return
+    remove_link(path / LOCK)
     lock = FileLock(path / LOCK)
     try:
         lock.acquire(timeout=_PATIENCE, poll_interval=_POLL)
@@ -105,4 +107,4 @@ def remove_temporaries(folder: Path) -> None:
     """Remove what killed processes left half in a folder."""
     for item in folder.iterdir():
         if is_temporary(item.name):
-            item.unlink(missing_ok=True)
+            remove(item)

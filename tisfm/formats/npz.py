@@ -62,11 +62,30 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
         zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive,
     ):
         for name, array in arrays.items():
-            whole = np.ascontiguousarray(array).reshape(array.shape)  # which makes one of none
             with archive.open(f"{name}{_SUFFIX}", "w", force_zip64=True) as part:
-                header = np.lib.format.header_data_from_array_1_0(whole)
-                np.lib.format.write_array_header_1_0(part, header)
-                part.write(whole.reshape(-1).view(np.uint8).data)
+                _write_array(part, array)
+
+
+def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
+    """Write an array for `numpy.load`, whole or not at all.
+
+    Unlike `numpy.save`, an error names the file and the reason, such as a full disk.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    with atomic_write(path) as file:
+        _write_array(file, array)
+
+
+def _write_array(file: Any, array: NDArray[Any]) -> None:
+    """Write the header and the numbers of an array to a file that is open for bytes."""
+    whole = np.ascontiguousarray(array).reshape(array.shape)  # which makes one of none
+    header = np.lib.format.header_data_from_array_1_0(whole)
+    np.lib.format.write_array_header_1_0(file, header)
+    file.write(whole.reshape(-1).view(np.uint8).data)
 
 
 class NpzFile:

@@ -17,7 +17,7 @@ from tisfm.formats.accounts import check_sum, content, differing, said
 from tisfm.formats.folder_lock import LOCK
 from tisfm.formats.text import read_json
 from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD
-from tisfm.reconstruction.report_file import REPORT
+from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory
@@ -93,13 +93,13 @@ def _files(path: str) -> Sequence[Path]:
 def files_below(folder: Path) -> dict[str, list[int]]:
     """Return length and CRC-32 of the files of a folder, by their names in it.
 
-    Hidden ones, a report, which may be made later, and what says that a result is begun or what
-    was asked for, are left out.
+    Left out are hidden files, a report, which may be made later, timings, which differ each time,
+    and the files that say that a result is begun and what was asked for.
     """
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if name.startswith(".") or name in (LOCK, ASKED, BEGUN, REPORT):
+        if name.startswith(".") or name in (LOCK, ASKED, BEGUN, REPORT, TIMINGS):
             continue
         total = check_sum(path)
         if total is not None:

@@ -22,11 +22,12 @@ from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.picture_size import LARGEST_PICTURE, refuse_large
 from tisfm.formats.reading import read_bytes
+from tisfm.formats.removal import make_inner_folder
 from tisfm.formats.text import read_json
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.report_file import REPORT
+from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.trajectory.path import check_poses
 
@@ -41,7 +42,7 @@ PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
 ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
 OTHERS = (
-    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT
+    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
 )  # fmt: skip
 
 
@@ -103,7 +104,7 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
 
 def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
     """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
-    (folder / MASKS).mkdir(exist_ok=True)
+    make_inner_folder(folder / MASKS)
     write_label_png(mask_path(folder, number), labels)
 
 

@@ -1,6 +1,5 @@
 """Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import atomic_write
+from tisfm.formats.atomic import copy_file
+from tisfm.formats.npz import write_npy
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.folder import read_labels, read_picture, write_labels
@@ -95,9 +96,9 @@ class PreparedFrames:
             ignored = missing if ignored is None else ignored | missing
         self.shape = grey.shape
         whole = np.rint(grey).clip(0, 255).astype(np.uint8)
-        np.save(self._grey_path(number), whole if (whole == grey).all() else grey)
+        write_npy(self._grey_path(number), whole if (whole == grey).all() else grey)
         if ignored is not None and ignored.any():
-            np.save(self._mask_path(number), ignored)
+            write_npy(self._mask_path(number), ignored)
             self._masked.add(number)
         write_picture(self._picture_path(number), picture)
         if labels is not None:
@@ -138,7 +139,7 @@ class PreparedFrames:
         for number in sorted(rolling.rates):
             for path in self._paths(number):
                 if path.exists():
-                    shutil.copyfile(path, _as_it_was(path))
+                    copy_file(path, _as_it_was(path))
             self._as_read.add(number)
             self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
 
@@ -170,9 +171,9 @@ class PreparedFrames:
             ignored |= map_.nearest(before) > 0
         grey = self.grey(number)
         self._held.pop(number)
-        np.save(self._grey_path(number), map_.apply(grey))
+        write_npy(self._grey_path(number), map_.apply(grey))
         if ignored.any():
-            np.save(self._mask_path(number), ignored)
+            write_npy(self._mask_path(number), ignored)
             self._masked.add(number)
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), map_.apply(picture))

@@ -1,15 +1,21 @@
 """A folder that a reconstruction is written to, and the earlier one in it, which may come back."""
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tisfm.formats.atomic import is_temporary
+from tisfm.formats.atomic import copy_file, is_temporary
 from tisfm.formats.folder_lock import LOCK, locked_folder
 from tisfm.formats.outputs import make_folder
+from tisfm.formats.removal import (
+    is_there,
+    make_inner_folder,
+    remove,
+    remove_link,
+    try_to_remove,
+)
 from tisfm.reconstruction.folder import (
     BEGUN,
     CACHE,
@@ -59,7 +65,7 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     with locked_folder(path):
         with renewed(path):
             yield path
-        shutil.rmtree(path / CHUNKS, ignore_errors=True)  # of another run, which did not end
+        try_to_remove(path / CHUNKS)  # of another run, which did not end
 
 
 @contextmanager
@@ -71,7 +77,7 @@ def renewed(path: Path) -> Iterator[None]:
     except BaseException:
         _put_back(path)
         raise
-    shutil.rmtree(path / EARLIER, ignore_errors=True)
+    try_to_remove(path / EARLIER)
 
 
 def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
@@ -81,29 +87,31 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
         write_record(source, result)
         return
     with renewed_folder(target) as path:
-        shutil.rmtree(path / CACHE)
+        remove(path / CACHE)
         for name in (DEPTH, PICTURES, MASKS):
             if not (source / name).is_dir():
                 continue
-            (path / name).mkdir(exist_ok=True)
+            make_inner_folder(path / name)
             for file in sorted((source / name).iterdir()):
-                shutil.copyfile(file, path / name / file.name)
+                copy_file(file, path / name / file.name)
         if (source / CAMERA).exists():  # earlier versions wrote none
-            shutil.copyfile(source / CAMERA, path / CAMERA)
+            copy_file(source / CAMERA, path / CAMERA)
         write_record(path, result)
 
 
 def _begin(path: Path) -> None:
     """Put an earlier result aside, remove one that is not complete, and make what is needed."""
     refuse_others(path)
+    for name in (*_FOLDERS, BEGUN):  # runs make no links: these would lead elsewhere
+        remove_link(path / name)
     (path / BEGUN).touch()
     # What a run was killed at is done to its end first.
     if (path / RESTORING).exists():
         _move(path / RESTORING, path)
         (path / RESTORING).rmdir()
-    if (path / RECORD).exists() and (path / EARLIER).exists():
-        shutil.rmtree(path / EARLIER)  # the newer one is complete
-    if (path / RECORD).exists() or (path / LEAVING).exists():
+    if is_there(path / RECORD) and (path / EARLIER).exists():
+        remove(path / EARLIER)  # the newer one is complete
+    if is_there(path / RECORD) or (path / LEAVING).exists():
         (path / LEAVING).mkdir(exist_ok=True)
         _move(path, path / LEAVING)
         (path / LEAVING).rename(path / EARLIER)
@@ -144,15 +152,12 @@ def _put_back(path: Path) -> None:
 def _move(source: Path, target: Path) -> None:
     """Move what there is of a result, what says that it is complete last."""
     for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
-        if (source / name).exists():
+        if is_there(source / name):
             (source / name).replace(target / name)
 
 
 def _remove(path: Path) -> None:
     """Remove the parts of a result, but for what says whose folder it is."""
-    (path / RECORD).unlink(missing_ok=True)  # first: from here on it is not complete
+    remove(path / RECORD)  # first: from here on it is not complete
     for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
-        if (path / name).is_dir():
-            shutil.rmtree(path / name)
-        else:
-            (path / name).unlink(missing_ok=True)
+        remove(path / name)

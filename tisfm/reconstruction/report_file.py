@@ -1,8 +1,8 @@
-"""The page of a result, ``report.html``: whether a file of this name is one."""
+"""Files beside a result: its page, ``report.html``, and how long it took, ``timings.csv``."""
 
 from pathlib import Path
 
-REPORT = "report.html"
+REPORT, TIMINGS = "report.html", "timings.csv"
 MARK = '<meta name="generator" content="tisfm">'
 _HEAD = 400  # bytes, in which the mark is found
 

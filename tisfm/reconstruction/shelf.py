@@ -1,10 +1,11 @@
 """What is kept of every frame, on disk: memory does not grow with it."""
 
+import contextlib
 import math
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, TypeVar
+from typing import IO, Generic, TypeVar
 
 import numpy as np
 
@@ -31,17 +32,30 @@ class Shelf(Sequence[T], Generic[T]):
     ) -> None:
         self._arrays_of, self._made_of = arrays_of, made_of
         self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
-        weakref.finalize(self, self._file.close)
+        weakref.finalize(self, _close, self._file)
         self._end = 0
         # Of each item: where it begins in the file, and what each of its arrays is.
         self._items: list[tuple[int, tuple[tuple[str, tuple[int, ...]], ...]]] = []
 
     def append(self, item: T) -> None:
-        """Add an item to the end."""
+        """Add an item to the end.
+
+        Raises
+        ------
+        OSError
+            If the temporary file cannot be written.
+        """
         arrays = [np.ascontiguousarray(array) for array in self._arrays_of(item)]
-        self._file.seek(self._end)
-        for array in arrays:
-            self._file.write(array.tobytes())
+        try:
+            self._file.seek(self._end)
+            for array in arrays:
+                self._file.write(array.tobytes())
+            self._file.flush()
+        except OSError as error:  # the disk is full, for one
+            raise OSError(
+                f"cannot write a temporary file in {tempfile.gettempdir()}: {error.strerror}; set "
+                "TMPDIR to another folder"
+            ) from error
         what = tuple((array.dtype.str, array.shape) for array in arrays)
         self._items.append((self._end, what))
         self._end += sum(array.nbytes for array in arrays)
@@ -61,3 +75,9 @@ class Shelf(Sequence[T], Generic[T]):
 
     def __iter__(self) -> Iterator[T]:
         return (self[number] for number in range(len(self)))
+
+
+def _close(file: IO[bytes]) -> None:
+    """Close a temporary file, of which a full disk may have left something unwritten."""
+    with contextlib.suppress(OSError):
+        file.close()

@@ -1,8 +1,8 @@
 """A run or a reconstruction on one page of HTML, which needs no network and no other file.
 
 Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
-May import: `tisfm.formats`, `tisfm.machine`, `tisfm.reconstruction`, `tisfm.show`, and of the top
-level `camera`, `focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
+May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top level `camera`,
+`focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
 from tisfm.reconstruction.report_file import REPORT, is_report

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.show import draw_path
@@ -21,7 +22,7 @@ MOST_PIECES = 4
 _VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
-def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
+def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup:
     """Draw the places of the camera from above and from the side, each piece in its own scale.
 
     Parameters
@@ -33,13 +34,13 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
 
     Returns
     -------
-    str
+    Markup
         Two ``svg`` elements for each of the largest pieces; empty if no frame has a pose.
     """
     numbers, counts = np.unique(piece[piece >= 0], return_counts=True)
     shown = numbers[np.argsort(-counts, kind="stable")][:MOST_PIECES]
     if not len(shown):
-        return ""
+        return Markup()
     drawings = []
     for number in shown:
         mine = piece == number
@@ -52,10 +53,10 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> str:
             if legend is not None:  # the page says it, in its own colours
                 legend.remove()
             drawings.append(_svg(figure))
-    return "".join(drawings)
+    return Markup().join(drawings)
 
 
-def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
+def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> Markup:
     """Draw numbers over the pairs of a run.
 
     Parameters
@@ -65,7 +66,7 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
 
     Returns
     -------
-    str
+    Markup
         An ``svg`` element for each; empty if nothing has more than one number.
     """
     known = [
@@ -93,7 +94,7 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> str:
         axes.locator_params(axis="x", nbins=6, integer=True)
         axes.locator_params(axis="y", nbins=4)
         drawings.append(_svg(figure))
-    return "".join(drawings)
+    return Markup().join(drawings)
 
 
 def _figure(width: float, height: float) -> "Figure":
@@ -106,8 +107,11 @@ def _figure(width: float, height: float) -> "Figure":
     return figure
 
 
-def _svg(figure: "Figure") -> str:
-    """Return a figure as an element without a size of its own, the same whenever it is drawn."""
+def _svg(figure: "Figure") -> Markup:
+    """Return a figure as an element without a size of its own, the same whenever it is drawn.
+
+    Matplotlib escapes the texts in it.
+    """
     from matplotlib import rc_context
 
     for axes in figure.axes:
@@ -124,7 +128,7 @@ def _svg(figure: "Figure") -> str:
     head, rest = drawing.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
-    return f'<svg {box[0]} role="img">{rest}'
+    return Markup('<svg {} role="img">{}').format(Markup(box[0]), Markup(rest))
 
 
 def _mean(values: NDArray[np.float64]) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.machine.amounts import as_duration
 from tisfm.reconstruction.calibration import focal_in_words
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
@@ -37,7 +36,6 @@ def write_reconstruction_report(
     result: Reconstruction,
     folder: Path,
     *,
-    timings: Mapping[str, float] | None = None,
     source: str | None = None,
 ) -> Path:
     """Write ``report.html`` of a reconstruction into a folder; return its path.
@@ -47,8 +45,6 @@ def write_reconstruction_report(
     result : Reconstruction
     folder : Path
         Where the report is to lie.
-    timings : mapping of str to float, optional
-        How long the stages took, s, if that is known.
     source : str, optional
         What was reconstructed, if that is known.
 
@@ -58,7 +54,7 @@ def write_reconstruction_report(
         If a file cannot be read or written, or something else is called like the report.
     """
     path = refuse_foreign(folder)
-    write_page(path, html(_page(result, folder, timings or {}, source)))
+    write_page(path, html(_page(result, folder, source)))
     return path
 
 
@@ -97,9 +93,7 @@ def predicted_flow(
     return flow.astype(np.float32)
 
 
-def _page(
-    result: Reconstruction, folder: Path, timings: Mapping[str, float], source: str | None
-) -> Page:
+def _page(result: Reconstruction, folder: Path, source: str | None) -> Page:
     counts = counted(result.status, result.names, converged=_CONVERGED)
     begins = [int(np.argmax(result.piece == piece)) for piece in _pieces(result)]
     first = [list(map(str, result.status)).index(status.code) for status in counts]
@@ -153,7 +147,6 @@ def _page(
         ],
         preset=nearest_preset(result.settings),
         settings=setting_rows(result.settings),
-        timings=[(name, as_duration(seconds)) for name, seconds in timings.items()],
     )
 
 

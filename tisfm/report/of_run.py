@@ -9,7 +9,6 @@ import numpy as np
 
 from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
-from tisfm.machine.amounts import as_duration
 from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.file import refuse_foreign, write_page
@@ -36,7 +35,6 @@ def write_run_report(
     folder: Path,
     record: Mapping[str, Any],
     *,
-    seconds: Sequence[float] = (),
     source: str | None = None,
 ) -> Path:
     """Write ``report.html`` of a run into its folder; return its path.
@@ -47,8 +45,6 @@ def write_run_report(
         What `tisfm run` wrote. Pictures are of the pairs whose ``.npz`` is there.
     record : mapping
         What its ``run.json`` says.
-    seconds : sequence of float
-        How long pairs were interpreted, as far as that is known.
     source : str, optional
         What it was a run of, if that is known.
 
@@ -59,7 +55,7 @@ def write_run_report(
     """
     path = refuse_foreign(folder)
     run = _read(folder, record)
-    write_page(path, html(_page(folder, run, seconds, source)))
+    write_page(path, html(_page(folder, run, source)))
     return path
 
 
@@ -120,7 +116,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
         raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
 
 
-def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None) -> Page:
+def _page(folder: Path, run: _Run, source: str | None) -> Page:
     names = [pair.name for pair in run.pairs]
     statuses = [pair.status for pair in run.pairs]
     counts = counted(statuses, names)
@@ -128,14 +124,6 @@ def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None)
     numbers = chosen(len(names), [codes.index(status.code) for status in counts])
     shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
     slides, shape, flow_limit = _slides(folder, shown, run.flow_limit)
-    known = [float(value) for value in seconds]
-    timings = []
-    if known:
-        timings = [
-            ("Interpreting, the last command", as_duration(sum(known))),
-            ("A pair, median", as_duration(float(np.median(known)))),
-            ("The slowest pair", as_duration(max(known))),
-        ]
     if not names:
         told = "There is no pair."
     elif not slides:
@@ -170,7 +158,6 @@ def _page(folder: Path, run: _Run, seconds: Sequence[float], source: str | None)
         legends=legends if slides else (),
         preset=nearest_preset(run.settings),
         settings=setting_rows(run.settings),
-        timings=timings,
     )
 
 

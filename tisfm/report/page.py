@@ -1,8 +1,13 @@
-"""The page: one HTML text with its styles, its script and its pictures inside."""
+"""The page: one HTML text with its styles, its script and its pictures inside.
+
+Markup is written as literals of `markupsafe.Markup`, whose ``format`` and ``join`` escape every
+plain text that is put into them.
+"""
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, field
-from html import escape
+from dataclasses import dataclass
+
+from markupsafe import Markup
 
 from tisfm.reconstruction.report_file import MARK
 from tisfm.report.settings_table import SettingRow
@@ -11,7 +16,26 @@ from tisfm.report.style import SCRIPT, STYLE
 from tisfm.version import __version__
 
 _NARROWEST, _LOWEST = 200, 110  # px: a picture is no smaller, where a screen has room for it
+_NONE = Markup()
 _LONG = 60  # characters: a value of more has a line of its own
+_PAGE = Markup(
+    """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">{mark}
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title} – tisfm</title>
+<style>{style}</style>
+<noscript><style>.slide[hidden]{{display:block}}.control{{display:none}}</style></noscript>
+</head><body>
+<header><p>{kind}</p><h1>{title}</h1></header>
+<main>
+{sections}
+</main>
+<footer>tisfm {version}</footer>
+<script>{script}</script>
+</body></html>
+"""
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +60,7 @@ class Slide:
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """What a report says; texts are plain, and drawings are ``svg`` elements.
+    """What a report says: plain texts, which are escaped, and HTML that this package made.
 
     Attributes
     ----------
@@ -50,18 +74,18 @@ class Page:
         Begin, end and code of frames in a row with one status, as shares of the whole.
     unit : str
         What is counted: "frame" or "pair".
-    drawing, drawing_title, drawing_text : str
-        A path or curves; empty if there are none.
+    drawing : Markup
+        A path or curves, an ``svg`` element; empty if there are none.
+    drawing_title, drawing_text : str
     slides : sequence of Slide
     slides_text : str
         What is said of them.
-    legends : sequence of (str, str, str)
-        Titles of views, titles of their legends, and HTML that this package made.
+    legends : sequence of (str, str, Markup)
+        Titles of views, titles of their legends, and the legends.
     tables : sequence of (str, sequence of str, sequence of sequences of str)
         Titles, headings and rows of further tables.
     preset : str
     settings : sequence of SettingRow
-    timings : sequence of (str, str)
     """
 
     title: str
@@ -70,164 +94,172 @@ class Page:
     statuses: Sequence[StatusCount]
     spans: Sequence[tuple[float, float, str]]
     unit: str
-    drawing: str = ""
+    drawing: Markup = _NONE
     drawing_title: str = ""
     drawing_text: str = ""
     slides: Sequence[Slide] = ()
     slides_text: str = ""
-    legends: Sequence[tuple[str, str, str]] = ()
+    legends: Sequence[tuple[str, str, Markup]] = ()
     tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]] = ()
     preset: str = ""
     settings: Sequence[SettingRow] = ()
-    timings: Sequence[tuple[str, str]] = field(default_factory=tuple)
 
 
 def html(page: Page) -> str:
     """Return a page as HTML."""
-    drawing = _section(page.drawing_title, _drawing_part(page)) if page.drawing else ""
+    drawing = _section(page.drawing_title, _drawing_part(page)) if page.drawing else _NONE
     slides = _section(f"{page.unit.capitalize()}s", _slides_part(page))
     parts = [
         _section("Summary", _pairs(page.summary)),
         _section("Statuses", _status_part(page)),
         *((drawing, slides) if page.unit == "frame" else (slides, drawing)),
         *(_section(title, _table(head, rows)) for title, head, rows in page.tables if rows),
-        _section("Timings", _pairs(page.timings)) if page.timings else "",
-        _section("Settings", _settings_part(page)) if page.settings else "",
+        _section("Settings", _settings_part(page)) if page.settings else _NONE,
     ]
-    title = escape(page.title)
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            f'<html lang="en"><head><meta charset="utf-8">{MARK}',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<meta name="color-scheme" content="light dark">',
-            f"<title>{title} – tisfm</title>",
-            f"<style>{STYLE}</style>",
-            "<noscript><style>.slide[hidden]{display:block}.control{display:none}</style></noscript>",
-            "</head><body>",
-            f"<header><p>{escape(page.kind)}</p><h1>{title}</h1></header>",
-            "<main>",
-            *filter(None, parts),
-            "</main>",
-            f"<footer>tisfm {escape(__version__)}</footer>",
-            f"<script>{SCRIPT}</script>",
-            "</body></html>",
-            "",
-        ]
+    text = _PAGE.format(
+        mark=Markup(MARK),
+        title=page.title,
+        style=Markup(STYLE),
+        kind=page.kind,
+        sections=Markup("\n").join(filter(None, parts)),
+        version=__version__,
+        script=Markup(SCRIPT),
     )
+    return str(text)
 
 
-def color_bar(colors: Sequence[Sequence[int]], low: str, high: str) -> str:
+def color_bar(colors: Sequence[Sequence[int]], low: str, high: str) -> Markup:
     """Return a bar of colours with words at its ends, as HTML."""
     stops = ", ".join(f"rgb({r},{g},{b})" for r, g, b in colors)
-    return (
-        f'<span>{escape(low)}</span><span class="bar" '
-        f'style="background:linear-gradient(to right, {stops})"></span>'
-        f"<span>{escape(high)}</span>"
-    )
+    return Markup(
+        '<span>{}</span><span class="bar" style="background:linear-gradient(to right, {})"></span>'
+        "<span>{}</span>"
+    ).format(low, stops, high)
 
 
-def _section(title: str, content: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>\n{content}\n</section>"
+def _section(title: str, content: Markup) -> Markup:
+    return Markup("<section><h2>{}</h2>\n{}\n</section>").format(title, content)
 
 
-def _pairs(pairs: Sequence[tuple[str, str]]) -> str:
-    rows = "".join(
-        f"<div{' class=long' * (len(value) > _LONG)}><dt>{escape(name)}</dt>"
-        f"<dd>{escape(value)}</dd></div>"
+def _pairs(pairs: Sequence[tuple[str, str]]) -> Markup:
+    rows = Markup().join(
+        Markup("<div{}><dt>{}</dt><dd>{}</dd></div>").format(
+            " class=long" if len(value) > _LONG else "", name, value
+        )
         for name, value in pairs
     )
-    return f"<dl>{rows}</dl>"
+    return Markup("<dl>{}</dl>").format(rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    heading = "".join(f"<th>{escape(name)}</th>" for name in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
+    heading = Markup().join(Markup("<th>{}</th>").format(name) for name in head)
+    body = Markup().join(
+        Markup("<tr>{}</tr>").format(
+            Markup().join(Markup("<td>{}</td>").format(cell) for cell in row)
+        )
+        for row in rows
     )
-    return (
-        f'<div class="wide"><table><thead><tr>{heading}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
+    return Markup(
+        '<div class="wide"><table><thead><tr>{}</tr></thead><tbody>{}</tbody></table></div>'
+    ).format(heading, body)
 
 
-def _chip(code: str) -> str:
-    return f'<span class="chip" style="--c:{color_of(code)}">{escape(code)}</span>'
+def _chip(code: str) -> Markup:
+    return Markup('<span class="chip" style="--c:{}">{}</span>').format(color_of(code), code)
 
 
-def _status_part(page: Page) -> str:
-    strip = "".join(
-        f'<i style="left:{100 * begin:.3f}%;width:{100 * (end - begin):.3f}%;'
-        f'background:{color_of(code)}" title="{escape(code)}"></i>'
+def _status_part(page: Page) -> Markup:
+    strip = Markup().join(
+        Markup('<i style="left:{:.3f}%;width:{:.3f}%;background:{}" title="{}"></i>').format(
+            100 * begin, 100 * (end - begin), color_of(code), code
+        )
         for begin, end, code in page.spans
     )
-    rows = "".join(
-        f"<tr><td>{_chip(status.code)}</td><td>{status.count}</td>"
-        f"<td>{escape(status.meaning)}{_advice(status.advice)}</td>"
-        f"<td>{escape(status.names)}</td></tr>"
+    rows = Markup().join(
+        Markup("<tr><td>{}</td><td>{}</td><td>{}{}</td><td>{}</td></tr>").format(
+            _chip(status.code),
+            status.count,
+            status.meaning,
+            _advice(status.advice),
+            status.names,
+        )
         for status in page.statuses
     )
-    plural = f"{page.unit.capitalize()}s"
-    return (
-        f'<div class="strip" role="img" aria-label="Statuses over the {page.unit}s">{strip}</div>'
-        f'<div class="wide"><table><thead><tr><th>Status</th><th>{plural}</th>'
-        f"<th>What it means, and what to try</th><th>Which</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table></div>"
-    )
+    return Markup(
+        '<div class="strip" role="img" aria-label="Statuses over the {unit}s">{strip}</div>'
+        '<div class="wide"><table><thead><tr><th>Status</th><th>{units}</th>'
+        "<th>What it means, and what to try</th><th>Which</th></tr></thead>"
+        "<tbody>{rows}</tbody></table></div>"
+    ).format(unit=page.unit, units=f"{page.unit.capitalize()}s", strip=strip, rows=rows)
 
 
-def _advice(text: str) -> str:
-    return f'<p class="advice">{escape(text)}</p>' if text else ""
+def _advice(text: str) -> Markup:
+    return Markup('<p class="advice">{}</p>').format(text) if text else _NONE
 
 
-def _drawing_part(page: Page) -> str:
-    return f'<p>{escape(page.drawing_text)}</p><div class="drawing">{page.drawing}</div>'
+def _drawing_part(page: Page) -> Markup:
+    return Markup('<p>{}</p><div class="drawing">{}</div>').format(page.drawing_text, page.drawing)
 
 
-def _slides_part(page: Page) -> str:
+def _slides_part(page: Page) -> Markup:
+    said = Markup("<p>{}</p>").format(page.slides_text)
     if not page.slides:
-        return f"<p>{escape(page.slides_text)}</p>"
-    # What no slide has is left out, and its legend.
+        return said
+    # A view that no slide has is left out, and its legend.
     there = {view.title for slide in page.slides for view in slide.views if view.url is not None}
-    slides = "".join(_slide(slide, index, there) for index, slide in enumerate(page.slides))
-    legends = "".join(
-        f'<p class="legend"><b>{escape(title)}</b>{content}</p>'
+    legends = Markup().join(
+        Markup('<p class="legend"><b>{}</b>{}</p>').format(title, content)
         for view, title, content in page.legends
         if view in there
     )
-    return (
-        f"<p>{escape(page.slides_text)}</p>"
+    return said + Markup(
         '<div class="control"><button type="button" id="play" aria-label="Play">▶</button>'
-        f'<input type="range" id="at" min="0" max="{len(page.slides) - 1}" value="0" '
-        f'aria-label="{page.unit}"></div>'
-        f'<div id="slides">{slides}</div>{legends}'
+        '<input type="range" id="at" min="0" max="{last}" value="0" aria-label="{unit}"></div>'
+        '<div id="slides">{slides}</div>{legends}'
+    ).format(
+        last=len(page.slides) - 1,
+        unit=page.unit,
+        slides=Markup().join(_slide(slide, k, there) for k, slide in enumerate(page.slides)),
+        legends=legends,
     )
 
 
-def _slide(slide: Slide, index: int, there: Container[str]) -> str:
-    views = "".join(
-        f"<figure>{_picture(view, slide)}<figcaption>{escape(view.title)}</figcaption></figure>"
+def _slide(slide: Slide, index: int, there: Container[str]) -> Markup:
+    views = Markup().join(
+        Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(
+            _picture(view, slide), view.title
+        )
         for view in slide.views
         if view.title in there
     )
     width = max(_NARROWEST, round(_LOWEST * slide.shape[1] / slide.shape[0]))
-    return (
-        f'<div class="slide"{" hidden" if index else ""}>'
-        f"<p><b>{escape(slide.name)}</b> <span>number {slide.number}</span> {_chip(slide.status)} "
-        f'<span class="said">{escape(slide.message)}</span></p>'
-        f'<div class="views" style="--w:{width}px">{views}</div></div>'
+    return Markup(
+        '<div class="slide"{hidden}><p><b>{name}</b> <span>number {number}</span> {chip} '
+        '<span class="said">{message}</span></p>'
+        '<div class="views" style="--w:{width}px">{views}</div></div>'
+    ).format(
+        hidden=" hidden" if index else "",
+        name=slide.name,
+        number=slide.number,
+        chip=_chip(slide.status),
+        message=slide.message,
+        width=width,
+        views=views,
     )
 
 
-def _picture(view: View, slide: Slide) -> str:
+def _picture(view: View, slide: Slide) -> Markup:
     if view.url is None:
         height, width = slide.shape
-        return f'<div class="none" style="aspect-ratio:{width}/{height}">none here</div>'
-    alt = escape(f"{view.title} of {slide.name}")
-    return f'<img src="{view.url}" alt="{alt}" decoding="async">'
+        return Markup('<div class="none" style="aspect-ratio:{}/{}">none here</div>').format(
+            width, height
+        )
+    return Markup('<img src="{}" alt="{} of {}" decoding="async">').format(
+        view.url, view.title, slide.name
+    )
 
 
-def _settings_part(page: Page) -> str:
+def _settings_part(page: Page) -> Markup:
     changed = sum(row.preset_value is not None for row in page.settings)
     told = f"Those of the preset {page.preset}"
     if changed:
@@ -237,4 +269,6 @@ def _settings_part(page: Page) -> str:
         for row in page.settings
     ]
     table = _table(("Setting", "Value", "In the preset, where it differs"), rows)
-    return f"<p>{escape(told)}.</p><details><summary>All settings</summary>{table}</details>"
+    return Markup("<p>{}.</p><details><summary>All settings</summary>{}</details>").format(
+        told, table
+    )

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tisfm.outcome import Status
+from tisfm.outcome import UNKNOWN, Status
 
 MEANINGS = {
     "converged": "The unknowns ceased to evolve.",
@@ -84,7 +84,7 @@ def counted(
         found.append(
             StatusCount(
                 code=code,
-                meaning=meanings.get(code, ""),
+                meaning=meanings.get(code, UNKNOWN),
                 advice=shortened(message),
                 count=count,
                 names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),

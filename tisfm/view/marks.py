@@ -1,6 +1,7 @@
 """Pixels that are read, and points that are measured between."""
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.view.cloud import Cloud
@@ -9,7 +10,7 @@ from tisfm.view.frame import ViewFrame
 from tisfm.view.picking import WIDE, picked_pixel, picked_point
 from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
-from tisfm.view.texts import distance_html, outside_html, reading_html
+from tisfm.view.texts import distance_html, outside_html, reading_html, set_html
 
 
 class Marks:
@@ -39,7 +40,7 @@ class Marks:
 
     def show_reading(self) -> None:
         """Say what is known of the marked pixel in the frame that is shown, and mark it."""
-        frame, reading, outside = self.frame, None, ""
+        frame, reading, outside = self.frame, None, Markup()
         if frame is not None and self.pixel is not None:
             try:
                 reading = frame.reading(*self.pixel)
@@ -48,7 +49,7 @@ class Marks:
                 outside = outside_html(row, column, frame.shape)
         place = None if reading is None else self._place_of(reading.row, reading.column)
         self._scene.show_marks([] if place is None else [place], "pixel")
-        self._controls.reading.content = outside or reading_html(reading, self._result.unit)
+        set_html(self._controls.reading, outside or reading_html(reading, self._result.unit))
 
     def pick(
         self, origin: NDArray[np.float64], direction: NDArray[np.float64], points: Cloud | None
@@ -113,8 +114,8 @@ class Marks:
         """Show what is measured between, and the distance."""
         self._scene.show_marks(self.measured, "measured")
         scale = 1.0 if self.frame is None else self.frame.scale
-        self._controls.distance.content = (
-            distance_html(self.measured, scale, self._result.unit)
-            if self.measured or self._controls.measure.value
-            else ""
+        is_shown = bool(self.measured) or self._controls.measure.value
+        set_html(
+            self._controls.distance,
+            distance_html(self.measured, scale, self._result.unit) if is_shown else Markup(),
         )

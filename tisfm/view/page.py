@@ -9,6 +9,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.view.box import ClippingBox
@@ -25,7 +26,7 @@ from tisfm.view.result import Result
 from tisfm.view.saving import save_film, save_screenshot, save_static, tell_browser
 from tisfm.view.scene import SceneView, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
-from tisfm.view.texts import legend_html, legend_of, status_html, things_in
+from tisfm.view.texts import legend_html, legend_of, set_html, status_html, things_in
 from tisfm.view.whole_layer import WholeLayer
 
 if TYPE_CHECKING:
@@ -267,7 +268,7 @@ class Page:
                 job(self, client)
             except (ImportError, OSError, RuntimeError, ValueError) as error:
                 tell_browser(self, client, "It was not saved", " ".join(str(error).split()))
-            self.controls.progress.content = ""
+            set_html(self.controls.progress, Markup())
 
         self._jobs.put(done)
         self._wake.set()
@@ -481,7 +482,8 @@ class Page:
                 handle.image = thumbnail(self.result.picture(number))
 
     def _show_status(self) -> None:
-        self.controls.status.content = status_html(self.result, self.frame, self.number, self.fault)
+        status = status_html(self.result, self.frame, self.number, self.fault)
+        set_html(self.controls.status, status)
 
     def _show_pictures(self) -> None:
         for kind, image in zip(self.controls.kinds, self.controls.images, strict=True):
@@ -494,7 +496,7 @@ class Page:
     def _show_legend(self) -> None:
         things = things_in(self.frame) if self.frame is not None else set[int]()
         shown = legend_of(self.result, self.controls.color.value, self.ranges, things)
-        self.controls.legend.content = legend_html(shown)
+        set_html(self.controls.legend, legend_html(shown))
 
     def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
         self.marks.pick(origin, direction, self.points)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tisfm.view.scene import behind, quaternion
 from tisfm.view.static import static_page
+from tisfm.view.texts import progress_html, set_html
 from tisfm.view.viewpoint import FOV
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
         try:
             with video_file(path, page.controls.speed.value) as film:
                 for k, number in enumerate(map(int, numbers)):
-                    page.controls.progress.content = f"<div>picture {k + 1} of {len(numbers)}</div>"
+                    set_html(page.controls.progress, progress_html(k + 1, len(numbers)))
                     if page.show(number) is None:
                         unread.append(f"{page.result.names[number]}: {page.fault}")
                         continue

@@ -1,9 +1,9 @@
 """A page that plays a result without Python and without a network."""
 
-import html
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from tisfm.view.cloud import Choice, cloud
 from tisfm.view.colors import Quantity, Ranges
@@ -127,8 +127,9 @@ def _caption(result: Result, shown: int, unread: list[str]) -> str:
     return said
 
 
-def _captioned(page: str, legend: str, caption: str) -> str:
-    """Return a page with a legend, as HTML, and a line at its foot."""
-    block = f'<div style="{_CAPTION}">{legend}{html.escape(caption)}</div>'
+def _captioned(page: str, legend: Markup, caption: str) -> str:
+    """Return a page, as viser made it, with a legend and a line at its foot."""
+    block = Markup('<div style="{}">{}{}</div>').format(_CAPTION, legend, caption)
     before, end, after = page.rpartition("</body>")
-    return f"{before}{block}{end}{after}" if end else page + block
+    whole = f"{before}{block}{end}{after}" if end else f"{page}{block}"
+    return whole.encode("utf-8", "replace").decode()  # names may have half characters

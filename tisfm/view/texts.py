@@ -1,10 +1,16 @@
-"""What the page says, as HTML: the legend, the reading of a pixel, a distance, the status."""
+"""What the page says, as HTML: the legend, the reading of a pixel, a distance, the status.
 
-import html
+Markup is written as literals of `markupsafe.Markup`, whose ``format`` and ``join`` escape every
+plain text that is put into them. `set_html` alone gives it to the page.
+"""
+
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
+from tisfm.outcome import STATUSES, UNKNOWN
 from tisfm.view.colors import Legend, Quantity, Ranges, legend
 from tisfm.view.frame import PixelReading, ViewFrame
 from tisfm.view.result import Result
@@ -35,26 +41,45 @@ def legend_of(
     return legend(quantity, ranges, result.unit if result.has_one_scale else own, named)
 
 
-def legend_html(legend: Legend | None) -> str:
+def set_html(control: Any, content: Markup) -> None:
+    """Show HTML in a control of viser's, which takes it as it is.
+
+    Raises
+    ------
+    TypeError
+        If it is plain text, of which nothing is escaped.
+    """
+    if not isinstance(content, Markup):
+        raise TypeError(f"content is {content!r}: expected Markup, in which texts are escaped")
+    control.content = content.encode("utf-8", "replace").decode()  # names may have half characters
+
+
+def legend_html(legend: Legend | None) -> Markup:
     """Return a legend: a bar with numbers, or a patch for each thing."""
     if legend is None:
-        return ""
-    title = f"<div>{html.escape(legend.title)}</div>"
-    ticks = [html.escape(tick) for tick in legend.ticks]
+        return Markup()
+    title = Markup("<div>{}</div>").format(legend.title)
     if legend.is_bar:
-        bar = f"height:0.8em;background:linear-gradient(to right,{','.join(legend.colors)})"
-        spans = "".join(f"<span>{tick}</span>" for tick in ticks)
-        row = f'<div style="display:flex;justify-content:space-between">{spans}</div>'
-        return _block(f'{title}<div style="{bar}"></div>{row}')
-    patch = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.4em;background:"
-    rows = "".join(
-        f'<div><span style="{patch}{color}"></span>{tick}</div>'
-        for color, tick in zip(legend.colors, ticks, strict=True)
+        return _block(
+            title,
+            Markup(
+                '<div style="height:0.8em;background:linear-gradient(to right,{})"></div>'
+            ).format(",".join(legend.colors)),
+            Markup('<div style="display:flex;justify-content:space-between">{}</div>').format(
+                Markup().join(Markup("<span>{}</span>").format(tick) for tick in legend.ticks)
+            ),
+        )
+    rows = (
+        Markup(
+            '<div><span style="display:inline-block;width:0.8em;height:0.8em;margin-right:0.4em;'
+            'background:{}"></span>{}</div>'
+        ).format(color, tick)
+        for color, tick in zip(legend.colors, legend.ticks, strict=True)
     )
-    return _block(title + rows)
+    return _block(title, *rows)
 
 
-def reading_html(reading: PixelReading | None, unit: str) -> str:
+def reading_html(reading: PixelReading | None, unit: str) -> Markup:
     """Return what is known of a pixel, a line for each quantity, with deviations."""
     if reading is None:
         return _block("Click a point, or a pixel of the picture in the frustum.")
@@ -72,66 +97,74 @@ def reading_html(reading: PixelReading | None, unit: str) -> str:
         rows.append(("object", f"thing {reading.label}" if reading.label else "at rest"))
     if reading.hidden:
         rows.append(("", "not visible in the next frame"))
-    cells = "".join(
-        f'<tr><td style="padding-right:0.7em;vertical-align:top"><b>{name}</b></td>'
-        f"<td>{html.escape(value)}</td></tr>"
+    cells = Markup().join(
+        Markup(
+            '<tr><td style="padding-right:0.7em;vertical-align:top"><b>{}</b></td><td>{}</td></tr>'
+        ).format(name, value)
         for name, value in rows
     )
-    return _block(f'<table data-testid="reading">{cells}</table>')
+    return _block(Markup('<table data-testid="reading">{}</table>').format(cells))
 
 
-def outside_html(row: int, column: int, shape: tuple[int, int]) -> str:
+def outside_html(row: int, column: int, shape: tuple[int, int]) -> Markup:
     """Return that there is no such pixel, and how many rows and columns the frame has."""
     height, width = shape
     text = f"Column {column}, row {row} is outside: the frame has {height} × {width}"
-    return _block(f'<div data-testid="outside">{text}, rows by columns.</div>')
+    return _marked("outside", f"{text}, rows by columns.")
 
 
-def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str = "") -> str:
+def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str = "") -> Markup:
     """Return which frame is looked at, its time, its status, and where it is of no use why."""
-    name = html.escape(result.names[number])
-    parts = [f"<b>{name}</b>, {number + 1} of {len(result.names)}"]
+    parts: list[str] = [
+        Markup("<b>{}</b>, {} of {}").format(result.names[number], number + 1, len(result.names))
+    ]
     time = result.times[number]
     if time is not None:
         parts.append(f"{time:.3f} s")
     if fault:
-        parts.append(html.escape(fault))
+        parts.append(fault)
     elif frame is not None:
         status = frame.status
         parts.append(str(status))
+        if status not in STATUSES:
+            parts.append(UNKNOWN)
         if str(status) != "converged" and status.message:
-            parts.append(html.escape(status.message))
+            parts.append(status.message)
         if result.has_one_scale and result.piece[number] < 0:
             parts.append("it has no pose: it is shown at the origin")
-    return _block(f'<div data-testid="status">{"<br>".join(parts)}</div>')
+    return _marked("status", *parts)
 
 
-def note_html(text: str) -> str:
+def note_html(text: str) -> Markup:
     """Return a note below a control."""
-    return _block(f'<div data-testid="note">{html.escape(text)}</div>') if text else ""
+    return _marked("note", text) if text else Markup()
 
 
-def waiting_html(reason: str, how_far: str = "", *, is_going_on: bool = True) -> str:
+def waiting_html(reason: str, how_far: str = "", *, is_going_on: bool = True) -> Markup:
     """Return why there is nothing to look at yet, or will not be, and how far it is."""
-    parts = [f"<b>{html.escape(reason)}.</b>"]
+    parts: list[str] = [Markup("<b>{}.</b>").format(reason)]
     if how_far:
-        parts.append(f"{html.escape(how_far)}.")
+        parts.append(f"{how_far}.")
     if is_going_on:
         parts.append("This page shows it as soon as it is there.")
     else:
         parts.append("This page has ended.")
-    return _block(f'<div data-testid="waiting">{"<br>".join(parts)}</div>')
+    return _marked("waiting", *parts)
 
 
-def distance_html(points: list[np.ndarray], scale: float, unit: str) -> str:
+def progress_html(done: int, total: int) -> Markup:
+    """Return how many pictures of a film are drawn."""
+    return Markup("<div>picture {} of {}</div>").format(done, total)
+
+
+def distance_html(points: list[np.ndarray], scale: float, unit: str) -> Markup:
     """Return the distance of two points in the scene, in the unit of the result."""
     if not points:
         return _block("Click two points.")
     if len(points) == 1:
         return _block("Click the second point.")
     distance = float(np.linalg.norm(points[1] - points[0])) / scale
-    text = f"distance {distance:.4g} ({html.escape(unit)})"
-    return _block(f'<div data-testid="distance">{text}</div>')
+    return _marked("distance", f"distance {distance:.4g} ({unit})")
 
 
 def _vector(values: Iterable[float] | None, deviations: Iterable[float] | None, unit: str) -> str:
@@ -150,5 +183,11 @@ def _with_deviation(values: Iterable[float], deviations: Iterable[float | None] 
     return shown[0] if len(shown) == 1 else f"({', '.join(shown)})"
 
 
-def _block(text: str) -> str:
-    return f'<div style="{_BLOCK}">{text}</div>'
+def _marked(name: str, *lines: str) -> Markup:
+    """Return lines below each other, in an element of this name for tests."""
+    text = Markup("<br>").join(lines)
+    return _block(Markup('<div data-testid="{}">{}</div>').format(name, text))
+
+
+def _block(*parts: str) -> Markup:
+    return Markup('<div style="{}">{}</div>').format(_BLOCK, Markup().join(parts))

@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.reconstruction.folder import PICTURES, read_picture
 from tisfm.view.opening import NothingYetError, how_far, open_result
 from tisfm.view.result import Result, as_rgb
-from tisfm.view.texts import waiting_html
+from tisfm.view.texts import set_html, waiting_html
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -35,6 +36,7 @@ class WaitingPage:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._text = gui.add_html("")
+        self._told = Markup()
         self._image: Any = None
         self._add_image = gui.add_image
         self._pictured_at = -np.inf
@@ -53,7 +55,8 @@ class WaitingPage:
             except NothingYetError as error:
                 self._show(str(error))
             except (OSError, ValueError) as error:
-                self._text.content = waiting_html(" ".join(str(error).split()), is_going_on=False)
+                reason = " ".join(str(error).split())
+                set_html(self._text, waiting_html(reason, is_going_on=False))
                 self._server.flush()
                 time.sleep(_SENT)
                 raise
@@ -62,8 +65,9 @@ class WaitingPage:
     def _show(self, reason: str) -> None:
         """Show why there is nothing, how far it is, and the frame that was read last."""
         text = waiting_html(reason, how_far(self._folder))
-        if text != self._text.content:
-            self._text.content = text
+        if text != self._told:
+            self._told = text
+            set_html(self._text, text)
         now = time.monotonic()
         if now - self._pictured_at < _RENEWED:
             return

@@ -9,7 +9,7 @@ from tisfm.view.box import Box
 from tisfm.view.controls import NO_WHOLE, Controls
 from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
-from tisfm.view.texts import note_html
+from tisfm.view.texts import note_html, set_html
 from tisfm.view.whole import Whole, WholeKind, clipped
 
 Key = tuple[WholeKind, int]
@@ -97,7 +97,7 @@ class WholeLayer:
             self._note(text)
 
     def _note(self, text: str) -> None:
-        self._controls.whole_note.content = note_html(text)
+        set_html(self._controls.whole_note, note_html(text))
 
 
 def _described(whole: Whole) -> str:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.removal import remove, remove_link
 from tisfm.formats.text import read_json
 from tisfm.machine.workers import check_worker, stated
 from tisfm.reconstruction.asked import files_below
@@ -137,7 +137,9 @@ def make_chunk(chunk: Chunk) -> Exception | None:
 @contextmanager
 def _alone(chunk: Chunk) -> Iterator[None]:
     """Wait until no other process makes a chunk, as one may that has lost who gave it the work."""
-    lock = FileLock(chunk.folder.with_name(f"{chunk.folder.name}.lock"))
+    file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
+    remove_link(file)
+    lock = FileLock(file)
     try:
         lock.acquire()
     except NotImplementedError:  # a file system without locks
@@ -152,8 +154,8 @@ def _alone(chunk: Chunk) -> Iterator[None]:
 def _make(chunk: Chunk) -> None:
     if chunk.is_complete():
         return
-    chunk.account.unlink(missing_ok=True)
-    shutil.rmtree(chunk.folder, ignore_errors=True)
+    remove(chunk.account)
+    remove(chunk.folder)
     runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)  # told once, of the whole

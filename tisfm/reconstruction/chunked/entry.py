@@ -1,7 +1,6 @@
 """A sequence in chunks, from the source to the folder; begun anew, or gone on with."""
 
 import os
-import shutil
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -16,6 +15,7 @@ from tisfm.camera_file import file_of, read_camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import alive_in, locked_folder, remove_temporaries
 from tisfm.formats.outputs import make_folder
+from tisfm.formats.removal import remove, remove_link, try_to_remove
 from tisfm.outcome import Status
 from tisfm.reconstruction.asked import (
     asked_for,
@@ -246,15 +246,16 @@ class ChunkedRun:
         """Say that the result in the folder is complete, and remove the chunks."""
         with locked_folder(self.folder):
             write_asked(self.folder, self.asked)
-            shutil.rmtree(self.folder / CHUNKS, ignore_errors=True)
+            try_to_remove(self.folder / CHUNKS)
 
     def _begin(self, chunks: Path, resume: bool) -> None:
+        remove_link(chunks)  # it would lead elsewhere
         before = read_asked(chunks) if resume else None
         if before is not None:
             refuse_differing(self.folder, before["asked"], self.asked)
             remove_temporaries(chunks)
             return
-        shutil.rmtree(chunks, ignore_errors=True)
+        remove(chunks)
         chunks.mkdir()
         write_asked(chunks, self.asked)
 

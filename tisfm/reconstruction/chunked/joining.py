@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera_file import NAME as CAMERA
+from tisfm.formats.atomic import copy_file
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.outcome import Status
 from tisfm.reconstruction.chunked.placing import Part, Place
@@ -106,4 +107,4 @@ def _take(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except OSError:
-        shutil.copyfile(source, target)
+        copy_file(source, target)

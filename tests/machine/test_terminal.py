@@ -1,0 +1,30 @@
+"""Texts for a terminal hold nothing that it obeys."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tisfm.machine.terminal import printable
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a b ü 日本 👩‍🚀.png", "a b ü 日本 👩‍🚀.png"),
+        ("\x1b[2J\x1b]0;title\x07", r"\x1b[2J\x1b]0;title\x07"),
+        ("\x9b31m\x7f\x00", r"\x9b31m\x7f\x00"),
+        ("a\nb\rc\td\x85", r"a\nb\rc\td\x85"),
+        ("\u202egnp.exe\u2066", r"\u202egnp.exe\u2066"),
+        ("\udcff", "?"),
+    ],
+)
+def test_it_is_shown_and_not_obeyed(text, shown):
+    assert printable(text) == shown
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.text(max_size=20))
+def test_no_control_is_left(text):
+    shown = printable(text)
+    assert not any(ord(letter) < 32 or 127 <= ord(letter) < 160 for letter in shown)
+    assert printable(shown) == shown

@@ -1,0 +1,37 @@
+"""Tables for people, as CSV."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+# A spreadsheet takes a cell that begins with one of these as a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+_QUOTE = "'"  # it makes a cell text, as in spreadsheets
+
+
+def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return rows as CSV, whose texts a spreadsheet does not take as formulas.
+
+    A text that would be one, or that begins with ``'``, gets a ``'`` in front: without it, it is
+    what it was. Numbers stay as they are.
+
+    Parameters
+    ----------
+    columns : sequence of str
+    rows : iterable of sequences
+        Texts, numbers, and None for an empty cell.
+    """
+    return "".join(_line([_quoted(cell) for cell in row]) for row in (columns, *rows))
+
+
+def _line(cells: Sequence[Any]) -> str:
+    """Return a line that ends in a line feed; cells that hold either kind of end are quoted."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\r\n").writerow(cells)
+    return text.getvalue().removesuffix("\r\n") + "\n"
+
+
+def _quoted(cell: Any) -> Any:
+    is_taken = isinstance(cell, str) and cell.startswith((*_FORMULA, _QUOTE))
+    return f"{_QUOTE}{cell}" if is_taken else cell

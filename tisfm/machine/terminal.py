@@ -1,0 +1,31 @@
+"""Text as a terminal may be given it."""
+
+import re
+
+# Control characters, of which a terminal takes some as commands (ESC and those above 0x7f begin
+# them); line and paragraph separators; and those that turn the direction of writing.
+_COMMANDS = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    r"""Return text in one line that a terminal shows and does not obey.
+
+    Names of files, and texts that a file supplies, may hold any character. A character that could
+    be a command is written as in Python's literals; half characters become question marks.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from tisfm.machine.terminal import printable
+    >>> print(printable("a\x1b[31mb.png"))
+    a\x1b[31mb.png
+    """
+    whole = text.encode("utf-8", "replace").decode("utf-8")
+    return _COMMANDS.sub(lambda found: found[0].encode("unicode_escape").decode(), whole)
