@@ -1,5 +1,10 @@
 """What commands print: lines and progress on standard error, tables on standard output."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 from rich.console import Console
 from rich.measure import Measurement
 from rich.progress import (
@@ -21,6 +26,23 @@ def as_text(name: str) -> str:
 def tell(line: str) -> None:
     """Print one line on standard error, as it is."""
     Console(stderr=True).print(as_text(line), highlight=False, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def notes_as_lines() -> Iterator[None]:
+    """Print each `SourceWarning` of the block as one line that begins with "note:"."""
+    from tisfm.sources.notes import SourceWarning
+
+    def show(message: Warning | str, category: type[Warning], *about: Any, **more: Any) -> None:
+        if issubclass(category, SourceWarning):
+            tell(f"note: {message}")
+        else:
+            others(message, category, *about, **more)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SourceWarning)
+        others, warnings.showwarning = warnings.showwarning, show
+        yield
 
 
 def print_whole(table: Table) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.console import notes_as_lines, progress_bar, tell
 from tisfm.cli.crew import check_workers
 from tisfm.cli.foretelling import MUCH, STAGES, Foretelling
 from tisfm.cli.frame_options import FrameOptions
@@ -37,6 +37,7 @@ from tisfm.settings import Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import read_trajectory, write_kitti, write_tum
+from tisfm.trajectory.clock import times_or_numbers
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
 _PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth
@@ -141,7 +142,7 @@ def reconstruct(
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
-        warnings.catch_warnings(),
+        notes_as_lines(),
     ):
         warnings.simplefilter("ignore", GuessedFocalWarning)  # a line says so at the end
         task = bar.add_task("", total=None)
@@ -262,14 +263,15 @@ def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
 
 
 def write_trajectories(result: Reconstruction, folder: Path) -> None:
-    """Write the poses of the largest piece as TUM and as KITTI have them."""
+    """Write the poses of the largest piece as TUM and as KITTI have them.
+
+    Where the times of frames do not rise, the TUM file has their numbers.
+    """
     largest = result.largest_piece
     poses = np.where((result.piece == largest)[:, None, None], result.poses, np.nan)
-    times = result.times
-    known = [k if time is None else time for k, time in enumerate(times)]
     if not np.isfinite(poses).any():
         return
-    write_tum(folder / TRAJECTORY, poses, np.array(known, np.float64))
+    write_tum(folder / TRAJECTORY, poses, times_or_numbers(result.times))
     write_kitti(folder / POSES, poses)
 
 

@@ -36,6 +36,7 @@ from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.stated import is_stated
 from tisfm.trajectory import read_trajectory, write_tum
+from tisfm.trajectory.clock import times_or_numbers
 from tisfm.version import __version__
 
 
@@ -188,7 +189,7 @@ def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
 
 def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
     """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
-    times = np.arange(len(loaded.frames), dtype=float) if loaded.times is None else loaded.times
+    times = times_or_numbers([None] * len(loaded.frames) if loaded.times is None else list(loaded.times))
     numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
     for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
         file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")

@@ -30,7 +30,7 @@ from tisfm.reconstruction.report_file import REPORT
 from tisfm.settings import Settings
 from tisfm.trajectory.path import check_poses
 
-FORMAT = 1
+FORMAT = 2
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
@@ -193,6 +193,7 @@ def write_record(folder: Path, result: Any) -> None:
         "status": [[str(status), status.message] for status in result.status],
         "keyframes": list(result.keyframes),
         "skipped": [list(item) for item in result.skipped],
+        "notes": list(result.notes),
     }
     if result.settings.motion == "objects":
         write_objects(folder, result.objects)
@@ -253,6 +254,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             status=tuple(Status(code, message) for code, message in about["status"]),
             keyframes=tuple(int(k) for k in about["keyframes"]),
             skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
+            notes=tuple(map(str, about["notes"])),
             names=tuple(map(str, about["names"])),
             shape=_shape(about["shape"]),
             camera=Camera(

@@ -149,6 +149,7 @@ def _page(
                 ("Frame of the source", "Why"),
                 [(str(k), shortened(reason)) for k, reason in result.skipped[:_MOST_ROWS]],
             ),
+            ("How the source was read", ("Note",), [(note,) for note in result.notes]),
         ],
         preset=nearest_preset(result.settings),
         settings=setting_rows(result.settings),
