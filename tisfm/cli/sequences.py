@@ -189,7 +189,8 @@ def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
 
 def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
     """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
-    times = times_or_numbers([None] * len(loaded.frames) if loaded.times is None else list(loaded.times))
+    known = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
+    times = times_or_numbers(known)
     numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
     for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
         file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")
