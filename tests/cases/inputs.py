@@ -66,7 +66,7 @@ def write_folder(folder, frames, names=None):
     return folder
 
 
-def write_film(path, *streams, times=None, aspect=None, default=None, rate=RATE):
+def write_film(path, *streams, times=None, aspect=None, default=None, rate=RATE, codec="libx264"):
     """Write a film with PyAV, each of `streams` a sequence of (H, W) uint8 frames.
 
     `times` are those of the frames, in 1/rate s, by default 0, 1, 2, …; `aspect` is the width of a
@@ -77,7 +77,7 @@ def write_film(path, *streams, times=None, aspect=None, default=None, rate=RATE)
     with av.open(str(path), "w") as file:
         written = []
         for number, frames in enumerate(streams):
-            stream = file.add_stream("libx264", rate=rate, options={"crf": "12", "bf": "0"})
+            stream = file.add_stream(codec, rate=rate, options={"crf": "12", "bf": "0"})
             stream.height, stream.width = frames[0].shape
             stream.pix_fmt = "yuv420p"
             stream.codec_context.time_base = Fraction(1, rate)

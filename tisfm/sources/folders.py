@@ -96,6 +96,23 @@ def several_pictures(path: str, name: str) -> list[Path]:
     raise FileNotFoundError(f"there is no {name} {path}: check the path")
 
 
+def order_notes(files: Sequence[Path]) -> list[str]:
+    """Tell of files that are given in the order of their letters, where their names have another.
+
+    A shell puts them so for a pattern that is not quoted.
+    """
+    if list(files) != sorted(files, key=str):
+        return []  # somebody has chosen the order
+    for given, wanted in zip(files, in_order(files), strict=True):
+        if given != wanted:
+            return [
+                f"files are read in the order given, where {given.name} comes before "
+                f"{wanted.name}; to have them in the order of their numbers or times, quote the "
+                "pattern"
+            ]
+    return []
+
+
 def numbered_pattern(path: str) -> str | None:
     """Return the glob pattern for one such as ``f%03d.png`` or ``f.####.png``; None for others."""
     folder, name = os.path.split(path)

@@ -18,7 +18,13 @@ from tisfm.sources.ahead import read_ahead
 from tisfm.sources.animations import frames_in_picture
 from tisfm.sources.arrays import Arrays
 from tisfm.sources.files import ImageFiles
-from tisfm.sources.folders import files_matching, matching_files, numbered_pattern, pictures_of
+from tisfm.sources.folders import (
+    files_matching,
+    matching_files,
+    numbered_pattern,
+    order_notes,
+    pictures_of,
+)
 from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
 from tisfm.sources.listing import Listing
 from tisfm.sources.masks import Ignored, Mask, Masks
@@ -366,7 +372,8 @@ def _open(source: Source) -> Reader:
     if isinstance(source, (str, os.PathLike)):
         return _open_path(os.fspath(source))
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
-        return ImageFiles([Path(item) for item in source], "frames")
+        files = [Path(item) for item in source]
+        return ImageFiles(files, "frames", order_notes(files))
     return Arrays(source)
 
 
