@@ -194,7 +194,7 @@ def objects():
 
 def reconstructions(motion="objects"):
     about = {
-        "format": 1,
+        "format": 2,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},
@@ -202,6 +202,7 @@ def reconstructions(motion="objects"):
         "shape": [H, W],
         "names": [f"{k}" for k in range(FRAMES)],
         "status": [["converged", ""]] * FRAMES,
+        "notes": [],
         "keyframes": [0, 2],
         "skipped": [[7, "damaged"]],
     }

@@ -136,14 +136,18 @@ class AvVideo:
 
 def _chosen(container: InputContainer) -> VideoStream:
     """Return the video stream that is read: the one marked as default, or else the largest."""
-    streams = _videos(container) or list(container.streams.video)
+    streams = _videos(container)
+    if not streams:
+        return container.streams.video[0]
     default = [one for one in streams if one.disposition & Disposition.default]
     return default[0] if len(default) == 1 else max(default or streams, key=_pixels_of)
 
 
 def _videos(container: InputContainer) -> list[VideoStream]:
-    """Return the video streams that are no pictures beside a video, such as a cover."""
-    return [one for one in container.streams.video if not one.disposition & _NO_VIDEO]
+    """Return the video streams that can be decoded, but for pictures such as a cover."""
+    # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+    known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
+    return [one for one in known if not one.disposition & _NO_VIDEO] or known
 
 
 def _pixels_of(stream: VideoStream) -> int:
