@@ -239,6 +239,14 @@ def test_a_file_of_such_a_name_is_read(tmp_path):
     assert read(f"{folder}/*%03d.png")[1] == ["0%03d", "1%03d", "2%03d"]
 
 
+def test_such_patterns_of_masks(tmp_path):
+    folder = write_folder(tmp_path / "masks", FRAMES)
+    with pytest.raises(FileNotFoundError, match=r"f\*\.png"):
+        FrameSource(FRAMES, mask=folder / "f%03d.png")
+    with pytest.raises(ValueError, match="is a URL"):
+        FrameSource(FRAMES, mask="https://example.org/mask.png")
+
+
 @pytest.mark.parametrize(
     ("url", "advice"),
     [

@@ -25,7 +25,8 @@ def as_text(name: str) -> str:
 
 def tell(line: str) -> None:
     """Print one line on standard error, as it is."""
-    Console(stderr=True).print(as_text(line), highlight=False, markup=False, soft_wrap=True)
+    console = Console(stderr=True, emoji=False)  # or :v: in a name would be a sign
+    console.print(as_text(line), highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

@@ -93,7 +93,7 @@ def reconstruct(
             "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
         )
     if scale is not None:
-        _check_scale(*scale)
+        _check_scale(*scale, count=_count(source, frames))
     if mesh is not None:
         check_library()
     if report:
@@ -234,11 +234,24 @@ def _refuse_inside(file: Path, output: Path) -> None:
         raise ValueError(f"{file} lies in {output}, which is written to: give another folder")
 
 
-def _check_scale(frame0: int, frame1: int, distance: float) -> None:
+def _count(source: Source, frames: FrameOptions) -> int | None:
+    """Return how many frames are taken at most, None where only reading tells."""
+    if isinstance(source, str) and webcam_number(source) is not None:
+        return frames.stop
+    opened = frames.open(source)
+    return None if opened.names is None else len(opened.names)
+
+
+def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None) -> None:
     if min(frame0, frame1) < 0 or frame0 == frame1 or not 0 < distance < np.inf:
         raise ValueError(
             f"--scale is {frame0} {frame1} {distance:g}: expected the numbers of two frames, from "
             "0, and a positive distance"
+        )
+    if count is not None and max(frame0, frame1) >= count:
+        raise ValueError(
+            f"--scale is {frame0} {frame1} {distance:g}, but {count} frames are taken: expected "
+            f"numbers from 0 to {count - 1}"
         )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import tisfm
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.console import notes_as_lines, print_whole, progress_bar, tell
 from tisfm.cli.foretelling import STAGES, Foretelling
 from tisfm.datasets import (
     SEQUENCE_LAYOUTS,
@@ -40,6 +40,7 @@ from tisfm.trajectory.clock import times_or_numbers
 from tisfm.version import __version__
 
 
+@notes_as_lines()
 def evaluate_sequences(
     folders: Sequence[str],
     output: Path | None,

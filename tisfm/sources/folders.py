@@ -11,6 +11,7 @@ from pathlib import Path
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.formats.images import natural_order
 from tisfm.formats.time_names import in_order
+from tisfm.sources.urls import refuse_url
 
 # Suffixes of pictures that no reader here knows, and of those that are read, but that a folder is
 # not searched for.
@@ -93,6 +94,8 @@ def several_pictures(path: str, name: str) -> list[Path]:
         return [Path(path)]
     if glob.has_magic(path):
         return matching_files(path).files
+    refuse_url(path)
+    refuse_numbered(path)
     raise FileNotFoundError(f"there is no {name} {path}: check the path")
 
 
@@ -113,13 +116,21 @@ def order_notes(files: Sequence[Path]) -> list[str]:
     return []
 
 
-def numbered_pattern(path: str) -> str | None:
-    """Return the glob pattern for one such as ``f%03d.png`` or ``f.####.png``; None for others."""
+def refuse_numbered(path: str) -> None:
+    """Raise FileNotFoundError for a pattern such as ``f%03d.png`` or ``f.####.png``.
+
+    It says which glob pattern to write. Not if the path matches files as it is.
+    """
     folder, name = os.path.split(path)
-    if os.path.exists(path) or not _PRINTF.search(name):
-        return None
+    if not _PRINTF.search(name) or os.path.exists(path) or files_matching(path):
+        return
     folder = glob.escape(folder) if os.path.isdir(folder) else folder
-    return os.path.join(folder, _PRINTF.sub("*", name))
+    pattern = os.path.join(folder, _PRINTF.sub("*", name))
+    are_there = "" if files_matching(pattern) else ", though no file matches it now"
+    raise FileNotFoundError(
+        f"there is no file {path}: for pictures with a number in their names write a pattern with "
+        f"*, '{pattern}'{are_there}"
+    )
 
 
 def _files_of(pattern: str) -> list[Path]:

@@ -18,13 +18,7 @@ from tisfm.sources.ahead import read_ahead
 from tisfm.sources.animations import frames_in_picture
 from tisfm.sources.arrays import Arrays
 from tisfm.sources.files import ImageFiles
-from tisfm.sources.folders import (
-    files_matching,
-    matching_files,
-    numbered_pattern,
-    order_notes,
-    pictures_of,
-)
+from tisfm.sources.folders import matching_files, order_notes, pictures_of, refuse_numbered
 from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
 from tisfm.sources.listing import Listing
 from tisfm.sources.masks import Ignored, Mask, Masks
@@ -388,13 +382,7 @@ def _open_path(source: str) -> Reader:
     refuse_url(source)
     if os.path.exists(source):
         raise OSError(f"{source} is a device or a pipe, not a file: save what it gives first")
-    numbered = numbered_pattern(source)
-    if numbered is not None and not (glob.has_magic(source) and files_matching(source)):
-        are_there = "" if files_matching(numbered) else ", though no file matches it now"
-        raise FileNotFoundError(
-            f"there is no file {source}: for pictures with a number in their names write a pattern "
-            f"with *, '{numbered}'{are_there}"
-        )
+    refuse_numbered(source)
     if glob.has_magic(source):
         found = matching_files(source)
         return ImageFiles(found.files, source, found.notes)
