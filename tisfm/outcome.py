@@ -20,13 +20,14 @@ class Status(str):
     """A short code that says how the interpretation ended, with a message on what to try.
 
     Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
-    ran out; ``"no_motion"``, the frames are identical; ``"no_texture"``, frame 0 shows no gradient
-    that motion could be seen by, or too few pixels are trusted to fit a motion to them;
-    ``"diverged"``, the numbers are of no use: somewhere the image motion grew beyond half of the
-    image's longer side, or more than half of the pixels leave the image (the whole side, and 80 %,
-    where matched points or a 4×4 pose vouch for a large motion); ``"unrelated"``, the frames have
-    nothing in common; ``"aperture"``, they vary along one direction only, so that motion along
-    their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
+    ran out; ``"no_motion"``, the frames do not differ, or move by no more than noise;
+    ``"no_texture"``, frame 0 shows no gradient that motion could be seen by, or too few pixels are
+    trusted to fit a motion to them; ``"diverged"``, the numbers are of no use: somewhere the image
+    motion grew beyond half of the image's longer side, or more than half of the pixels leave the
+    image (the whole side, and 80 %, where matched points or a 4×4 pose vouch for a large motion);
+    ``"unrelated"``, the frames have nothing in common, or parts of them are alike and at rest and
+    the others show something else; ``"aperture"``, they vary along one direction only, so that
+    motion along their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
     ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
     camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth;
     ``"uncertain"``, it changed its place so little that depth is rough; and ``"two_motions"``,

@@ -14,6 +14,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.masks import Mask
+from tisfm.sources.notes import warn_of
 from tisfm.window import Window, WindowSize, window_of
 
 
@@ -83,7 +84,7 @@ def interpret_sequence(
     Warns
     -----
     UserWarning
-        Of every frame that is skipped.
+        Of every frame that is skipped, and of what should be known of how the source is read.
 
     Raises
     ------
@@ -117,6 +118,7 @@ def interpret_sequence(
         mask=mask,
         bad_frames=bad_frames,
     )
+    warn_of(frames.notes)
     if poses is not None and settings.motion != "camera":
         raise ValueError(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '

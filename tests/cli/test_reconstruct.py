@@ -246,10 +246,19 @@ def test_a_scale_that_says_nothing_is_refused_at_once(tisfm_run, film, place, sc
 
 def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
+    assert_one_line(code, err, "9 frames are taken: expected numbers from 0 to 8")
+    assert not (place / "out").exists()
+
+
+def test_nothing_is_lost_where_only_reading_tells_how_many_there_are(
+    tisfm_run, film, place, monkeypatch
+):
+    monkeypatch.setattr("tisfm.cli.reconstruct_command._count", lambda source, frames: None)
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
     told, last = err.splitlines()
     assert "9 of 9 frames have a pose" in told
     assert_one_line(code, last + "\n", "frame is 9: expected 0 to 8")
-    assert np.isfinite(read_kitti("out/poses.txt").poses).all()  # nothing is lost
+    assert np.isfinite(read_kitti("out/poses.txt").poses).all()
 
 
 def test_a_mesh_that_cannot_be_made_is_refused_at_once(tisfm_run, film, place, monkeypatch):

@@ -202,6 +202,7 @@ def reconstructions(motion="objects"):
         "shape": [H, W],
         "names": [f"{k}" for k in range(FRAMES)],
         "status": [["converged", ""]] * FRAMES,
+        "notes": [],
         "keyframes": [0, 2],
         "skipped": [[7, "damaged"]],
     }

@@ -65,7 +65,7 @@ def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
 def test_half_the_tolerance_halves_the_score():
     """The frames are 160 px long, so a match off by 0.5 px has a score of a half."""
     points = np.array([[80.0, 60.0], [100.0, 60.0]])
-    moved = points + [-3.0, first_pair_tolerance(160) / 2]
+    moved = points + np.array([-3.0, first_pair_tolerance(160) / 2])
     both = np.repeat(np.arange(2)[:, None], 2, axis=1)
     score = MatchScore([view_of(0, points), view_of(1, moved)], {(0, 1): both}, SHAPE)
     assert CAMERA.center_for(*SHAPE)[1] == pytest.approx(59.5)

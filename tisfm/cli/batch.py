@@ -24,6 +24,7 @@ from tisfm.reconstruction.renewal import CHUNKS
 Command = Literal["run", "reconstruct"]
 
 SOURCE, OUTPUT = "source", "output"
+NOTE = "note: "
 TRIES = 3  # of a job whose process was killed
 _WANTED = (-signal.SIGINT, -signal.SIGTERM)  # a process that was told to end
 _CALL = "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
@@ -128,10 +129,12 @@ def batch(
         ]
         foretelling = Foretelling("videos")
         for number, (job, end) in enumerate(zip(jobs, ends, strict=True), 1):
-            code, last = end.result()
+            code, last, notes = end.result()
             foretelling.done(number, len(jobs))
             failed += code != 0
             tell(f"{job.output}: {last}" if last else f"{job.output}: exit code {code}")
+            for note in notes:
+                tell(f"{job.output}: {note}")
             progress.advance(task)
     done = len(jobs) - failed
     tell(f"{done} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
@@ -186,9 +189,13 @@ class _Processes:
             for process in self._running:
                 process.terminate()
 
-    def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str]:
-        """Run a command in a process of its own; return its exit code and what it said last."""
+    def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str, list[str]]:
+        """Run a command in a process of its own.
+
+        Returns its exit code, what it said last, and its notes.
+        """
         code, said, call = 1, "", list(arguments)
+        notes: list[str] = []
         before = _state(output)
         for _ in range(TRIES):
             with self._lock:
@@ -207,12 +214,13 @@ class _Processes:
             finally:
                 with self._lock:
                     self._running.discard(process)
-            code, said = process.returncode, _said(errors.decode("utf-8", "replace"))
+            text = errors.decode("utf-8", "replace")
+            code, said, notes = process.returncode, _said(text), _notes(text)
             if code >= 0 or code in _WANTED:
                 break
             if "--resume" not in call and _state(output) != before:
                 call.append("--resume")  # its first pairs, or chunks, are written
-        return code, said
+        return code, said, notes
 
 
 def _said(errors: str) -> str:
@@ -220,6 +228,11 @@ def _said(errors: str) -> str:
     lines = [line for line in errors.split("\n") if line.strip()]
     results = [line for line in lines if "Results in " in line]
     return (results or lines or [""])[-1].removeprefix("tisfm: ")
+
+
+def _notes(errors: str) -> list[str]:
+    """Return the lines that are notes on how a source was read."""
+    return [line for line in errors.split("\n") if line.startswith(NOTE)]
 
 
 def _state(output: Path) -> object:

@@ -4,7 +4,10 @@ Texts that a file supplies go through `printable` here, and Rich takes nothing i
 """
 
 import sys
+import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console, ConsoleOptions
 from rich.measure import Measurement
@@ -32,6 +35,23 @@ def tell(line: str) -> None:
 def tell_error(text: str) -> None:
     """Print an error of the command in one line on standard error."""
     print(f"tisfm: {printable(' '.join(text.split()))}", file=sys.stderr)
+
+
+@contextmanager
+def notes_as_lines() -> Iterator[None]:
+    """Print each `SourceWarning` of the block as one line that begins with "note:"."""
+    from tisfm.sources.notes import SourceWarning
+
+    def show(message: Warning | str, category: type[Warning], *about: Any, **more: Any) -> None:
+        if issubclass(category, SourceWarning):
+            tell(f"note: {message}")
+        else:
+            others(message, category, *about, **more)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SourceWarning)
+        others, warnings.showwarning = warnings.showwarning, show
+        yield
 
 
 def print_whole(table: Table) -> None:

@@ -1,6 +1,6 @@
 """The folder that `tisfm run` and `tisfm demo` write to: its record, and ranges of all pairs."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -98,6 +98,7 @@ class PairWriter:
         resume: bool = False,
         inputs: InputFiles | None = None,
         names: Iterable[str] = (),
+        notes: Sequence[str] = (),
     ) -> None:
         self.folder = Path(folder)
         self._inputs = inputs or InputFiles()
@@ -133,7 +134,7 @@ class PairWriter:
             "screen": screen if "anaglyph" in chosen else None,
         }
         self._earlier: list[Path] = []
-        self._record = RunRecord(self.folder, asked)
+        self._record = RunRecord(self.folder, asked, notes)
         self._with = ExitStack()
         self._resume = self._is_begun = resume
         self._has_report = True  # as far as is known
@@ -214,6 +215,11 @@ class PairWriter:
     def statuses(self) -> Mapping[str, int]:
         """How many pairs have which status code so far, those of a resumed run included."""
         return {code: count for code, count in list(self._record.statuses.items()) if count}
+
+    @property
+    def times_note(self) -> str:
+        """Why the times of frames cannot be those of a path; "" if they can, or are none."""
+        return self._record.times_note()
 
     @property
     def advice(self) -> dict[str, str]:

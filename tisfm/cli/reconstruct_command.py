@@ -16,7 +16,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import progress_bar, tell
+from tisfm.cli.console import notes_as_lines, progress_bar, tell
 from tisfm.cli.crew import check_workers
 from tisfm.cli.csv_table import csv_table
 from tisfm.cli.foretelling import MUCH, STAGES, Foretelling
@@ -40,6 +40,7 @@ from tisfm.settings import Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import read_trajectory, write_kitti, write_tum
+from tisfm.trajectory.clock import times_or_numbers
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
 _PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth
@@ -95,7 +96,7 @@ def reconstruct(
             "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
         )
     if scale is not None:
-        _check_scale(*scale)
+        _check_scale(*scale, count=_count(source, frames))
     if mesh is not None:
         check_library()
     if report:
@@ -144,7 +145,7 @@ def reconstruct(
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
-        warnings.catch_warnings(),
+        notes_as_lines(),
     ):
         warnings.simplefilter("ignore", GuessedFocalWarning)  # a line says so at the end
         task = bar.add_task("", total=None)
@@ -237,11 +238,24 @@ def _refuse_inside(file: Path, output: Path) -> None:
         raise ValueError(f"{file} lies in {output}, which is written to: give another folder")
 
 
-def _check_scale(frame0: int, frame1: int, distance: float) -> None:
+def _count(source: Source, frames: FrameOptions) -> int | None:
+    """Return how many frames are taken at most, None where only reading tells."""
+    if isinstance(source, str) and webcam_number(source) is not None:
+        return frames.stop
+    opened = frames.open(source)
+    return None if opened.names is None else len(opened.names)
+
+
+def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None) -> None:
     if min(frame0, frame1) < 0 or frame0 == frame1 or not 0 < distance < np.inf:
         raise ValueError(
             f"--scale is {frame0} {frame1} {distance:g}: expected the numbers of two frames, from "
             "0, and a positive distance"
+        )
+    if count is not None and max(frame0, frame1) >= count:
+        raise ValueError(
+            f"--scale is {frame0} {frame1} {distance:g}, but {count} frames are taken: expected "
+            f"numbers from 0 to {count - 1}"
         )
 
 
@@ -266,14 +280,15 @@ def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
 
 
 def write_trajectories(result: Reconstruction, folder: Path) -> None:
-    """Write the poses of the largest piece as TUM and as KITTI have them."""
+    """Write the poses of the largest piece as TUM and as KITTI have them.
+
+    Where the times of frames do not rise, the TUM file has their numbers.
+    """
     largest = result.largest_piece
     poses = np.where((result.piece == largest)[:, None, None], result.poses, np.nan)
-    times = result.times
-    known = [k if time is None else time for k, time in enumerate(times)]
     if not np.isfinite(poses).any():
         return
-    write_tum(folder / TRAJECTORY, poses, np.array(known, np.float64))
+    write_tum(folder / TRAJECTORY, poses, times_or_numbers(result.times))
     write_kitti(folder / POSES, poses)
 
 

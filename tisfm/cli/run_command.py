@@ -105,6 +105,8 @@ def run(
     _refuse_mixing(source, pairs.frame_files, output)
     if mask is not None:
         _refuse_mixing(mask, pairs.mask_files, output, kind="masks")
+    for note in pairs.notes:
+        tell(f"note: {note}")
     total = _total(pairs)
     if is_shared and total is None:
         raise ValueError(f"{pairs.title} does not say how many frames it has: leave out workers")
@@ -141,6 +143,7 @@ def run(
         resume=resume,
         inputs=InputFiles([*pairs.files, *([] if poses is None else [poses])]),
         names=_names(pairs, output),
+        notes=pairs.notes,
     )
     work = PairWork(camera=camera, settings=settings, files=writer.files)
     skipped: dict[int, str] = {}
@@ -310,6 +313,8 @@ def _tell(writer: PairWriter, seconds: list[float]) -> None:
     )
     for code, advice in writer.advice.items():
         tell(f"{code}: {advice}")
+    if note := writer.times_note:
+        tell(f"note: {note}")
 
 
 def _announce(writer: PairWriter, total: int) -> None:

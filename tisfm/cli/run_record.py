@@ -5,7 +5,7 @@ import math
 import os
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from tisfm.formats import atomic_write
 from tisfm.formats.accounts import check_sum, differing, said
 from tisfm.outcome import Status
 from tisfm.reconstruction.report_file import TIMINGS
+from tisfm.trajectory.clock import fault_between
 
 RECORD, TABLE = "run.json", "run.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
@@ -51,6 +52,8 @@ class RunRecord:
     folder : Path
     asked : mapping
         What `ASKED` names.
+    notes : sequence of str
+        What should be known of how the source is read.
 
     Attributes
     ----------
@@ -58,9 +61,9 @@ class RunRecord:
         How many finished pairs have which status code.
     """
 
-    def __init__(self, folder: Path, asked: Mapping[str, Any]) -> None:
-        self._folder = folder
-        self._about: dict[str, Any] = {**asked, **dict.fromkeys(FOUND), "pairs": {}}
+    def __init__(self, folder: Path, asked: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
+        self._folder, self._notes = folder, tuple(notes)
+        self._about: dict[str, Any] = {**asked, **dict.fromkeys(FOUND), "notes": [], "pairs": {}}
         self.statuses: Counter[str] = Counter()
         self._seconds: dict[str, float] = {}
         self._next, self._is_written = -math.inf, True
@@ -143,10 +146,20 @@ class RunRecord:
         """Take down how long a pair was interpreted."""
         self._seconds[name] = seconds
 
+    def times_note(self) -> str:
+        """Return why the times of frames cannot be those of a path; "" if they can, or are none."""
+        pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
+        for name, pair in pairs:
+            before, after = pair.get("times") or (None, None)
+            if fault := fault_between(before, after, f"frame {name}", "the next"):
+                return f"{fault}; numbers of frames stand in place of times where a path is needed"
+        return ""
+
     def write(self) -> None:
         """Write ``run.json``, and the table of all pairs and their times, if there is any news."""
         pairs = dict(sorted(self.pairs.items(), key=lambda item: item[1]["number"]))
         self._about["pairs"] = pairs  # those of other processes come in any order
+        self._about["notes"] = [*self._notes, *filter(None, [self.times_note()])]
         rows = ((name, *_row(pair)) for name, pair in pairs.items())
         if self._is_written:
             table = csv_table(_COLUMNS, rows)

@@ -10,7 +10,7 @@ import numpy as np
 
 import tisfm
 from tisfm.camera import Camera
-from tisfm.cli.console import print_whole, progress_bar, tell
+from tisfm.cli.console import notes_as_lines, print_whole, progress_bar, tell
 from tisfm.cli.foretelling import STAGES, Foretelling
 from tisfm.cli.kernels_start import start_kernels
 from tisfm.datasets import (
@@ -36,9 +36,11 @@ from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.stated import is_stated
 from tisfm.trajectory import read_trajectory, write_tum
+from tisfm.trajectory.clock import times_or_numbers
 from tisfm.version import __version__
 
 
+@notes_as_lines()
 def evaluate_sequences(
     folders: Sequence[str],
     output: Path | None,
@@ -188,7 +190,8 @@ def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
 
 def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
     """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
-    times = np.arange(len(loaded.frames), dtype=float) if loaded.times is None else loaded.times
+    known = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
+    times = times_or_numbers(known)
     numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
     for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
         file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")

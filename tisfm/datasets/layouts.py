@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from tisfm.datasets.pair import DatasetPair
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.images import natural_order
+from tisfm.formats.time_names import in_order
 
 Layout = Literal[
     "middlebury",
@@ -224,8 +224,9 @@ def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     images, depth = folder / "images", folder / "depth"
     if not camera.is_file() or not images.is_dir():
         return
-    frames = [file for file in sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
-    frames.sort(key=natural_order)
+    frames = in_order(
+        file for file in sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES
+    )
     maps = {file.stem: file for file in sorted_files(depth, "*.png")}
     posed = poses.is_file()
     for first in range(len(frames) - step):

@@ -18,7 +18,7 @@ from tisfm.datasets.layouts import TSUKUBA_POSES, numbered, sorted_files
 from tisfm.datasets.sequence import LoadedSequence
 from tisfm.datasets.trajectories import read_pose, read_poses
 from tisfm.formats import IMAGE_SUFFIXES, FormatError, read_image
-from tisfm.formats.images import natural_order
+from tisfm.formats.time_names import in_order
 from tisfm.trajectory import associate, read_kitti, read_tum
 from tisfm.trajectory.path import check_times
 from tisfm.trajectory.rows import read_lines, read_rows
@@ -149,7 +149,7 @@ def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
 
 def _pictures(folder: Path) -> list[Path]:
     files = [file for file in sorted_files(folder, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
-    return sorted(files, key=natural_order)
+    return in_order(files)
 
 
 def _stated(layout: SequenceLayout, frames: tuple[Path, ...]) -> Camera:

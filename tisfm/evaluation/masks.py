@@ -13,8 +13,8 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.checks import whole
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.images import natural_order
 from tisfm.formats.label_picture import read_label_picture
+from tisfm.formats.time_names import in_order
 from tisfm.lens import Undistortion
 from tisfm.metrics import LabelScores, label_scores
 
@@ -152,4 +152,4 @@ def _pictures(folder: Path) -> Sequence[Path]:
     ]
     if not files:
         raise FileNotFoundError(f"the folder {folder} has no pictures: expected a mask for a frame")
-    return sorted(files, key=natural_order)
+    return in_order(files)

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.trajectory.clock import do_rise, times_or_numbers
+
 FRAME_RATE = 25.0  # 1/s, where nothing says otherwise
 _SLOWEST, _FASTEST = 0.01, 1000.0
 
@@ -28,9 +30,7 @@ def frame_times(
     """
     if frames_per_second is not None:
         return np.arange(len(times)) / check_rate(frames_per_second)
-    if do_rise(times):
-        return np.array(times, np.float64)
-    return np.arange(len(times), dtype=np.float64)
+    return times_or_numbers(times)
 
 
 def frame_rate(
@@ -53,12 +53,6 @@ def frame_rate(
         return FRAME_RATE
     apart = float(np.median(np.diff(np.array(known, float))))
     return float(np.clip(1 / apart, _SLOWEST, _FASTEST))
-
-
-def do_rise(times: Sequence[float | None]) -> bool:
-    """Return whether all times are known, and each is later than the one before."""
-    known = [time for time in times if time is not None]
-    return len(known) == len(times) and bool((np.diff(known) > 0).all())
 
 
 def check_rate(frames_per_second: float) -> float:

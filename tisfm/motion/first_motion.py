@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.motion.agreement import mismatch, one_direction, unrelated
+from tisfm.motion.agreement import mismatch, one_direction, replaced, unrelated
 from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
@@ -39,6 +39,7 @@ FINEST = 0.005  # px of the level: no flow is better than that
 # rooms and between frames far apart, where directions were off by degrees, from 0.065 on.
 WANTING = 0.06
 STILL = 0.1  # px: median flow of a camera that stands still
+HARDLY = 0.3  # px: the same in frames of much noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +67,8 @@ class FirstMotion:
         Of the flow field.
     matched : bool
         Whether it is that of matched points, which frames far apart may share as well.
+    is_cut : bool
+        Whether the frames are two pictures of one layout, whose points need not be matched.
     """
 
     rotation: np.ndarray
@@ -78,6 +81,7 @@ class FirstMotion:
     trust: np.ndarray
     level: int
     matched: bool = False
+    is_cut: bool = False
 
     @property
     def matrix(self) -> np.ndarray:
@@ -159,6 +163,10 @@ def first_motion(
             )
         if doubt is not None:
             return replace(start, status=doubt)
+    moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
+    cut = replaced(*frames, start.flow) if apart is None and moved < HARDLY else None
+    if cut is not None:
+        return replace(start, status=cut, is_cut=True)
     if apart is not None:
         return replace(start, status=apart)
     best = found.residual / scale
@@ -174,7 +182,6 @@ def first_motion(
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
         doubt = mismatch(found.residual / scale, best)
-    moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
     status = _parallax_status(found, scale, moved)
     if status == "uncertain":
         status, doubt = None, doubt or status

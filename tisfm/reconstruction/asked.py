@@ -1,6 +1,5 @@
 """What a reconstruction was asked for, kept with its result, so that it is not made twice."""
 
-import glob
 import hashlib
 import json
 import os
@@ -20,6 +19,7 @@ from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD
 from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
+from tisfm.sources.folders import files_matching
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
@@ -85,9 +85,9 @@ def _files(path: str) -> Sequence[Path]:
     """Return the files that a path stands for: it, those in it, or those of its pattern."""
     if Path(path).is_dir():
         return [file for file in sorted(Path(path).rglob("*")) if file.is_file()]
-    if glob.has_magic(path) and not Path(path).exists():
-        return sorted(map(Path, glob.glob(path)))
-    return [Path(path)]
+    if Path(path).exists():
+        return [Path(path)]
+    return sorted(files_matching(path))
 
 
 def files_below(folder: Path) -> dict[str, list[int]]:

@@ -16,6 +16,7 @@ from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.folder import CACHE
+from tisfm.reconstruction.given_poses import poses_of_frames
 from tisfm.reconstruction.object_sizes import checked_object_sizes
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.renewal import renewed_folder
@@ -26,6 +27,7 @@ from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.labels import GivenLabels, holds_labels, without_labels
 from tisfm.sources.masks import Mask
+from tisfm.sources.notes import warn_of
 from tisfm.trajectory import Trajectory
 
 
@@ -128,6 +130,8 @@ def reconstruct(
     -----
     GuessedFocalWarning
         If the focal length is a guess, or the motion hardly shows it.
+    UserWarning
+        Of what should be known of how the source is read, as `Reconstruction.notes` has it.
 
     Raises
     ------
@@ -186,9 +190,12 @@ def reconstruct(
         labels=labels if of_result is None else of_result.files,
         bad_frames=bad_frames,
     )
+    warn_of(frames.notes)
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
-    if given is not None and given.times is None and frames.count is not None:
+    if given is not None and frames.times is not None:  # before what takes long
+        poses_of_frames(given, frames.times)
+    elif given is not None and given.times is None and frames.count is not None:
         check_count(len(given.poses), len(frames) + 1)
     camera, stated = checked_camera(camera)
     if calibrate == "radial" and stated is not None and stated.distortion is not None:

@@ -31,7 +31,7 @@ from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.trajectory.path import check_poses
 
-FORMAT = 2
+FORMAT, OBJECTS_FORMAT = 2, 1
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
@@ -126,7 +126,7 @@ def mask_path(folder: Path, number: int) -> Path:
 
 def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
     """Write what is known of things that move on their own, as JSON."""
-    about = {"format": FORMAT, "objects": [thing.as_json() for thing in objects]}
+    about = {"format": OBJECTS_FORMAT, "objects": [thing.as_json() for thing in objects]}
     with atomic_write(folder / OBJECTS) as file:
         file.write(json.dumps(about, allow_nan=False).encode())
 
@@ -141,8 +141,10 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
             raise FormatError(f"{folder} has no {part.name}: it is not complete")
     try:
         about = read_json(path)
-        if about["format"] != FORMAT:
-            raise ValueError(f"it is of format {about['format']}, this version reads {FORMAT}")
+        if about["format"] != OBJECTS_FORMAT:
+            raise ValueError(
+                f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}"
+            )
         things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
         for thing in things:
             if not set(thing.frames) <= set(range(count)):
@@ -194,6 +196,7 @@ def write_record(folder: Path, result: Any) -> None:
         "status": [[str(status), status.message] for status in result.status],
         "keyframes": list(result.keyframes),
         "skipped": [list(item) for item in result.skipped],
+        "notes": list(result.notes),
     }
     if result.settings.motion == "objects":
         write_objects(folder, result.objects)
@@ -254,6 +257,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             status=tuple(Status(code, message) for code, message in about["status"]),
             keyframes=tuple(int(k) for k in about["keyframes"]),
             skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
+            notes=tuple(map(str, about["notes"])),
             names=tuple(map(str, about["names"])),
             shape=_shape(about["shape"]),
             camera=Camera(

@@ -8,6 +8,7 @@ from tisfm.checks import check_count
 from tisfm.outcome import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.association import associate
+from tisfm.trajectory.clock import do_rise
 
 REACH = 0.5  # of the time from a frame to the next, in the median: no pose is farther away
 
@@ -39,7 +40,7 @@ def poses_of_frames(
         If poses belong to frames in their order, and are more or fewer; or if none is near in time.
     """
     told = "no pose is given for it"
-    if given.times is None or not has_times(times):
+    if given.times is None or len(times) < 2 or not do_rise(times):
         check_poses_count(given, len(times))
         poses = given.poses
     else:
@@ -59,17 +60,11 @@ def poses_of_frames(
     return poses, dict.fromkeys(missing, Status("unrelated", told))
 
 
-def has_times(times: Sequence[float | None]) -> bool:
-    """Return whether all of several frames have times, which increase."""
-    known = np.array([np.nan if time is None else time for time in times], np.float64)
-    return len(known) > 1 and bool((np.diff(known) > 0).all())
-
-
 def check_poses_count(given: Trajectory, count: int) -> None:
     """Raise ValueError unless there are as many poses as frames."""
     if given.times is not None and len(given.poses) != count:
         raise ValueError(
-            f"poses are {len(given.poses)}, with times, but the {count} frames have no times to "
-            "find them by: expected one for each"
+            f"poses are {len(given.poses)}, with times, but the {count} frames have no times that "
+            "rise, to find them by: expected one for each"
         )
     check_count(len(given.poses), count)

@@ -53,9 +53,12 @@ class Reconstruction:
     names : tuple of str
         Of the frames.
     times : tuple of float or None
-        Seconds.
+        Seconds, as the source has them: they may repeat or go back, as `notes` then says.
     skipped : tuple of (int, str)
         Frames of the source that could not be read, and why; they are not counted.
+    notes : tuple of str
+        What should be known of how the source was read: what was left out or resampled, and why
+        paths have numbers of frames in place of times.
     shape : (int, int)
         Height and width of the frames, px.
     folder : Path
@@ -90,6 +93,7 @@ class Reconstruction:
     names: tuple[str, ...] = field(repr=False)
     times: tuple[float | None, ...] = field(repr=False)
     skipped: tuple[tuple[int, str], ...] = field(repr=False, default=())
+    notes: tuple[str, ...] = field(repr=False, default=())
     shape: tuple[int, int]
     folder: Path
     version: str

@@ -31,7 +31,9 @@ from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
+from tisfm.sources.notes import warn_of
 from tisfm.trajectory import Trajectory
+from tisfm.trajectory.clock import times_note
 from tisfm.version import __version__
 
 NEW_PIECE = (
@@ -97,6 +99,7 @@ class Run:
         self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
         self._guess: FocalGuess | None = None
         self._stated = GIVEN
+        self._notes = list(source.notes)
         self._frames: PreparedFrames
 
     def result(self) -> Reconstruction:
@@ -141,6 +144,7 @@ class Run:
             names=read.names,
             times=read.times,
             skipped=tuple(self._source.skipped),
+            notes=tuple(self._notes),
             shape=self._frames.shape,
             folder=self._folder,
             version=__version__,
@@ -198,6 +202,9 @@ class Run:
                 "be read: expected at least 2"
             )
         self._progress("path", 0, len(names))
+        if note := times_note(times):
+            self._notes.append(note)
+            warn_of([note], stacklevel=4)
         instants = instants_of(indices, times)
         if found is not None:
             path = found.finish(times, instants)

@@ -27,6 +27,8 @@ from tisfm.reconstruction.way import Piece
 from tisfm.reconstruction.window_depth import WindowDepth
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
+from tisfm.sources.notes import warn_of
+from tisfm.trajectory.clock import fault_between
 
 AHEAD = 3  # a third of the delay is used for the path, but not given out yet
 
@@ -69,6 +71,8 @@ class Stream:
         self._keys: dict[int, tuple[int, WindowDepth]] = {}  # the last of each piece
         self._begun: set[int] = set()  # pieces
         self._told = 0
+        self._notes: list[str] = list(source.notes)  # that are not told yet
+        self._have_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
         """Yield every frame, in order; an error of the source after the frames before it."""
@@ -90,6 +94,8 @@ class Stream:
                     break
                 finally:
                     self._warn_of_skipped()
+                    warn_of(self._notes, stacklevel=4)
+                    self._notes.clear()
                 del frame  # or it would be held while others are worked on
                 count += 1
                 if len(self._about) > self._delay:
@@ -134,7 +140,18 @@ class Stream:
                 limit=OF_EXIF if stated else WORTHLESS,
             )
         self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
+        self._look_at_time(number, frame)
         self._about[number] = frame.index, frame.name, frame.time
+
+    def _look_at_time(self, number: int, frame: SourceFrame) -> None:
+        """Note the first frame whose time is not after that of the frame before."""
+        if self._have_times_fault or number - 1 not in self._about:
+            return
+        before = self._about[number - 1]
+        fault = fault_between(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
+        if fault:
+            self._have_times_fault = True
+            self._notes.append(f"{fault}: take the numbers of frames in place of their times")
 
     def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
         """Yield the frames up to one, and forget what later ones do not need."""

@@ -62,7 +62,7 @@ def reconstruct_stream(
     Warns
     -----
     UserWarning
-        Of every frame that is skipped.
+        Of every frame that is skipped, and of what should be known of how the source is read.
     GuessedFocalWarning
         If the focal length is a guess, or the motion hardly shows it.
 

@@ -144,6 +144,7 @@ def _page(result: Reconstruction, folder: Path, source: str | None) -> Page:
                 ("Frame of the source", "Why"),
                 [(str(k), shortened(reason)) for k, reason in result.skipped[:_MOST_ROWS]],
             ),
+            ("How the source was read", ("Note",), [(note,) for note in result.notes]),
         ],
         preset=nearest_preset(result.settings),
         settings=setting_rows(result.settings),

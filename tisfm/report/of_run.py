@@ -84,6 +84,7 @@ class _Run:
     arch: str
     version: str
     flow_limit: float | None
+    notes: Sequence[str]
 
 
 def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
@@ -111,6 +112,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             arch=str(record["arch"]),
             version=str(record["version"]),
             flow_limit=_number(record.get("flow_limit")),
+            notes=[str(note) for note in record["notes"]],
         )
     except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
@@ -156,6 +158,7 @@ def _page(folder: Path, run: _Run, source: str | None) -> Page:
         slides=slides,
         slides_text=told,
         legends=legends if slides else (),
+        tables=[("How the source was read", ("Note",), [(note,) for note in run.notes])],
         preset=nearest_preset(run.settings),
         settings=setting_rows(run.settings),
     )

@@ -19,6 +19,8 @@ class Arrays:
     names: tuple[str, ...] | None = None
     prefix = "frame"
     announced: int | None = None
+    times: tuple[float, ...] | None = None
+    notes: tuple[str, ...] = ()
     ahead = False
 
     def __init__(self, items: Iterable[Any]) -> None:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from av.codec.context import ThreadType
 from av.container import InputContainer
+from av.stream import Disposition
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
@@ -17,15 +18,20 @@ from tisfm.formats import FormatError
 from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
 from tisfm.sources.frame_size import LARGEST_FRAME, refuse_large_frames
 from tisfm.sources.reading import BadFrame, RawFrame, is_chosen
+from tisfm.sources.square_pixels import resampling_note, square_size, with_square_pixels
 
 _TEXT = "tty"  # FFmpeg draws a text file as a video
 _LISTS = ("concat", "dash", "hls", "imf", "sdp")  # which name other files
 _LIMITS = {"max_pixels": str(LARGEST_FRAME)}  # of decoders, which may find sizes of their own
+_NO_VIDEO = Disposition.attached_pic | Disposition.timed_thumbnails  # pictures beside a video
 _HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
 class AvVideo:
     """A video that PyAV decodes.
+
+    Of several video streams the one that is marked as default is read, or else the largest. Frames
+    get square pixels.
 
     Parameters
     ----------
@@ -42,6 +48,7 @@ class AvVideo:
 
     names: tuple[str, ...] | None = None
     count: int | None = None  # only reading tells: a video may announce a frame or two too many
+    times: tuple[float, ...] | None = None
     ahead = True
 
     def __init__(self, path: str) -> None:
@@ -53,13 +60,18 @@ class AvVideo:
                     raise FormatError(f"{path} is a list of other files, no video")
                 if not container.streams.video or container.format.name == _TEXT:
                     raise ValueError(f"{path} is no video")
-                stream = container.streams.video[0]
+                stream = _chosen(container)
+                self._stream = stream.index
                 self.announced: int | None = stream.frames or None
                 self._end = _end(stream)
                 # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
                 if getattr(stream, "codec_context", None) is None:
                     raise ValueError(f"{path} is of an unknown codec")
-                refuse_large_frames(path, stream.width, stream.height)
+                self._aspect = float(stream.sample_aspect_ratio or 1)
+                size = stream.width, stream.height, self._aspect
+                refuse_large_frames(path, *square_size(*size))
+                notes = (_streams_note(path, container, stream), resampling_note(path, *size))
+                self.notes = tuple(filter(None, notes))
                 decoding = _Decoding(container, stream)
                 if not any(isinstance(item, VideoFrame) for item in decoding):
                     raise ValueError(f"{path} has no frame")
@@ -70,7 +82,7 @@ class AvVideo:
         """Decode the frames of these numbers."""
         index, time, sound = 0, None, True
         with _opened(self.title) as container:
-            stream = container.streams.video[0]
+            stream = container.streams[self._stream]
             decoding = _Decoding(container, stream)
             frames = iter(decoding)
             try:
@@ -109,9 +121,56 @@ class AvVideo:
         elif not sound:
             what = "is predicted from a damaged one"
         else:
-            return RawFrame(index=index, name=name, image=_pixels(frame), time=time)
+            return RawFrame(index=index, name=name, image=self._pixels(frame), time=time)
         error = FormatError(f"frame {index} of {self.title} {what}: the file is damaged there")
         return BadFrame(index=index, name=name, error=error)
+
+    def _pixels(self, frame: VideoFrame) -> np.ndarray:
+        """Return a frame upright, (H, W, 3) uint8, red first, with the pixels that OpenCV gives."""
+        blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
+        image = with_square_pixels(cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB), self._aspect)
+        if frame.rotation % 90 == 0:
+            image = np.rot90(image, frame.rotation // 90)
+        return np.ascontiguousarray(image)
+
+
+def _chosen(container: InputContainer) -> VideoStream:
+    """Return the video stream that is read: the one marked as default, or else the largest."""
+    streams = _videos(container)
+    if not streams:
+        return container.streams.video[0]
+    default = [one for one in streams if one.disposition & Disposition.default]
+    return default[0] if len(default) == 1 else max(default or streams, key=_pixels_of)
+
+
+def _videos(container: InputContainer) -> list[VideoStream]:
+    """Return the video streams that can be decoded, but for pictures such as a cover."""
+    # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+    known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
+    return [one for one in known if not one.disposition & _NO_VIDEO] or known
+
+
+def _pixels_of(stream: VideoStream) -> int:
+    return int(stream.width * stream.height)
+
+
+def _streams_note(path: str, container: InputContainer, taken: VideoStream) -> str:
+    """Return which stream is read and which are not, "" if there is one."""
+    streams = _videos(container)
+    if len(streams) < 2:
+        return ""
+    others = ", ".join(
+        f"{number} ({one.width} × {one.height} px)"
+        for number, one in enumerate(container.streams.video)
+        if one in streams and one.index != taken.index
+    )
+    number = [one.index for one in container.streams.video].index(taken.index)
+    why = "is marked as default" if taken.disposition & Disposition.default else "is the largest"
+    return (
+        f"{path} has {len(streams)} video streams: {number} ({taken.width} × {taken.height} px) "
+        f"is read, as it {why}; left out: {others}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy "
+        "OTHER` copies to a file of its own"
+    )
 
 
 def _opened(path: str) -> InputContainer:
@@ -154,15 +213,6 @@ class _Decoding:
                 yield frame
         while lost:
             yield heappop(lost)[2]
-
-
-def _pixels(frame: VideoFrame) -> np.ndarray:
-    """Return a frame upright, (H, W, 3) uint8, red first, with the pixels that OpenCV gives."""
-    blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
-    image = cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB)
-    if frame.rotation % 90 == 0:
-        image = np.rot90(image, frame.rotation // 90)
-    return np.ascontiguousarray(image)
 
 
 def _time(frame: VideoFrame, stream: VideoStream) -> float | None:

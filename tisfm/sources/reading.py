@@ -83,6 +83,10 @@ class Reader(Protocol):
         Number of frames, where it is known beforehand.
     announced : int or None
         Number of frames that the source states, where it may be wrong by a few.
+    times : tuple of float or None
+        Of all frames, s, where they are known beforehand.
+    notes : tuple of str
+        What a user should know of how the source is read.
     ahead : bool
         Whether frames may be read in another thread, before they are asked for.
     """
@@ -93,6 +97,8 @@ class Reader(Protocol):
     prefix: str
     count: int | None
     announced: int | None
+    times: tuple[float, ...] | None
+    notes: tuple[str, ...]
     ahead: bool
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:

@@ -15,14 +15,16 @@ from tisfm.camera import Camera
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.frames import in_unit_range
 from tisfm.sources.ahead import read_ahead
+from tisfm.sources.animations import frames_in_picture
 from tisfm.sources.arrays import Arrays
 from tisfm.sources.files import ImageFiles
-from tisfm.sources.folders import matching_files, pictures_of
+from tisfm.sources.folders import matching_files, order_notes, pictures_of, refuse_numbered
 from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
 from tisfm.sources.listing import Listing
 from tisfm.sources.masks import Ignored, Mask, Masks
 from tisfm.sources.pairs import Digest, FramePair
 from tisfm.sources.reading import BadFrame, RawFrame, Reader, SourceFrame, is_path, is_whole
+from tisfm.sources.urls import refuse_url
 from tisfm.sources.video import open_video
 from tisfm.sources.view import View
 from tisfm.sources.webcam import Webcam, webcam_number
@@ -79,6 +81,11 @@ class FrameSource:
         Start, stop and step.
     bad_frames : {"raise", "skip"}
         As given.
+    times : tuple of float or None
+        When the frames that are taken were, s, where that is known before they are read.
+    notes : tuple of str
+        What a user should know of how the source is read: files or streams that are left out, what
+        the names of files were taken for, frames that are resampled.
     skipped : list of (int, str)
         Numbers of the frames that were skipped, and why, as far as it was read.
 
@@ -119,7 +126,8 @@ class FrameSource:
                 self._check_count(number)
         self.title, self.prefix, self.count = reader.title, reader.prefix, reader.count
         self.names = None if reader.names is None else reader.names[self.chosen]
-        self.files = reader.files
+        self.files, self.notes = reader.files, reader.notes
+        self.times = None if reader.times is None else reader.times[self.chosen]
         self._masks: Masks | None = None
         if mask is not None:
             frame_files = () if reader.names is None else reader.files
@@ -316,11 +324,25 @@ class FrameSource:
 
     def _check_count(self, count: int) -> None:
         enough = self.chosen.start + self.chosen.step + 1
-        if count < enough:
-            raise ValueError(
-                f"{self._reader.title} has {count} frame{'s' * (count != 1)}: expected at least "
-                f"{enough}, to make a pair"
-            )
+        if count >= enough:
+            return
+        if count == 1 and len(self._reader.files) == 1 and self._reader.names is not None:
+            _refuse_animation(self._reader.files[0])
+        raise ValueError(
+            f"{self._reader.title} has {count} frame{'s' * (count != 1)}: expected at least "
+            f"{enough}, to make a pair"
+        )
+
+
+def _refuse_animation(file: Path) -> None:
+    """Raise ValueError if a picture has several frames, of which the first alone would be read."""
+    count = frames_in_picture(file)
+    if count > 1:
+        raise ValueError(
+            f"{file} is a picture of {count} frames, of which only the first can be read: save "
+            f"them as files of their own, for instance by `magick {file} -coalesce frame%03d.png` "
+            "of ImageMagick, and give their folder"
+        )
 
 
 def _chosen(start: int, stop: int | None, step: int) -> slice:
@@ -344,22 +366,27 @@ def _open(source: Source) -> Reader:
     if isinstance(source, (str, os.PathLike)):
         return _open_path(os.fspath(source))
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
-        return ImageFiles([Path(item) for item in source], "frames")
+        files = [Path(item) for item in source]
+        return ImageFiles(files, "frames", order_notes(files))
     return Arrays(source)
 
 
 def _open_path(source: str) -> Reader:
     if os.path.isdir(source):
-        return ImageFiles(pictures_of(source), source)
+        found = pictures_of(source)
+        return ImageFiles(found.files, source, found.notes)
     if os.path.isfile(source):
         if source.lower().endswith(IMAGE_SUFFIXES):
             return ImageFiles([Path(source)], source)
         return open_video(source)
+    refuse_url(source)
+    if os.path.exists(source):
+        raise OSError(f"{source} is a device or a pipe, not a file: save what it gives first")
+    refuse_numbered(source)
     if glob.has_magic(source):
-        return ImageFiles(matching_files(source), source)
+        found = matching_files(source)
+        return ImageFiles(found.files, source, found.notes)
     number = webcam_number(source)
     if number is not None:
         return Webcam(number)
-    if os.path.exists(source):
-        raise OSError(f"{source} is a device or a pipe, not a file: save what it gives first")
     raise FileNotFoundError(f"there is no file or folder {source}: check the path")

@@ -1,15 +1,17 @@
 """Videos, decoded one frame after the other: by PyAV where it is installed, by OpenCV elsewhere.
 
-Both decode by FFmpeg, apply the rotation that a camera wrote into the file, and give the same
-pixels and, within a millisecond, the same times. PyAV also says which frames are damaged, and goes
-on after frames that cannot be decoded. OpenCV hands damaged frames on unmarked, and stops at those
-that it cannot decode.
+Both decode by FFmpeg, apply the rotation that a camera wrote into the file, resample frames to
+square pixels, and give the same pixels and, within a millisecond, the same times. PyAV also says
+which frames are damaged, and goes on after frames that cannot be decoded. OpenCV hands damaged
+frames on unmarked, and stops at those that it cannot decode. Of several video streams PyAV reads
+the one that is marked as default, or else the largest; OpenCV reads the first.
 """
 
 from importlib.metadata import PackageNotFoundError, version
 
 from tisfm.formats import FormatError
 from tisfm.formats.reading import open_file
+from tisfm.sources.containers import why_without_frames
 from tisfm.sources.opencv_video import OpenCvVideo
 from tisfm.sources.reading import Reader
 
@@ -42,6 +44,13 @@ def open_video(path: str) -> Reader:
         beginning = file.read(max(map(len, _LISTS)))
     if beginning.startswith(_LISTS):
         raise FormatError(f"{path} is a list of other files, no video: give one of those")
+    if not beginning:
+        raise FormatError(f"{path} is empty (0 bytes): copy or record it again")
+    if reason := why_without_frames(path):
+        raise FormatError(
+            f"{path} cannot be read: {reason}; copy it again, record it again, or rebuild its "
+            "table with a tool for that, such as untrunc"
+        )
     if has_av():
         from tisfm.sources.av_video import AvVideo
 

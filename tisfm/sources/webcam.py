@@ -43,6 +43,8 @@ class Webcam:
     prefix = "webcam"
     count: int | None = None
     announced: int | None = None
+    times: tuple[float, ...] | None = None
+    notes: tuple[str, ...] = ()
     ahead = False  # what is read ahead would be old when it is used
 
     def __init__(self, number: int) -> None:

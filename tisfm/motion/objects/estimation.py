@@ -57,7 +57,7 @@ def objects_estimate(
     )
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings, pixels=PIXELS)
-    if start.status == "unrelated":
+    if start.status == "unrelated" and not start.is_cut:
         start = first_motion(pyramid, settings) if start.level > 0 else start
         if start.status == "unrelated":
             start = far_apart(pyramid, settings, start, grey0, grey1)

@@ -27,6 +27,7 @@ from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
+from tisfm.sources.notes import SourceWarning
 from tisfm.stated import is_stated
 from tisfm.version import __version__
 
@@ -158,7 +159,8 @@ def _make(chunk: Chunk) -> None:
     remove(chunk.folder)
     runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GuessedFocalWarning)  # told once, of the whole
+        for kind in (GuessedFocalWarning, SourceWarning):  # they are told once, of the whole
+            warnings.simplefilter("ignore", kind)
         reconstruct(
             chunk.source,
             camera=chunk.camera,

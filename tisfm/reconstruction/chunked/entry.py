@@ -44,10 +44,12 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.files import times_of_names
+from tisfm.sources.notes import warn_of
 from tisfm.sources.reading import is_path
+from tisfm.sources.urls import refuse_url
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import Trajectory
+from tisfm.trajectory.clock import times_note
 
 
 class ChunkedRun:
@@ -130,6 +132,7 @@ class ChunkedRun:
         files = [file_of(camera)] if isinstance(camera, Path) else []
         refuse_inside([*sources.files, *files], self.folder)
         self._taken, times = _taken(sources)
+        self._notes = [*sources.notes, *filter(None, [times_note(times)])]
         self._missing: dict[int, Status] = {}
         known = None
         if given is not None:
@@ -208,6 +211,7 @@ class ChunkedRun:
         """
         from tisfm.reconstruction.chunked.joining import write_whole
 
+        warn_of(self._notes)
         tell: Progress = progress or (lambda stage, done, total: None)
         path = make_folder(self.folder)
         with locked_folder(path), ExitStack() as living:
@@ -240,6 +244,7 @@ class ChunkedRun:
                     places,
                     camera=found or parts[0].result,
                     missing=self._missing,
+                    notes=self._notes,
                 )
 
     def finish(self) -> None:
@@ -297,6 +302,8 @@ def _absolute(source: Source) -> str | list[str]:
             raise ValueError(
                 f"source is {name}, and chunks are asked for: record the camera to a file first"
             )
+        if not os.path.exists(name):
+            refuse_url(name)
         return os.path.abspath(name)
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
         return [os.path.abspath(item) for item in source]
@@ -312,10 +319,8 @@ def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
     Only reading tells how many a video has.
     """
     if source.names is not None:
-        files = source.frame_files
-        times = times_of_names([file.stem for file in files])
-        chosen = range(len(files))[source.chosen]
-        return chosen, [None if times is None else times[index] for index in chosen]
+        chosen = range(len(source.frame_files))[source.chosen]
+        return chosen, list(source.times or (None,) * len(chosen))
     found: list[tuple[int, float | None]] = []
     with closing(source.frames()) as frames:
         for frame in frames:

@@ -24,6 +24,7 @@ def write_whole(
     *,
     camera: Reconstruction,
     missing: Mapping[int, Status],
+    notes: Sequence[str],
 ) -> Reconstruction:
     """Write the whole; the parts stay as they are.
 
@@ -38,6 +39,8 @@ def write_whole(
         The result that the camera of all is from.
     missing : mapping of int to Status
         Frames without a pose that is given, and why they have none.
+    notes : sequence of str
+        What should be known of how the source was read.
     """
     first = parts[0].result
     for frame, place in enumerate(places):
@@ -64,6 +67,7 @@ def write_whole(
         names=tuple(one.names[at.number] for one, at in zip(results, places, strict=True)),
         times=tuple(one.times[at.number] for one, at in zip(results, places, strict=True)),
         skipped=tuple(sorted(skipped.items())),
+        notes=tuple(notes),
         shape=first.shape,
         folder=folder,
         version=first.version,

@@ -1,0 +1,39 @@
+"""Commands: what they say of a source, and what they refuse before their work."""
+
+import pytest
+
+from tests.cases.inputs import sliding, write_folder
+from tests.cli.conftest import place, tisfm_run  # noqa: F401
+
+FRAMES = sliding()
+
+
+def test_names_are_printed_as_they_are(tisfm_run, place):  # noqa: F811
+    """Rich would make a sign of :v: and of :smile:."""
+    write_folder(place / "a", FRAMES[:2], ["take:v:1.png", "take:v:2.png"])
+    (place / "a" / "clip:smile:.heic").write_bytes(b"no matter")
+    code, _, err = tisfm_run("run", "a", "-o", "out", "--preset", "fast", "--outputs", "npz")
+    assert code == 0
+    first = err.splitlines()[0]
+    assert first.startswith("note: ") and "(clip:smile:.heic)" in first
+
+
+@pytest.mark.parametrize(
+    ("scale", "why"), [("0 99 1", "6 frames are taken"), ("0 0 1", "two frames")], ids=str
+)
+def test_a_scale_of_frames_that_are_not_there(tisfm_run, place, scale, why):  # noqa: F811
+    write_folder(place / "a", FRAMES)
+    code, out, err = tisfm_run("reconstruct", "a", "-o", "out", "--scale", *scale.split())
+    assert (code, out) == (1, "") and why in err and err.count("\n") == 1
+    assert not (place / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["run", "reconstruct"])
+@pytest.mark.parametrize("source", ["a/f%03d.png", "rtsp://camera/1", "above"])
+def test_what_to_write_instead(tisfm_run, place, command, source):  # noqa: F811
+    write_folder(place / "a", FRAMES)
+    write_folder(place / "above" / "rgb", FRAMES)
+    code, out, err = tisfm_run(command, source, "-o", "out")
+    assert (code, out) == (1, "") and err.count("\n") == 1
+    assert any(advice in err for advice in ("'a/f*.png'", "ffmpeg -i rtsp", "give above/rgb"))
+    assert not (place / "out").exists()

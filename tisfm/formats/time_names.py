@@ -1,0 +1,185 @@
+"""Times that the names of pictures state, and the order of pictures by their names."""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tisfm.formats.images import natural_order
+
+Reading = Literal["decimals", "nanoseconds", "integers"]
+
+_NANOSECONDS = re.compile(r"\d{19}")
+_PREFIX = re.compile(r"(.*?[^0-9a-zA-Z.])?(\d+(?:\.\d+)?)", re.DOTALL)
+_MOST_NANOSECONDS = 9  # digits
+_FEWEST_NANOSECONDS = 7  # digits of some name: not all frames are within 10 ms of a full second
+_SHORTEST = 1e-4  # s: frames closer than that in the median are numbers, not times
+
+
+@dataclass(frozen=True)
+class NamedTimes:
+    """What the names of some pictures state, if they are times.
+
+    Attributes
+    ----------
+    seconds : tuple of float
+        In the order of the names.
+    reading : {"decimals", "nanoseconds", "integers"}
+        Seconds with decimals; seconds, a point and nanoseconds without leading zeros; or a whole
+        number of nanoseconds.
+    is_inferred : bool
+        Whether the digits after the point differ in number, so that only all names together tell
+        what they mean.
+    """
+
+    seconds: tuple[float, ...]
+    reading: Reading
+    is_inferred: bool
+
+    def note(self, stems: Sequence[str]) -> str:
+        """Return how inferred times were read, "" where there is nothing to say."""
+        if not self.is_inferred:
+            return ""
+        if self.reading == "decimals":
+            return (
+                "the names of the pictures are read as seconds with decimals, and sorted by value: "
+                f"{stems[0]} comes first, {stems[-1]} last"
+            )
+        longest = max(stems, key=lambda stem: (0 < len(_fraction(stem)) < 9, len(stem)))
+        return (
+            "the names of the pictures are read as seconds and nanoseconds, not as decimals: "
+            f"{longest} is {int(_fraction(longest) or 0) / 1e9:g} s after the full second"
+        )
+
+
+def named_times(stems: Sequence[str]) -> NamedTimes | None:
+    """Return the times that names state, None if they state none.
+
+    Names that are 19 digits are nanoseconds, as in EuRoC's. Names with the same number of digits
+    after a point are seconds with decimals, as in TUM's. Where that number differs, a name such as
+    ``12.5`` may be 12.5 s (a float that was printed), 12 s and 5 ns (ROS, printed without leading
+    zeros), or the fifth picture of the twelfth kind. A zero at the beginning of the digits excludes
+    nanoseconds, one at the end excludes a float, and frames less than 0.1 ms apart are no times. If
+    two readings are left, the one with the more even steps is taken.
+
+    Parameters
+    ----------
+    stems : sequence of str
+        Names without their suffix. Those with digits of different lengths may have a common
+        beginning, such as ``frame_``.
+
+    Returns
+    -------
+    NamedTimes or None
+    """
+    if len(stems) < 2:
+        return None
+    if all(map(_NANOSECONDS.fullmatch, stems)):
+        return NamedTimes(tuple(int(stem) / 1e9 for stem in stems), "integers", False)
+    matches = [_PREFIX.fullmatch(stem) for stem in stems]
+    beginnings = {match and match[1] for match in matches}
+    if None in matches or len(beginnings) > 1:
+        return None
+    numbers = [match[2] for match in matches if match is not None]
+    lengths = {len(_fraction(number)) for number in numbers}
+    if lengths == {0} or (0 in lengths and len(stems) < 3):
+        return None
+    if len(lengths) == 1:
+        if beginnings != {None}:
+            return None  # frame_1.05 may be a version and a number
+        return _finite(NamedTimes(tuple(map(float, numbers)), "decimals", False))
+    decimals, nanoseconds = _as_decimals(numbers), _as_nanoseconds(numbers)
+    if decimals is not None and nanoseconds is not None:
+        if _unevenness(nanoseconds.seconds) < _unevenness(decimals.seconds):
+            return nanoseconds
+        return decimals
+    return decimals or nanoseconds
+
+
+def times_of_names(stems: Sequence[str]) -> tuple[float, ...] | None:
+    """Return the times of pictures in this order, s, if their names state times that rise.
+
+    Parameters
+    ----------
+    stems : sequence of str
+        Names without their suffix.
+
+    Returns
+    -------
+    tuple of float or None
+        None if `named_times` finds none, or they do not rise: the numbers may be those of frames.
+    """
+    found = named_times(stems)
+    if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):
+        return None
+    return found.seconds
+
+
+def in_order(files: Iterable[Path]) -> list[Path]:
+    """Return pictures in the order of their names.
+
+    That is the order of the times that they state, or else the natural one, where frame2 comes
+    before frame10. Pictures of a folder stay together.
+    """
+    listed = sorted(files, key=natural_order)
+    ordered: list[Path] = []
+    for _, group in groupby(listed, key=lambda file: file.parent):
+        pictures = list(group)
+        found = named_times([file.stem for file in pictures])
+        if found is not None and found.is_inferred:
+            time = dict(zip(pictures, found.seconds, strict=True))
+            pictures.sort(key=time.__getitem__)
+        ordered += pictures
+    return ordered
+
+
+def _fraction(number: str) -> str:
+    """Return the digits after the point."""
+    return number.rpartition(".")[2] if "." in number else ""
+
+
+def _as_decimals(numbers: Sequence[str]) -> NamedTimes | None:
+    """Return numbers as floats, unless one ends in a zero that no float is printed with."""
+    ends_in_zero = any(len(_fraction(number)) > 1 and number.endswith("0") for number in numbers)
+    if ends_in_zero:
+        return None
+    return _plausible(NamedTimes(tuple(map(float, numbers)), "decimals", True))
+
+
+def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
+    """Return numbers as seconds and nanoseconds, unless one has too many digits or a zero first."""
+    seconds = []
+    for number in numbers:
+        whole, point, digits = number.partition(".")
+        padded = len(digits) > 1 and digits.startswith("0")
+        if not point or padded or len(digits) > _MOST_NANOSECONDS:
+            return None
+        seconds.append(float(whole) + int(digits) / 1e9)
+    if not any(len(_fraction(number)) >= _FEWEST_NANOSECONDS for number in numbers):
+        return None
+    return _plausible(NamedTimes(tuple(seconds), "nanoseconds", True))
+
+
+def _plausible(found: NamedTimes) -> NamedTimes | None:
+    """Return times that frames can be taken at, None for others."""
+    known = _finite(found)
+    if known is None:
+        return None
+    steps = np.diff(np.sort(known.seconds))
+    return known if (steps > 0).all() and np.median(steps) >= _SHORTEST else None
+
+
+def _finite(found: NamedTimes) -> NamedTimes | None:
+    return found if all(map(math.isfinite, found.seconds)) else None
+
+
+def _unevenness(seconds: Sequence[float]) -> float:
+    """Return the mean distance of steps from their median, as a share of it."""
+    steps = np.diff(np.sort(seconds))
+    usual = float(np.median(steps))
+    return float(np.mean(np.abs(steps - usual))) / usual

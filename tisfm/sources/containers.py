@@ -1,0 +1,141 @@
+"""What is read of the files of videos without a decoder: their table of frames, their streams."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from tisfm.formats.reading import open_file
+
+_MP4 = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")  # boxes that may come first
+_EBML, _SEGMENT, _TRACKS, _ENTRY, _TYPE = 0x1A45DFA3, 0x18538067, 0x1654AE6B, 0xAE, 0x83
+_CLUSTER = 0x1F43B675  # frames, after what is said of streams
+_MOST_BOXES = 100_000
+_VIDEO = 1  # type of a Matroska track
+
+
+def why_without_frames(path: str) -> str | None:
+    """Return why an MP4 or QuickTime file has no frame that can be found, None if not known.
+
+    Such a file ends with the moov box, the table of its frames, unless it was made for streaming.
+    It is missing where a recording or a copy did not end.
+    """
+    end = Path(path).stat().st_size
+    with open_file(path) as file:
+        boxes = list(_boxes(file, 0, end))
+    if not boxes or boxes[0][0] not in _MP4:
+        return None
+    tables = [stop for kind, _, stop in boxes if kind == b"moov"]
+    if not tables:
+        return "it has no table of frames (no moov atom), so the recording was not finished"
+    if tables[0] > end:
+        return "its table of frames (the moov atom) is cut off"
+    return None
+
+
+def video_streams(path: str) -> int | None:
+    """Return how many video streams an MP4, QuickTime or Matroska file has; None for others."""
+    end = Path(path).stat().st_size
+    with open_file(path) as file:
+        beginning = file.read(8)
+        if beginning[:4] == _EBML.to_bytes(4, "big"):
+            return _matroska_videos(file, end)
+        if beginning[4:8] in _MP4:
+            return _mp4_videos(file, end)
+    return None
+
+
+def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield kind, begin of the content and end of the boxes of an MP4 file between two places."""
+    for _ in range(_MOST_BOXES):
+        if begin + 8 > end:
+            return
+        file.seek(begin)
+        head = file.read(16)
+        size, content = int.from_bytes(head[:4], "big"), begin + 8
+        if size == 1:
+            size, content = int.from_bytes(head[8:16], "big"), begin + 16
+        stop = end if size == 0 else begin + size
+        if stop < content:
+            return
+        yield head[4:8], content, stop
+        begin = stop
+
+
+def _mp4_videos(file: BinaryIO, end: int) -> int:
+    """Return how many tracks of an MP4 file are of pictures."""
+    return sum(
+        _handler(file, media, stop) == b"vide"
+        for media, stop in _inside(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
+    )
+
+
+def _inside(
+    file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
+) -> Iterator[tuple[int, int]]:
+    """Yield begin and end of the boxes that lie in boxes of these kinds, each in the one before."""
+    for kind, content, stop in _boxes(file, begin, end):
+        if kind != kinds[0] or stop > end:
+            continue
+        if len(kinds) == 1:
+            yield content, stop
+        else:
+            yield from _inside(file, content, stop, kinds[1:])
+
+
+def _handler(file: BinaryIO, begin: int, end: int) -> bytes:
+    file.seek(begin + 8)
+    return file.read(4) if end - begin >= 12 else b""
+
+
+def _matroska_videos(file: BinaryIO, end: int) -> int:
+    """Return how many tracks of a Matroska or WebM file are of pictures."""
+    count = 0
+    for kind, begin, stop in _elements(file, 0, end):
+        if kind != _SEGMENT:
+            continue
+        for inner, first, last in _elements(file, begin, stop):
+            if inner == _CLUSTER:
+                return count
+            for entry, inside, beyond in _elements(file, first, last) if inner == _TRACKS else ():
+                count += entry == _ENTRY and _is_video(file, inside, beyond)
+    return count
+
+
+def _is_video(file: BinaryIO, begin: int, end: int) -> bool:
+    """Return whether a track of a Matroska file is of pictures."""
+    for kind, content, stop in _elements(file, begin, end):
+        if kind == _TYPE:
+            file.seek(content)
+            return int.from_bytes(file.read(stop - content), "big") == _VIDEO
+    return False
+
+
+def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Yield kind, begin of the content and end of the elements of a Matroska file."""
+    for _ in range(_MOST_BOXES):
+        file.seek(begin)
+        kind = _number(file, with_mark=True)
+        size = _number(file, with_mark=False)
+        content = file.tell()
+        if kind is None or size is None or content > end:
+            return
+        value, is_unknown = size
+        stop = end if is_unknown else min(end, content + value)
+        yield kind[0], content, stop
+        begin = stop
+        if begin >= end:
+            return
+
+
+def _number(file: BinaryIO, *, with_mark: bool) -> tuple[int, bool] | None:
+    """Return a number of Matroska's variable length, and whether all its bits are ones."""
+    first = file.read(1)
+    if not first or not first[0]:
+        return None
+    length = 9 - first[0].bit_length()
+    data = first + file.read(length - 1)
+    if len(data) < length:
+        return None
+    value = int.from_bytes(data, "big")
+    rest = value & ((1 << 7 * length) - 1)
+    return (value if with_mark else rest), rest == (1 << 7 * length) - 1

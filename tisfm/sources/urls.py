@@ -1,0 +1,36 @@
+"""Addresses in place of paths: they are refused, with what to do."""
+
+import re
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://?", re.DOTALL)
+_STREAMS = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp", "v4l2")
+
+
+def refuse_url(source: str) -> None:
+    """Raise ValueError if a source is a URL; it says what to give in its place."""
+    match = _URL.match(source)
+    if match is None:
+        return
+    scheme = match[1].lower()
+    if scheme == "file":
+        path = _path_of(source)
+        instead = f"give the path, {path}" if path else "give the path of the file"
+    elif scheme in _STREAMS:
+        instead = (
+            "record a part of it to a file first, for instance by "
+            f"`ffmpeg -i {source} -t 60 -c copy film.mkv`, and give that"
+        )
+    else:
+        instead = "download the file, and give its path"
+    raise ValueError(f"{source} is a URL, and only files are read: {instead}")
+
+
+def _path_of(url: str) -> str:
+    """Return the path that a file:// URL stands for, "" if it is of another machine."""
+    try:
+        parts = urlsplit(url)
+    except ValueError:
+        return ""
+    return url2pathname(parts.path) if parts.netloc in ("", "localhost") else ""
