@@ -44,6 +44,7 @@ from tisfm.reference.epipolar import (
     motion_jacobian,
     motion_system,
 )
+from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
 from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
@@ -131,6 +132,7 @@ __all__ = [
     "matching_cost",
     "merged",
     "minimise",
+    "minimise_over_flowless",
     "minimise_second_order",
     "motion_jacobian",
     "motion_matrix",
