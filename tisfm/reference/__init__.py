@@ -122,6 +122,7 @@ __all__ = [
     "edge_weights",
     "energy",
     "flow",
+    "flowless_fields",
     "frame_equations",
     "half_quadratic_energy",
     "image_edges",
