@@ -20,18 +20,19 @@ class Status(str):
     that motion could be seen by, or too few pixels are trusted to fit a motion to them;
     ``"diverged"``, the numbers are of no use: somewhere the image motion grew beyond half of the
     image's longer side, or more than half of the pixels leave the image (the whole side, and 80 %,
-    where matched points or a 4×4 pose vouch for a large motion); ``"unrelated"``, the frames have
-    nothing in common; ``"aperture"``, they vary along one direction only, so that motion along
-    their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
-    ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
-    camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth;
-    ``"uncertain"``, it changed its place so little that depth is rough; and ``"two_motions"``,
-    frames of one plane, or far apart, leave two motions that explain them alike, and depth follows
-    from one of them. With ``motion="camera"``, ``"uncertain"`` is also the status where much of the
-    depth has a large deviation, and there are ``"behind_camera"``, much of the scene would lie
-    behind the camera; and ``"unexplained"``, much of the texture is not alike where motion and
-    depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``: it contradicts the
-    images, and the depth is what follows from it all the same.
+    where matched points, a 4×4 pose, or images that agree vouch for a large motion);
+    ``"unrelated"``, the frames have nothing in common; ``"aperture"``, they vary along one
+    direction only, so that motion along their stripes cannot be seen: no depth, and it does not
+    occur with a 4×4 pose. With ``motion="camera"``, or ``"objects"`` that find one motion only,
+    also ``"pure_rotation"``, the camera only turned, and ``"little_parallax"``, it hardly changed
+    its place: there is no depth; ``"uncertain"``, it changed its place so little that depth is
+    rough; and ``"two_motions"``, frames of one plane, or far apart, leave two motions that explain
+    them alike, and depth follows from one of them. With ``motion="camera"``, ``"uncertain"`` is
+    also the status where much of the depth has a large deviation, and there are
+    ``"behind_camera"``, much of the scene would lie behind the camera; and ``"unexplained"``, much
+    of the texture is not alike where motion and depth lead: depth is wrong there. With a pose
+    given, ``"pose_mismatch"``: it contradicts the images, and the depth is what follows from it all
+    the same.
     """
 
     message: str
