@@ -9,20 +9,21 @@ from tisfm import reference
 
 
 def equation_18(s, it, b, neighbours, alpha, third):
-    """Eq. 18 for one pixel, its third line with s3 (corrected) or s1 (as printed).
+    """Eq. 18 for one pixel as the paper prints it, but for the factor of q in its third line.
 
-    In the paper's notation B τ = c with b the sum of weights, and `neighbours` the sum of
-    b_N τ_N; α multiplies both, which the printed equation leaves out of its last lines.
+    That is `third`: s3, or s1 as printed. `b` are the sums of weights and `neighbours` the sums of
+    b_N τ_N (eq. 17). The first term of q's denominator carries α.
     """
-    b1, b2, b3 = alpha * b
-    n1, n2, n3 = alpha * neighbours
+    b1, b2, b3 = b
+    n1, n2, n3 = neighbours
     s1, s2, s3 = s
     numerator = s1 * b2 * b3 * n1 + s2 * b1 * b3 * n2 + s3 * b1 * b2 * n3 + b1 * b2 * b3 * it
-    q = numerator / (b1 * b2 * b3 + s1**2 * b2 * b3 + s2**2 * b1 * b3 + s3**2 * b1 * b2)
+    q = numerator / (alpha * b1 * b2 * b3 + s1**2 * b2 * b3 + s2**2 * b1 * b3 + s3**2 * b1 * b2)
     return np.array([(n1 - s1 * q) / b1, (n2 - s2 * q) / b2, (n3 - third * q) / b3])
 
 
 def test_equation_18_needs_s3_in_its_third_line():
+    """All else of it is right as printed: it solves eq. 16."""
     rng = np.random.default_rng(0)
     s, b = rng.normal(scale=5, size=3), rng.uniform(0.5, 4, size=3)
     neighbours, it, alpha = rng.normal(size=3), 1.7, 20.0

@@ -24,7 +24,8 @@ class Status(str):
     ``"no_texture"``, frame 0 shows no gradient that motion could be seen by, or too few pixels are
     trusted to fit a motion to them; ``"diverged"``, the numbers are of no use: somewhere the image
     motion grew beyond half of the image's longer side, or more than half of the pixels leave the
-    image (the whole side, and 80 %, where matched points or a 4×4 pose vouch for a large motion);
+    image (the whole side, and 80 %, where matched points, a 4×4 pose, or images that agree
+    vouch for a large motion);
     ``"unrelated"``, the frames have nothing in common, or parts of them are alike and at rest and
     the others show something else; ``"aperture"``, they vary along one direction only, so that
     motion along their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With

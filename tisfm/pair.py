@@ -36,8 +36,8 @@ UNCOUNTED = Status(
 )
 RELIABLE = ("converged", "iteration_limit")  # statuses of a flow that the next pair may rely on
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
-# The same of frames far apart, whose motion matched points or a pose vouch for: near things pass
-# the whole image, and where the camera turned by 20° two thirds left it.
+# The same of frames far apart, whose motion matched points, a pose or the images vouch for: near
+# things pass the whole image, and where the camera turned by 20° two thirds left it.
 RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED = 1.0, 0.8
 
 
@@ -171,7 +171,7 @@ def interpret_pair(
         known=known,
     )
     pyramid, lens = taken.pyramid, taken.lens
-    from tisfm.motion.agreement import field_doubt, unexplained
+    from tisfm.motion.agreement import borne_out, field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
@@ -211,11 +211,11 @@ def interpret_pair(
     status = estimate.status
     posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
-        status = (
-            taken.overflow
-            or diverged(flow, leaves, vouched=estimate.matched or posed)
-            or (status if countable else UNCOUNTED)
-        )
+        vouched = estimate.matched or posed
+        runaway = diverged(flow, leaves, vouched=vouched)
+        if runaway is not None and not vouched and borne_out(pyramid, flow, unseen):
+            runaway = diverged(flow, leaves, vouched=True)
+        status = taken.overflow or runaway or (status if countable else UNCOUNTED)
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
             status = field_doubt(pyramid, flow, trust) or status
@@ -430,8 +430,8 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, vouched: bool = False) -> 
     leaves : (H, W) bool
         Where it leaves the image.
     vouched : bool
-        Whether matched points or a pose vouch for a large motion: what leaves the image then may
-        go far.
+        Whether matched points, a pose or the images (`tisfm.motion.agreement.borne_out`) vouch for
+        a large motion: what leaves the image then may go far.
     """
     furthest, most = RUNAWAY, MOST_LEAVING
     if vouched:

@@ -110,23 +110,27 @@ class Settings:
         where parallax is large, ``motion="camera"`` goes on to a finer level.
         ``motion="objects"`` takes 0.
     warps : int
-        Linearisations on the last level.
+        Linearisations on the last level; 2 at least with ``motion="objects"``.
     coarse_warps : int
         Linearisations on each of the others, at most: twice as many as on the next finer one. They
         cost little there, and what a coarse level gets wrong no finer one mends; untextured parts
         are small there, and soon filled.
     outer_iterations : int
-        Most half-quadratic iterations per warp.
+        Most half-quadratic iterations per warp; with ``motion="objects"`` 10 at least.
     sweeps : int
-        Red–black sweeps per half-quadratic iteration; at most 1000.
+        Red–black sweeps per half-quadratic iteration; at most 1000, and with ``motion="objects"``
+        8 at least.
     cycles : int
         Multigrid cycles with conjugate gradients per half-quadratic iteration; `sweeps` and
         `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
-        in the paper, and hardly from coarse to fine. 0 for sweeps.
+        in the paper, and hardly from coarse to fine. 0 for sweeps; where `pyramid_levels` is 1, one
+        cycle then checks what sweeps have found.
     relaxation : float
         Over-relaxation, from 0.01, below 2; 1 is Gauss–Seidel.
     tolerance : float
-        Half-quadratic iterations, two at least, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖.
+        Half-quadratic iterations, two at least, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. Where
+        `pyramid_levels` is 1, as in the paper, they stop when ‖error of ρ̂‖ ≤ tolerance · ‖ρ̂‖, as
+        estimated from the way the changes shrink.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved; both give the same answer up to rounding.
 

@@ -62,6 +62,8 @@ class Buffers:
                 block = self._free[size].pop()
                 self._kept -= size
                 return block
+        if size > LARGEST_KEPT:
+            self.release()
         return np.empty(size, np.uint8)
 
     def _keep(self, block: np.ndarray) -> None:

@@ -2,9 +2,11 @@
 
 import json
 import struct
+from io import BytesIO
 
 import numpy as np
 import pytest
+import trimesh
 
 from tisfm.formats.glb import colors_of, glb_points, glb_surface
 
@@ -49,6 +51,27 @@ def test_colours_are_amounts_of_light_and_unlit(data):
     assert material["doubleSided"] and "KHR_materials_unlit" in material["extensions"]
     assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
     assert tree["meshes"][0]["primitives"][0]["material"] == 0
+
+
+@pytest.mark.parametrize("kind", ["points", "surface"])
+def test_trimesh_loads_the_colours(kind):
+    """As amounts of light, in 8 bits; of a surface, if it is told to leave the material out."""
+    if kind == "points":
+        (loaded,) = trimesh.load(BytesIO(glb_points(CORNERS, COLORS)), "glb").geometry.values()
+        found = loaded.colors
+    else:
+        data = glb_surface(CORNERS, np.array([[0, 1, 2]]), COLORS)
+        options = {"file_type": "glb", "skip_materials": True}
+        (loaded,) = trimesh.load(BytesIO(data), **options).geometry.values()
+        found = loaded.visual.vertex_colors
+        # With its material, they are beside it as they are in the file.
+        (unlit,) = trimesh.load(BytesIO(data), "glb").geometry.values()
+        kept = colors_of(unlit.visual.vertex_attributes["color"])
+        np.testing.assert_array_equal(kept, COLORS)
+    where = [np.linalg.norm(loaded.vertices - corner, axis=1).argmin() for corner in CORNERS]
+    light = 255 * np.array([[1, 0.2159, 0], [0, 0.0513, 1], [0.5029, 0.5029, 0.5029]])
+    assert np.abs(found[where, :3] - light).max() <= 1
+    assert (found[:, 3] == 255).all()
 
 
 def test_every_colour_comes_back():

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from tisfm.kernels.layout.buffers import ALIGNMENT, SMALLEST_KEPT, Buffers
+from tisfm.kernels.layout.buffers import ALIGNMENT, LARGEST_KEPT, SMALLEST_KEPT, Buffers
 
 COUNT = SMALLEST_KEPT  # floats: four times what is kept at least
 
@@ -72,6 +72,15 @@ def test_no_more_is_kept_than_allowed():
     del array  # the last to be given back is the last to be let go
     assert 6 * COUNT <= buffers.kept < 7 * COUNT
     buffers.release()
+    assert buffers.kept == 0
+
+
+def test_a_large_array_lets_go_of_what_is_kept(buffers):
+    """Of large frames, memory counts for more than the time to get it again."""
+    array = buffers.floats(COUNT)
+    del array
+    assert buffers.kept
+    buffers.floats(LARGEST_KEPT // 4)
     assert buffers.kept == 0
 
 

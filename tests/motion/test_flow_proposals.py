@@ -10,6 +10,8 @@ import tisfm
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.rendered import static_scene, two_blocks
 from tisfm import runtime
+from tisfm.formats import read_image
+from tisfm.formats.flo import read_flo
 from tisfm.motion import field
 from tisfm.scenes import static_scene as rendered
 
@@ -181,6 +183,48 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
         off = np.linalg.norm(result.flow - expected.flow, axis=-1)
         assert off[judged].mean() < 0.01
         assert off.mean() < 0.1
+
+
+@pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
+def test_areas_that_may_be_mistaken_do_not_move(kind):
+    """Stripes and bare parts look alike far and wide, and much does in all of the image."""
+    from tisfm.motion.flow_proposals import _unmistakable
+    from tisfm.motion.matched_windows import Windows
+
+    frame0 = texture(200, 300, 0).astype(np.float32)
+    if kind == "stripes":
+        frame0[:] = frame0[50]
+    elif kind == "bare":
+        frame0[:] = 110
+    frame0 += np.random.default_rng(0).normal(0, 0.7, frame0.shape).astype(np.float32)
+    new = np.zeros(frame0.shape, bool)
+    new[140:170, 140:180] = True
+    there, before = np.zeros((2, *frame0.shape, 4), np.float32)
+    there[..., :2] = (-130, 0) if kind == "too far" else (8, -90)
+    windows = Windows(levels0=frame0, levels1=frame0, noise=0.7, scale=1.0)
+    kept = _unmistakable(new, there, before, windows)
+    np.testing.assert_array_equal(kept, new if kind == "texture" else np.zeros_like(new))
+
+
+@pytest.mark.parametrize("preset", ["balanced", "accurate"])
+@pytest.mark.parametrize("crop", [np.s_[100:340, 200:520]])
+def test_a_smooth_corner_stays_near(shared_data, preset, crop):
+    folder = shared_data / "middlebury" / "Urban2"
+    frames = [read_image(folder / f"frame1{k}.png")[crop] for k in (0, 1)]
+    truth = read_flo(folder / "flow10.flo")[crop]
+    result = tisfm.interpret(*frames, settings=tisfm.Settings.preset(preset))
+    assert result.status == "converged"
+    assert np.linalg.norm(result.flow, axis=-1).max() < 40
+    assert error(result, truth).mean() < 1
+
+
+@pytest.mark.parametrize("share", [0.5, 0.55])
+def test_a_shift_by_half_the_image_is_no_divergence(share):
+    shift = round(share * 320)
+    surface = np.clip(np.rint(texture(240, 320 + shift, 0)), 0, 255).astype(np.uint8)
+    result = tisfm.interpret(surface[:, :320], surface[:, shift:])
+    assert error(result, (-shift, 0))[:, shift:].mean() < 0.5
+    assert result.status == "converged"
 
 
 def bits():

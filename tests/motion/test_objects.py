@@ -1,6 +1,7 @@
 """motion="objects": motions, labels and depth of things that move on their own."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -414,3 +415,26 @@ def test_surfaces_are_continued_beyond_their_support(small):
     assert np.median(residual[~background]) > 10 * np.median(residual[background])
     off = np.linalg.norm(np.moveaxis(flow, 0, -1) - small.flow, axis=-1)
     assert np.median(off[background]) < 0.02
+
+
+def test_the_least_effort_is_that_of_the_documentation(monkeypatch):
+    """Fewer warps, iterations and sweeps have no effect."""
+    from tisfm.motion.objects import estimation
+
+    class Begun(Exception):
+        pass
+
+    def begin(pyramid, settings, **_):
+        raise Begun(settings.warps, settings.outer_iterations, settings.sweeps)
+
+    monkeypatch.setattr(estimation, "first_motion", begin)
+    frames = np.random.default_rng(0).integers(0, 255, (2, 32, 48)).astype(np.uint8)
+    for given, taken in (((1, 1, 1), (2, 10, 8)), ((3, 11, 9), (3, 11, 9))):
+        names = ("warps", "outer_iterations", "sweeps")
+        settings = tisfm.Settings(motion="objects", **dict(zip(names, given, strict=True)))
+        with pytest.raises(Begun) as begun:
+            tisfm.interpret(*frames, settings=settings)
+        assert begun.value.args == taken
+    text = (Path(__file__).parents[2] / "docs/settings.md").read_text(encoding="utf-8")
+    for words in ("takes 2 for 1", "takes 10 for fewer", "takes 8 for fewer"):
+        assert f"`objects` {words}." in text

@@ -12,6 +12,9 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
+# The same of what is seen in both, and by how much of the image's longer side most of that has
+# to move, where the images alone vouch for a motion of half the image and more.
+BORNE_OUT, FAR = 0.9, 0.25
 # Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
 # misses much then, and under "paper" 0.17 and more between unrelated ones.
 FOLDED = 0.12
@@ -182,7 +185,7 @@ def field_doubt(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> S
     trust : (H, W) float32
         Its confidence.
     """
-    level = max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
+    level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
     stripes = one_direction(frame0)
     size, area = frame0.shape[::-1], cv2.INTER_AREA
@@ -191,6 +194,40 @@ def field_doubt(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> S
         return stripes
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in flow])
     return unrelated(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
+
+
+def _judged_level(pyramid: ImagePyramid) -> int:
+    """Return the level that a flow field is judged on."""
+    return max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
+
+
+def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
+    """Return whether the images bear out that most of what they share has moved far.
+
+    Parameters
+    ----------
+    pyramid : ImagePyramid
+    flow : (2, H, W) float32
+        px/frame of the finest level.
+    unseen : (H, W) bool
+        What leaves the image or is hidden. Of these pixels nothing can be said.
+    """
+    if unseen.all() or not np.isfinite(flow[:, ~unseen]).all():
+        return False
+    far = np.float32(FAR * max(flow.shape[1:]))
+    if median(np.hypot(*flow[:, ~unseen])) < far:
+        return False
+    level = _judged_level(pyramid)
+    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+    if not frame0.std():
+        return False
+    size, area = frame0.shape[::-1], cv2.INTER_AREA
+    seen = (cv2.resize(unseen.astype(np.float32), size, interpolation=area) == 0).astype(np.float32)
+    known = np.where(unseen, 0, flow) * np.float32(pyramid.scales[level])
+    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in known])
+    if not seen.any() or _folded(coarse, seen) > FOLDED:
+        return False
+    return median(correlation(frame0, frame1, coarse)[seen > 0]) >= BORNE_OUT
 
 
 def unexplained(

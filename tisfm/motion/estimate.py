@@ -97,16 +97,36 @@ def ended(
             f"depth still changed by {last.change:.1e} of its norm in the last iteration "
             f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
         )
+    if settings.pyramid_levels == 1:  # they were solved to the end
+        return _ended_thoroughly(converged, settings)
     if not converged:
+        more = "cycles" if settings.cycles else "sweeps"
         return Status(
             "iteration_limit",
             f"the unknowns still changed by {last.change:.1e} of their norm in the last of "
             f"{settings.outer_iterations} iterations (tolerance {settings.tolerance:g}): raise "
-            "outer_iterations or sweeps, or accept a higher tolerance",
+            f"outer_iterations or {more}, or accept a higher tolerance",
         )
     return Status(
         "converged",
         f"the unknowns changed by {last.change:.1e} of their norm in the last iteration",
+    )
+
+
+def _ended_thoroughly(converged: bool, settings: Settings) -> Status:
+    """Return how iterations ended that stop by an estimate of the error left."""
+    if converged:
+        return Status(
+            "converged",
+            f"the unknowns are within an estimated {settings.tolerance:g} of their norm of the "
+            "minimum",
+        )
+    faster = "" if settings.cycles else ", set cycles to 1, which takes far fewer iterations"
+    return Status(
+        "iteration_limit",
+        f"{settings.outer_iterations} iterations ended before the unknowns were within an "
+        f"estimated {settings.tolerance:g} of their norm of the minimum (tolerance "
+        f"{settings.tolerance:g}): raise outer_iterations{faster}, or accept a higher tolerance",
     )
 
 

@@ -44,6 +44,12 @@ ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement c
 BEYOND = np.float32(LONGEST)  # px: no flow has more
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
+# Times the variance of the noise: the least mean square of the slope, along any direction, of an
+# area that moves on its own. Noise alone has ½; what was right had 0.97 and more.
+STRIPED = 0.8
+# Of the longer side: the farthest such an area moves. What was right had at most 0.35, which is as
+# far as is searched (`tisfm.motion.matched_windows.LARGEST`), and what was wrong 0.5.
+FARTHEST = 0.4
 MANY_TRIED = 2**15  # draws in each round, where something seems to be
 CLEARLY = 0.6  # deviations: the least by which residuals fall for a thing that moves on its own
 CARRIED = 0.3  # deviations: the least by which they fall where a displacement is a neighbour's
@@ -189,6 +195,7 @@ class Proposals:
         )
         new = _vouched(new, there, _agreeing(there, here))
         new = _fast(new, there, before, farther=FARTHER, least=AREA)
+        new = _unmistakable(new, there, before, windows)
         if not new.any():
             return flow
         self._things = FastThings(new, self._problem)
@@ -285,6 +292,33 @@ def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarr
             motion = there[part][..., :2]
             away = motion[area] - np.median(motion[sure], axis=0)
             kept[part][area] = np.hypot(*away.T) < 2 * AGREEMENT
+    return kept
+
+
+def _unmistakable(
+    new: np.ndarray, there: np.ndarray, before: np.ndarray, windows: Windows
+) -> np.ndarray:
+    """Return the areas of the new pixels whose motion is hardly another one by mistake.
+
+    An area has to vary along both directions: stripes look alike all along themselves. And it may
+    not move by too much of the image: in so large a part of it, much looks alike by chance.
+    """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
+    kept = np.zeros_like(new)
+    if count == 1:
+        return kept
+    slope = np.array([[-0.5, 0, 0.5]], np.float32)
+    across, down = (cv2.filter2D(windows.levels0, cv2.CV_32F, k) for k in (slope, slope.T))
+    for label in range(1, count):
+        left, top, width, height, size = boxes[label]
+        part = np.s_[top : top + height, left : left + width]
+        area = labels[part] == label
+        slopes = np.stack([across[part][area], down[part][area]]).astype(np.float64)
+        varies = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
+        far, near = (np.median(state[part][area][:, :2], axis=0) for state in (there, before))
+        way = np.hypot(*(far - near))
+        if varies >= STRIPED * windows.noise**2 and way <= FARTHEST * max(windows.shape):
+            kept[part] |= area
     return kept
 
 

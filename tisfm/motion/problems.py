@@ -109,6 +109,7 @@ def _problem(
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,
             solver=settings.solver,
+            thorough=settings.pyramid_levels == 1,
         ),
         warps=settings.warps_on,
     )

@@ -44,6 +44,7 @@ from tisfm.reference.epipolar import (
     motion_jacobian,
     motion_system,
 )
+from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
 from tisfm.reference.forward_splatting import defeated, splat
 from tisfm.reference.images import (
     derivatives,
@@ -121,6 +122,7 @@ __all__ = [
     "edge_weights",
     "energy",
     "flow",
+    "flowless_fields",
     "frame_equations",
     "half_quadratic_energy",
     "image_edges",
@@ -131,6 +133,7 @@ __all__ = [
     "matching_cost",
     "merged",
     "minimise",
+    "minimise_over_flowless",
     "minimise_second_order",
     "motion_jacobian",
     "motion_matrix",

@@ -7,6 +7,7 @@ import numpy as np
 
 from tisfm.reference.data import robust_energy, robust_tensor
 from tisfm.reference.energies import half_quadratic_energy
+from tisfm.reference.flowless import minimise_over_flowless
 from tisfm.reference.linear_system import sweep_red_black
 from tisfm.reference.smoothness import Smoothness, edge_weights, smoothness_energy
 
@@ -33,10 +34,12 @@ def minimise(
     scales: Sequence[float] = (np.inf,),
     relaxation: float = 1.0,
     tolerance: float = 0.0,
+    thorough: bool = False,
 ) -> Minimisation:
     """Run the half-quadratic algorithm (Table 1); `rho` is modified in place.
 
-    `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`.
+    `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`. `thorough` says
+    whether rigid motions without image motion are minimised over after the sweeps.
     """
     energies: list[float] = []
     half: list[float] = []
@@ -47,6 +50,8 @@ def minimise(
         tensor = robust_tensor(terms, motion, rho, scales)
         for _ in range(sweeps):
             sweep_red_black(tensor, motion, weights, rho, alpha=alpha, relaxation=relaxation)
+        if thorough and len(rho) >= 3:
+            minimise_over_flowless(motion, weights, rho, alpha)
         data = robust_energy(terms, motion, rho, scales)
         energies.append(data + alpha * smoothness_energy(rho, smoothness))
         half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness))

@@ -78,6 +78,7 @@ def coarse_to_fine(
                 sweeps=settings.sweeps,
                 relaxation=settings.relaxation,
                 tolerance=settings.tolerance,
+                thorough=settings.pyramid_levels == 1,
             )
     if rho is None:
         raise ValueError("pyramids are empty: expected at least one level")

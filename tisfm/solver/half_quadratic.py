@@ -1,18 +1,24 @@
 """The half-quadratic algorithm (Table 1), within one linearisation."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.kernels.solve.weight_update import Sums
+from tisfm.solver.flowless import FlowlessFields
 from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
 FEWEST_ITERATIONS = 2  # if so many are allowed: the first alone brings nothing from afar
+TRANSLATION = 3  # unknowns of the least model that has motions without image motion
+CONFIRMED = 2  # iterations in a row whose estimate of the error left has to be small
+LEAST_CONTRACTION = 2 / 3  # errors are taken to shrink by no more: changes may fall faster at first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +34,11 @@ class Effort:
     relaxation : float
         Of the sweeps, in (0, 2).
     tolerance : float
-        Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖.
+        Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖; where `thorough`, when ‖error of ρ̂‖
+        is estimated to be no more than that.
+    thorough : bool
+        Whether ρ̂ has to come near the minimum: due where no other linearisation follows that would
+        take over what is left.
     solver : {"cholesky", "closed_form"}
     """
 
@@ -38,6 +48,7 @@ class Effort:
     tolerance: float
     solver: str
     cycles: int = 0
+    thorough: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +107,8 @@ class HalfQuadratic:
         self._contrast, self._effort = smoothness.contrast, effort
         grid, n = unknowns.grid, unknowns.components
         shared = smoothness.joint or not np.isfinite(smoothness.contrast)  # then b is 1
+        rigid = effort.thorough and n >= TRANSLATION
+        self._flowless = FlowlessFields(unknowns) if rigid else None
         self._previous = grid.allocate(n, zeros=False)  # ρ̂ at the last update
         self._set_system(
             LinearSystem(
@@ -125,22 +138,50 @@ class HalfQuadratic:
         -------
         iterations : list of Iteration
         converged : bool
-            Whether the last relative change was within the tolerance.
+            Whether the last relative change was within the tolerance; where thorough, whether the
+            error is estimated to be.
         """
+        if self._effort.thorough:
+            return self._minimise_thoroughly()
         iterations: list[Iteration] = []
         solve = self._solving()
         for _ in range(self._effort.outer_iterations):
             solve()
             sums = self._update()
-            iterations.append(
-                Iteration(
-                    energy=sums.energy,
-                    half_quadratic=sums.half_quadratic,
-                    change=sums.moved / sums.size if sums.size > 0 else 0.0,
-                )
-            )
+            iterations.append(_recorded(sums))
             settled = sums.moved <= self._effort.tolerance * sums.size
             if len(iterations) >= FEWEST_ITERATIONS and settled:
+                return iterations, True
+        return iterations, False
+
+    def _minimise_thoroughly(self) -> tuple[list[Iteration], bool]:
+        """Iterate until little error is left.
+
+        Sweeps hardly change errors that are as large as the image. Where sweeps seem to have
+        converged, one iteration of multigrid takes their place, and has to find little as well.
+        """
+        tolerance, sweeping = self._effort.tolerance, self._effort.cycles == 0
+        iterations: list[Iteration] = []
+        changes: list[float] = []
+        confirmed, fresh = 0, True
+        for _ in range(self._effort.outer_iterations):
+            checking = sweeping and confirmed >= CONFIRMED
+            if checking or not sweeping:
+                self._cycle(fresh=fresh)
+            else:
+                self._sweep()
+            if self._flowless is not None:
+                self._flowless.minimise(self.system)
+            fresh = sweeping or self._flowless is not None
+            iterations.append(_recorded(self._update()))
+            changes.append(iterations[-1].change)
+            if checking:
+                if changes[-1] <= tolerance:
+                    return iterations, True
+                confirmed = 0
+                continue
+            confirmed = confirmed + 1 if error_left(changes) <= tolerance else 0
+            if confirmed >= CONFIRMED and not sweeping:
                 return iterations, True
         return iterations, False
 
@@ -166,17 +207,46 @@ class HalfQuadratic:
 
     def _solving(self) -> Callable[[], None]:
         """Return what comes nearer to the solution of the system of the current weights."""
-        cycles = self._effort.cycles
-        if not cycles:
+        if not self._effort.cycles:
             return self._sweep
+        self._with_multigrid().restart()
+        return lambda: self._cycle(fresh=False)
+
+    def _cycle(self, *, fresh: bool) -> None:
+        """Run cycles of multigrid; `fresh` where others have changed ρ̂ since the last."""
+        multigrid = self._with_multigrid()
+        if fresh:
+            multigrid.restart()
+        multigrid.coarsen()
+        for _ in range(max(self._effort.cycles, 1)):
+            multigrid.descend()
+
+    def _with_multigrid(self) -> Multigrid:
         if self._multigrid is None:
             self._multigrid = Multigrid(self._unknowns, self.system, solver=self._effort.solver)
-        multigrid = self._multigrid
-        multigrid.restart()
+        return self._multigrid
 
-        def solve() -> None:
-            multigrid.coarsen()
-            for _ in range(cycles):
-                multigrid.descend()
 
-        return solve
+def error_left(changes: Sequence[float]) -> float:
+    """Return an estimate of the error of ρ̂ from its last relative changes, one an iteration.
+
+    If every change is q times the one before, what is still to come adds up to q/(1 − q) times the
+    last. q is the greater of the last two ratios, and ⅔ at least; infinite if changes grow.
+    """
+    if not changes or changes[-1] == 0:
+        return 0.0 if changes else math.inf
+    if len(changes) == 1:
+        return math.inf
+    last = changes[-3:]
+    ratios = [later / earlier if earlier > 0 else math.inf for earlier, later in pairwise(last)]
+    contraction = max(*ratios, LEAST_CONTRACTION)
+    return changes[-1] * contraction / (1 - contraction) if contraction < 1 else math.inf
+
+
+def _recorded(sums: Sums) -> Iteration:
+    """Return the record of an iteration."""
+    return Iteration(
+        energy=sums.energy,
+        half_quadratic=sums.half_quadratic,
+        change=sums.moved / sums.size if sums.size > 0 else 0.0,
+    )

@@ -1,0 +1,52 @@
+"""Rigid motions without image motion: the kernel's side of them against the reference."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.lanes import LANES
+from tisfm import reference
+from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
+
+ALPHA = 40.0
+
+
+@pytest.mark.parametrize("components", [6, 3])
+def test_they_move_no_pixel(components):
+    motion = reference.motion_matrix(tisfm.Camera(focal=30.0), 13, 21, components)
+    fields = flowless_fields(motion)
+    assert len(fields) == (4 if components == 6 else 1)
+    for field in fields:
+        assert np.abs(field).max() >= 1
+        np.testing.assert_allclose(reference.flow(motion, field), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("components", [6, 3])
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.parametrize("size", [(13, 37), (6, 64)])
+def test_the_least_energy_is_that_of_the_reference(components, lanes, size, make_problem):
+    from tisfm.solver.flowless import FlowlessFields
+
+    problem = make_problem(*size, components, lanes)
+    weights = reference.edge_weights(problem.rho, reference.Smoothness(contrast=1.0))
+    expected = problem.rho.astype(np.float64).copy()
+    minimise_over_flowless(problem.motion, weights, expected, ALPHA)
+    assert np.abs(expected - problem.rho).max() > 0.1
+    FlowlessFields(problem.unknowns).minimise(problem.system(weights, alpha=ALPHA))
+    found = problem.from_lanes(problem.unknowns.rho)
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_no_share_of_a_field_lowers_the_energy_further():
+    rng = np.random.default_rng(0)
+    motion = reference.motion_matrix(tisfm.Camera(focal=30.0), 9, 14, 6)
+    rho, weights = rng.normal(size=(6, 9, 14)), rng.uniform(0.1, 1, (12, 9, 14))
+
+    def energy(rho):
+        steps = np.stack(reference.differences(rho)).reshape(weights.shape)
+        return float((weights * steps**2).sum())
+
+    minimise_over_flowless(motion, weights, rho, ALPHA)
+    least = energy(rho)
+    for field in flowless_fields(motion):
+        assert min(energy(rho + 0.1 * field), energy(rho - 0.1 * field)) > least
