@@ -56,13 +56,14 @@ from tisfm.cli.command_line import main
 
 interpret = demo_parts.interpret
 
-def told(*frames, **options):
+def endless(*frames, **options):
     Path("begun").touch()
-    return interpret(*frames, **options)
+    while True:
+        interpret(*frames, **options)
 
-demo_parts.interpret = told  # in the workers too, which import this file
+demo_parts.interpret = endless  # in the workers too, which import this file
 if __name__ == "__main__":
-    sys.exit(main(["demo", "--height", "1000", "--width", "1400", "-o", "out"]))
+    sys.exit(main(["demo", "--height", "60", "--width", "80", "-o", "out"]))
 """
     (place / "script.py").write_text(code)
     out, command = place / "out", [sys.executable, "script.py"]

@@ -271,7 +271,7 @@ def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
     random, kills = np.random.default_rng(7), 0
     command = [*TISFM, *options, "-o", "out", "--resume"]
     for _ in range(5):
-        kills += killed(command, "out", random.integers(1, MANY)) != 0
+        kills += killed(command, "out", random.integers(1, MANY // 2)) != 0
     assert kills > 0
     assert tisfm_run(*options, "-o", "out", "--resume")[0] == 0
     assert files("out") == files("whole")

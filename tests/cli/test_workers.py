@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -255,6 +256,41 @@ def begun(*options):
     return started([*TISFM, *options], stderr=pipe, stdout=nowhere, text=True)
 
 
+HELD = """
+import os
+import sys
+import time
+from pathlib import Path
+from tisfm.cli.command_line import main
+from tisfm.cli.pair_work import PairWork
+
+interpret = PairWork.interpret
+
+def held(self, pair, window=None):
+    if pair.name0 == "f06":
+        Path("new").write_text(str(os.getpid()))
+        os.replace("new", "held")
+        time.sleep(1000)
+    return interpret(self, pair, window)
+
+if Path("hold").exists():  # in the workers too, which import this file
+    PairWork.interpret = held
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
+@contextmanager
+def held_worker():
+    """Start a run with two workers; give it, and the one that never ends its seventh pair."""
+    Path("script.py").write_text(HELD)
+    Path("hold").touch()
+    command = [sys.executable, "script.py", *RUN, "-o", "many", "--workers", "2"]
+    with started(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(Path("held").exists, process)
+        yield process, int(Path("held").read_text())
+
+
 def wait_for_results(process):
     """Wait until a pair is interpreted."""
     wait_for(lambda: list(Path("many").glob("*.npz")), process)
@@ -287,9 +323,9 @@ on_linux = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ther
 @on_linux
 def test_what_a_killed_worker_had_is_done_again(tisfm_run, film):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
-    with begun(*RUN, "-o", "many", "--workers", "2") as process:
-        wait_for_results(process)
-        os.kill(children_of(process)[0], signal.SIGKILL)
+    with held_worker() as (process, worker):
+        Path("hold").unlink()
+        os.kill(worker, signal.SIGKILL)
         _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
     assert whole_of("many") == whole_of("one")
@@ -298,10 +334,9 @@ def test_what_a_killed_worker_had_is_done_again(tisfm_run, film):
 @on_linux
 def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
-    with begun(*RUN, "-o", "many", "--workers", "2") as process:
-        wait_for_results(process)
+    with held_worker() as (process, worker):
         workers = children_of(process)
-        assert workers
+        assert worker in workers
         process.kill()
     wait_for(lambda: not any(map(is_running, workers)))
     assert tisfm_run(*RUN, "-o", "many", "--workers", "2", "--resume")[0] == 0
