@@ -146,6 +146,24 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
     assert list(record("out")["pairs"]) == ["f0", "f1"]
 
 
+def test_a_run_that_was_told_to_ignore_ctrl_c_goes_on(tisfm_run, frames, monkeypatch):
+    """A shell tells this to jobs in the background of a script."""
+    interpret = pair.interpret
+
+    def interrupted(*arguments, **options):
+        signal.raise_signal(signal.SIGINT)
+        return interpret(*arguments, **options)
+
+    monkeypatch.setattr(pair, "interpret", interrupted)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        code, _, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert code == 0 and err.startswith("3 pairs: ")
+    assert list(record("out")["pairs"]) == ["f0", "f1", "f2"]
+
+
 def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, frames, monkeypatch):
     written = []
 
