@@ -1,9 +1,12 @@
 """Fixtures of the tests of the command line."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
+from tisfm.cli import foretelling
 from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
 
@@ -14,6 +17,12 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def no_time_passes_for_forecasts(monkeypatch):
+    """On a busy machine a run of a few pairs would say how long it is going to take."""
+    monkeypatch.setattr(foretelling, "time", SimpleNamespace(monotonic=lambda: 0.0))
 
 
 @pytest.fixture

@@ -172,7 +172,8 @@ def test_ctrl_c_in_a_process_of_its_own(place):
         wait_for(Path("out/f0.npz").exists, process)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, out, err) == (130, "", "tisfm: interrupted\n")
+    assert (process.returncode, out) == (130, "") and "Traceback" not in err
+    assert err.splitlines()[-1] == "tisfm: interrupted"  # before it, a slow machine may foretell
     left = set(files("out"))
     finished = record("out")["pairs"]
     assert 1 <= len(finished) < 59
