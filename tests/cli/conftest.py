@@ -13,9 +13,11 @@ from tisfm.formats import write_flo, write_png
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """An empty working folder, and the width of a terminal."""
+    """An empty working folder, and the width of a terminal, which standard error is not."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
+    for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):  # rich takes a pipe for one
+        monkeypatch.delenv(name, raising=False)
     return tmp_path
 
 
