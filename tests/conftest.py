@@ -8,9 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
+from hypothesis import HealthCheck, settings
 
 import tisfm
 from tisfm import reference, runtime
+
+# A machine that does other work may take any time for an example.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 # Real sequences are no part of the project: a folder of them may lie beside the checkout.
 BESIDE = Path(__file__).parents[2] / "shared" / "data"

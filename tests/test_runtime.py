@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.waiting import PATIENCE
 from tisfm import runtime
 
 INTERPRET = """
@@ -44,7 +45,7 @@ def run(code, *arguments, **environment):
         capture_output=True,
         text=True,
         env={name: value for name, value in variables.items() if value is not None},
-        timeout=120,
+        timeout=PATIENCE,
         check=False,
     )
 

@@ -1,19 +1,30 @@
 """Fixtures of the tests of the command line."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
+from tisfm.cli import foretelling
 from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
 
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """An empty working folder, and the width of a terminal."""
+    """An empty working folder, and the width of a terminal, which standard error is not."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
+    for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):  # rich takes a pipe for one
+        monkeypatch.delenv(name, raising=False)
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def no_time_passes_for_forecasts(monkeypatch):
+    """On a busy machine a run of a few pairs would say how long it is going to take."""
+    monkeypatch.setattr(foretelling, "time", SimpleNamespace(monotonic=lambda: 0.0))
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command_line import assert_one_line, files, promised, record
+from tests.waiting import PATIENCE, started, wait_for
 from tisfm import pair
 from tisfm.cli import pair_files, run_record
 from tisfm.cli.background import Background
@@ -49,9 +50,7 @@ def test_one_waits_and_the_next_is_waited_for():
 
         giving = threading.Thread(target=give)
         giving.start()
-        deadline = time.monotonic() + 10
-        while len(given) < 2 and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_for(lambda: len(given) == 2)
         time.sleep(0.1)
         assert given == [0, 1]
         free.set()
@@ -102,10 +101,7 @@ def test_nothing_is_held_when_it_is_done():
     with Background() as background:
         background.submit(lambda what: None, held)
         del held
-        deadline = time.monotonic() + 10
-        while gone() is not None and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert gone() is None
+        wait_for(lambda: gone() is None)
 
 
 def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
@@ -150,6 +146,24 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
     assert list(record("out")["pairs"]) == ["f0", "f1"]
 
 
+def test_a_run_that_was_told_to_ignore_ctrl_c_goes_on(tisfm_run, frames, monkeypatch):
+    """A shell tells this to jobs in the background of a script."""
+    interpret = pair.interpret
+
+    def interrupted(*arguments, **options):
+        signal.raise_signal(signal.SIGINT)
+        return interpret(*arguments, **options)
+
+    monkeypatch.setattr(pair, "interpret", interrupted)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        code, _, err = tisfm_run("run", "frames", "-o", "out", "--no-figures")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert code == 0 and err.startswith("3 pairs: ")
+    assert list(record("out")["pairs"]) == ["f0", "f1", "f2"]
+
+
 def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, frames, monkeypatch):
     written = []
 
@@ -168,37 +182,43 @@ def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, fra
 
 def test_a_second_interrupt_ends_the_process():
     """With one piece at work and one that waits: the first is done, the other left out."""
-    script = """
-import signal
+    script = f"""
+import sys
+import threading
 import time
 from tisfm.cli.background import Background
 
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by whoever runs in background
+begun = threading.Event()
 
 def piece(name):
-    print("begin", name, flush=True)
-    time.sleep(1.5)
+    begun.set()
+    sys.stdin.readline()  # the test ends the piece
     print("end", name, flush=True)
+
+def told(item, block=True):
+    print("leaving", flush=True)
+    put(item, block)
 
 with Background() as background:
     background.submit(piece, 1)
-    time.sleep(0.2)
+    begun.wait()
     background.submit(piece, 2)
+    put, background._waiting.put = background._waiting.put, told
     print("ready", flush=True)
-    time.sleep(60)
+    time.sleep({PATIENCE})
 """
-    process = subprocess.Popen(
+    with started(
         [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-    )
-    lines = [process.stdout.readline().strip() for _ in range(2)]
-    assert sorted(lines) == ["begin 1", "ready"]
-    for _ in range(2):
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.3)
-    out, err = process.communicate(timeout=20)
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        for _ in range(2):
+            process.send_signal(signal.SIGINT)
+            assert process.stdout.readline() == "leaving\n"
+        out, err = process.communicate("\n\n", timeout=PATIENCE)
     assert "KeyboardInterrupt" in err
     assert out.split() == ["end", "1"]

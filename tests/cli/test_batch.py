@@ -3,15 +3,16 @@
 import os
 import signal
 import subprocess
-import time
 from pathlib import Path
 from unittest import mock
 
 import pytest
 
 from tests.cli.command_line import TISFM, assert_one_line, files
+from tests.waiting import PATIENCE, started, wait_for
 from tisfm.cli import batch as module
 from tisfm.cli.batch import TRIES, read_jobs
+from tisfm.formats.folder_lock import is_written_to
 
 
 @pytest.fixture
@@ -111,23 +112,14 @@ def test_what_runs_ends_with_it(frames, jobs, sent):
     for k in range(4, 200):
         (frames / f"g{k}.png").write_bytes((frames / "f0.png").read_bytes())
     name = jobs("source,output,preset\nframes,a,accurate\nframes,b,accurate\n")
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        process = subprocess.Popen(
-            [*TISFM, "batch", name], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    deadline = time.monotonic() + 90
-    while not Path("a/run.json").exists() and time.monotonic() < deadline:
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.02)
-    process.send_signal(sent)
-    _, err = process.communicate(timeout=60)
+    command, pipe = [*TISFM, "batch", name], subprocess.PIPE
+    with started(command, stdout=pipe, stderr=pipe, text=True) as process:
+        wait_for(Path("a/run.json").exists, process)
+        process.send_signal(sent)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and err.endswith("tisfm: interrupted\n")
-    done = len(list(Path("a").glob("*.npz")))
-    time.sleep(2)
-    assert done == len(list(Path("a").glob("*.npz"))) < 199 and not Path("b").exists()
+    assert not is_written_to("a")  # the job has ended
+    assert len(list(Path("a").glob("*.npz"))) < 199 and not Path("b").exists()
 
 
 def test_modules_in_the_working_folder_are_not_taken(tisfm_run, frames, jobs):

@@ -3,13 +3,13 @@
 import os
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
 from tests.cli.command_line import TISFM, assert_one_line
 from tests.reconstruction.chunked.filmed import COUNT, contents, film, in_turn, write_frames
+from tests.waiting import PATIENCE, started, wait_for
 from tisfm import Reconstruction
 from tisfm.cli import crew, reconstruct_runs
 from tisfm.trajectory import read_kitti
@@ -152,28 +152,25 @@ def test_a_camera_at_the_computer_has_no_chunks(tisfm_run, place):
     assert not (place / "out").exists()
 
 
+def begun(*arguments):
+    """Start the command in a process of its own."""
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    return started([*TISFM, *arguments], stderr=pipe, stdout=nowhere, text=True)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
 @pytest.mark.parametrize(("workers", "seen"), [("1", "001"), ("2", "000.json")])
 def test_killed_and_given_again(tisfm_run, frames, place, workers, seen):
     """Whatever is there by then; the bytes are those of a run that nobody interrupted."""
     arguments = command(*CHUNKS, "--workers", workers)
-    with Path("said.txt").open("w") as said:
-        process = subprocess.Popen([*TISFM, *arguments], stdout=said, stderr=said)
-    deadline = time.monotonic() + 240
-    try:
-        while not Path("out/.tisfm-chunks", seen).exists() and time.monotonic() < deadline:
-            assert process.poll() is None, Path("said.txt").read_text()
-            time.sleep(0.02)
-    finally:
+    with begun(*arguments) as process:
+        wait_for(Path("out/.tisfm-chunks", seen).exists, process)
         process.kill()
-        process.wait()
-    assert Path("out/.tisfm-chunks", seen).exists()
     assert not Path("out/reconstruction.json").exists()
-    done = subprocess.run(
-        [*TISFM, *arguments, "--resume"], capture_output=True, text=True, timeout=480
-    )
-    assert done.returncode == 0, done.stderr
+    with begun(*arguments, "--resume") as process:
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
     assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
     assert contents(place / "out") == contents(place / "whole")
 
@@ -184,15 +181,12 @@ def test_a_cluster_whose_workers_are_killed(tisfm_run, frames, place, cluster):
     """Chunks of a worker that dies are made by others; a resumed one finds them."""
     shared = ("--cluster", cluster.scheduler_address)
     arguments = command(*CHUNKS, *shared)
-    with Path("said.txt").open("w") as said:
-        process = subprocess.Popen([*TISFM, *arguments], stdout=said, stderr=said)
-    deadline = time.monotonic() + 240
-    while not Path("out/.tisfm-chunks/000").exists() and time.monotonic() < deadline:
-        assert process.poll() is None, Path("said.txt").read_text()
-        time.sleep(0.02)
-    killed = next(iter(cluster.workers.values())).pid
-    os.kill(killed, signal.SIGKILL)
-    assert process.wait(timeout=480) == 0, Path("said.txt").read_text()
+    with begun(*arguments) as process:
+        wait_for(Path("out/.tisfm-chunks/000").exists, process)
+        killed = next(iter(cluster.workers.values())).pid
+        os.kill(killed, signal.SIGKILL)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
     assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
     assert contents(place / "out") == contents(place / "whole")
     code, _, err = tisfm_run(*arguments, "--resume")

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
 import tisfm
 from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
+from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera_file import write_camera
 from tisfm.cli import commands
 from tisfm.formats import read_image
@@ -49,23 +49,28 @@ def test_demo_has_an_output_of_its_own(tisfm_run, place):
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_ctrl_c_ends_the_demo_before_it_is_done(place):
     code = """
-import signal, sys
+import sys
+from pathlib import Path
+from tisfm.cli import demo_parts
 from tisfm.cli.command_line import main
+
+interpret = demo_parts.interpret
+
+def endless(*frames, **options):
+    Path("begun").touch()
+    while True:
+        interpret(*frames, **options)
+
+demo_parts.interpret = endless  # in the workers too, which import this file
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(main(["demo", "--height", "1000", "--width", "1400", "-o", "out"]))
+    sys.exit(main(["demo", "--height", "60", "--width", "80", "-o", "out"]))
 """
     (place / "script.py").write_text(code)
-    out = place / "out"
-    with subprocess.Popen(
-        [sys.executable, "script.py"], stderr=subprocess.PIPE, text=True
-    ) as process:
-        while not (out / "objects").exists():
-            assert process.poll() is None
-            time.sleep(0.05)
-        time.sleep(5)  # they have begun
+    out, command = place / "out", [sys.executable, "script.py"]
+    with started(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_for((place / "begun").exists, process)
         process.send_signal(signal.SIGINT)
-        err = process.communicate(timeout=100)[1]
+        err = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 130 and err == "tisfm: interrupted\n"
     assert set(out.rglob("*")) == {out / "camera", out / "objects"}
 

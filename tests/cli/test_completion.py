@@ -10,6 +10,7 @@ import time
 import pytest
 
 from tests.cli.command_line import assert_one_line
+from tests.waiting import PATIENCE
 from tisfm.cli.command_line import _parse
 from tisfm.cli.completion import completion_script
 from tisfm.cli.known_options import LISTS, known_options
@@ -174,9 +175,9 @@ def test_zsh_completes_as_somebody_types(tisfm_run, place, words, expected):
         os.close(keyboard)
 
 
-def _read_until(terminal, text, *, seconds=20.0):
+def _read_until(terminal, text):
     """Return what comes from a terminal, without codes, up to where a text is in it."""
-    said, end = "", time.monotonic() + seconds
+    said, end = "", time.monotonic() + PATIENCE
     while text not in said and time.monotonic() < end:
         if select.select([terminal], [], [], 0.2)[0]:
             said += os.read(terminal, 4096).decode("utf-8", "replace")

@@ -9,8 +9,9 @@ import sys
 import pytest
 
 from tests.cli.command_line import TISFM
-from tisfm.doctor import examination
-from tisfm.doctor.trying import Trial
+from tests.doctor.hanging import hasty_trial, write_module_that_hangs
+from tests.waiting import PATIENCE
+from tisfm.doctor import examination, trying
 
 # As the installed script does it.
 SCRIPT = "import sys; sys.argv[0] = 'tisfm'; from tisfm.cli import main; sys.exit(main())"
@@ -81,9 +82,12 @@ def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
 
 @pytest.mark.slow
 def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
-    (tmp_path / "cv2.py").write_text("import time; time.sleep(1000)")
+    write_module_that_hangs(tmp_path, "cv2")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(examination, "Trial", lambda names, limit=0: Trial(names, limit=6.0))
+    monkeypatch.setattr(trying, "IN_ALL", PATIENCE)
+    hasty = hasty_trial(tmp_path)
+    monkeypatch.setattr(examination, "Trial", hasty)
+    monkeypatch.setattr(examination, "try_out", lambda names, limit: trying.results(hasty(names)))
     found = {one.name: one for one in examination.examine()}
     assert "did not end within" in found["opencv-python-headless"].text
     assert found["tisfm"].verdict == "wrong" and found["numpy"].verdict == "ok"

@@ -117,6 +117,7 @@ def public_frames():
         os.chmod(folder, 0o755)
         for k in range(2):
             write_png(f"{folder}/f{k}.png", FRAMES[k])
+            os.chmod(f"{folder}/f{k}.png", 0o644)  # whatever the umask
         os.mkdir(f"{folder}/out")
         yield Path(folder)
 

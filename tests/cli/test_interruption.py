@@ -3,9 +3,7 @@
 import csv
 import json
 import os
-import signal
 import subprocess
-import time
 from pathlib import Path
 
 import cv2
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
+from tests.waiting import started, wait_for
 from tisfm.formats import write_png
 from tisfm.formats.folder_lock import LOCK, FolderInUseError, locked_folder
 
@@ -245,15 +244,17 @@ def test_a_full_disk_names_the_file(tisfm_run, frames):
         subprocess.run(["umount", "small"], check=True)
 
 
-def killed(command, seconds, is_begun):
-    """Start a command, and kill it so many seconds after it has begun to write."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 120
-    while not is_begun() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    time.sleep(seconds)
-    process.send_signal(signal.SIGKILL if os.name != "nt" else signal.SIGTERM)
-    process.communicate()
+def killed(command, folder, more):
+    """Start a command, and kill it once it has left so many more files in a folder."""
+    there = len(os.listdir(folder)) if os.path.isdir(folder) else 0
+    with started(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        wait_for(
+            lambda: (
+                process.poll() is not None
+                or (os.path.isdir(folder) and len(os.listdir(folder)) >= there + more)
+            )
+        )
+        process.kill()
     return process.returncode
 
 
@@ -270,13 +271,7 @@ def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
     random, kills = np.random.default_rng(7), 0
     command = [*TISFM, *options, "-o", "out", "--resume"]
     for _ in range(5):
-        there = len(os.listdir("out")) if os.path.isdir("out") else 0
-        code = killed(
-            command,
-            random.uniform(0, 0.5),
-            lambda there=there: os.path.isdir("out") and len(os.listdir("out")) > there,
-        )
-        kills += code != 0
+        kills += killed(command, "out", random.integers(1, MANY // 2)) != 0
     assert kills > 0
     assert tisfm_run(*options, "-o", "out", "--resume")[0] == 0
     assert files("out") == files("whole")

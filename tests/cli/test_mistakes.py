@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.cli.command_line import TISFM, assert_one_line
@@ -132,7 +132,6 @@ def test_options_are_read_from_the_help():
     assert known.options["demo"].keys() >= {"--output", "--height", "--help"}
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.text(max_size=12), st.lists(st.text(max_size=12), max_size=5))
 def test_what_is_nearest_is_known(word, known):
     found = nearest(word, known)

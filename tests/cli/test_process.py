@@ -9,6 +9,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import TISFM, files, promised
+from tests.waiting import PATIENCE
 from tisfm.cli.command_line import main
 
 
@@ -47,7 +48,7 @@ def test_a_reader_that_leaves_early():
     )
     process.stdout.close()
     assert process.stderr.read() == b""
-    assert process.wait(timeout=60) == 141
+    assert process.wait(timeout=PATIENCE) == 141
     process.stderr.close()
 
 

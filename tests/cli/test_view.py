@@ -6,11 +6,13 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from contextlib import ExitStack
 
 import pytest
 
 from tests.cli.command_line import TISFM, assert_one_line
 from tests.view.results import write_reconstruction, write_record_of, write_run
+from tests.waiting import PATIENCE, started
 from tisfm.cli.command_line import main
 from tisfm.formats.folder_lock import locked_folder
 
@@ -57,8 +59,8 @@ def test_without_viser_it_says_what_to_install(place, capsys, monkeypatch):
 
 
 def begun(*arguments):
-    """Start the command in a process of its own; return it."""
-    return subprocess.Popen(
+    """Start the command in a process of its own."""
+    return started(
         [*TISFM, "view", *arguments, "--no-browser", "--port", "0"],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -70,40 +72,35 @@ def begun(*arguments):
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
 def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place):
     (place / "r").mkdir()
-    with locked_folder(place / "r"):
-        process = begun("r")
-        try:
-            line = process.stderr.readline()
-            assert "waiting for it" in line
-            url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
-            assert_answers(url)
-            shot = write_run(place / "r", 2)
-            write_record_of(place / "r", shot, [0], "camera")
-            assert f"r at {url}" in process.stderr.readline()
-            assert_answers(url)
-            process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=100)
-        finally:
-            process.kill()
+    with locked_folder(place / "r"), begun("r") as process:
+        line = process.stderr.readline()
+        assert "waiting for it" in line
+        url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
+        assert_answers(url)
+        shot = write_run(place / "r", 2)
+        write_record_of(place / "r", shot, [0], "camera")
+        assert f"r at {url}" in process.stderr.readline()
+        assert_answers(url)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0 and out == "" and err == ""
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
 def test_it_waits_for_a_run_no_longer_than_that_goes_on(place):
     (place / "r").mkdir()
-    with locked_folder(place / "r"):
-        (place / "r" / "reconstruction.begun").touch()
-        process = begun("r")
-        assert "no complete reconstruction yet: waiting" in process.stderr.readline()
-    try:
-        out, err = process.communicate(timeout=100)
-    finally:
-        process.kill()
+    (place / "r" / "reconstruction.begun").touch()
+    with ExitStack() as stack:
+        with locked_folder(place / "r"):
+            process = stack.enter_context(begun("r"))
+            assert "no complete reconstruction yet: waiting" in process.stderr.readline()
+        out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1 and out == "" and "nobody goes on with it" in err
 
 
 def assert_answers(url):
-    with urllib.request.urlopen(url, timeout=60) as answer:
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with direct.open(url, timeout=PATIENCE) as answer:
         assert b"<html" in answer.read()
 
 

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -22,6 +22,7 @@ from tests.cli.command_line import (
     make_frames,
     record,
 )
+from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
 from tisfm.cli.chunk_work import Chunk, chunks_of, interpret_chunk
 from tisfm.cli.frame_options import FrameOptions
@@ -249,8 +250,50 @@ def test_chunks_are_all_that_is_left(count, workers, place):
 # Processes that are killed
 
 
-def started(*options):
-    return subprocess.Popen([*TISFM, *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
+def begun(*options):
+    """Start the command in a process of its own."""
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    return started([*TISFM, *options], stderr=pipe, stdout=nowhere, text=True)
+
+
+HELD = """
+import os
+import sys
+import time
+from pathlib import Path
+from tisfm.cli.command_line import main
+from tisfm.cli.pair_work import PairWork
+
+interpret = PairWork.interpret
+
+def held(self, pair, window=None):
+    if pair.name0 == "f06":
+        Path("new").write_text(str(os.getpid()))
+        os.replace("new", "held")
+        time.sleep(1000)
+    return interpret(self, pair, window)
+
+if Path("hold").exists():  # in the workers too, which import this file
+    PairWork.interpret = held
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
+@contextmanager
+def held_worker():
+    """Start a run with two workers; give it, and the one that never ends its seventh pair."""
+    Path("script.py").write_text(HELD)
+    Path("hold").touch()
+    command = [sys.executable, "script.py", *RUN, "-o", "many", "--workers", "2"]
+    with started(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(Path("held").exists, process)
+        yield process, int(Path("held").read_text())
+
+
+def wait_for_results(process):
+    """Wait until a pair is interpreted."""
+    wait_for(lambda: list(Path("many").glob("*.npz")), process)
 
 
 def children_of(process):
@@ -267,16 +310,6 @@ def children_of(process):
     return found
 
 
-def when(condition, process, limit=120.0):
-    """Wait until something holds while a process runs; return whether it does."""
-    end = time.monotonic() + limit
-    while time.monotonic() < end and process.poll() is None:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
-
-
 def is_running(pid):
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
@@ -290,28 +323,22 @@ on_linux = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ther
 @on_linux
 def test_what_a_killed_worker_had_is_done_again(tisfm_run, film):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
-    process = started(*RUN, "-o", "many", "--workers", "2")
-    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
-    os.kill(children_of(process)[0], signal.SIGKILL)
-    _, said = process.communicate(timeout=200)
-    assert process.returncode == 0, said.decode()
+    with held_worker() as (process, worker):
+        Path("hold").unlink()
+        os.kill(worker, signal.SIGKILL)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
     assert whole_of("many") == whole_of("one")
 
 
 @on_linux
 def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
-    process = started(*RUN, "-o", "many", "--workers", "2")
-    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
-    workers = children_of(process)
-    assert workers
-    process.kill()
-    process.wait()
-    end = time.monotonic() + 60
-    while any(map(is_running, workers)) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not any(map(is_running, workers))
-    process.stderr.close()
+    with held_worker() as (process, worker):
+        workers = children_of(process)
+        assert worker in workers
+        process.kill()
+    wait_for(lambda: not any(map(is_running, workers)))
     assert tisfm_run(*RUN, "-o", "many", "--workers", "2", "--resume")[0] == 0
     assert whole_of("many") == whole_of("one")
 
@@ -320,12 +347,12 @@ def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
 def test_ctrl_c_ends_all(tisfm_run, film):
     for k in range(COUNT, 20 * COUNT):  # so many that it cannot end before
         (film / f"g{k:03d}.png").hardlink_to(film / f"f{k % COUNT:02d}.png")
-    process = started(*RUN, "-o", "many", "--workers", "2")
-    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 2, process)
-    workers = children_of(process)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=100)
-    assert process.returncode == 130 and said.decode().splitlines()[-1] == "tisfm: interrupted"
+    with begun(*RUN, "-o", "many", "--workers", "2") as process:
+        wait_for_results(process)
+        workers = children_of(process)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130 and said.splitlines()[-1] == "tisfm: interrupted"
     assert not any(map(is_running, workers))
     assert not [path for path in Path("many").iterdir() if path.name.startswith(".tisfm-")]
 
@@ -341,9 +368,9 @@ def test_a_cluster_leaves_what_one_process_leaves(tisfm_run, film, cluster):
 @on_linux
 def test_what_a_killed_worker_of_a_cluster_had_is_done_again(tisfm_run, film, cluster):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
-    process = started(*RUN, "-o", "many", "--cluster", cluster.scheduler_address)
-    assert when(lambda: len(list(Path("many").glob("*.npz"))) >= 3, process)
-    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
-    _, said = process.communicate(timeout=200)
-    assert process.returncode == 0, said.decode()
+    with begun(*RUN, "-o", "many", "--cluster", cluster.scheduler_address) as process:
+        wait_for_results(process)
+        os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
     assert whole_of("many") == whole_of("one")

@@ -106,9 +106,7 @@ def test_text_and_binary_say_the_same(exported, tmp_path):
     assert contents(models[0]) == contents(models[1])
 
 
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory):
     seed = data.draw(st.integers(0, 2**32 - 1))

@@ -91,7 +91,7 @@ def test_the_world_is_upright_and_its_axes_are_told(found, written):
 numbers = st.floats(-1, 1, allow_nan=False)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     twist=st.tuples(*[numbers] * 6),
     focal=st.floats(10, 5000),

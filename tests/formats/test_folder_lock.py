@@ -5,6 +5,8 @@ import time
 
 import pytest
 
+from tests.waiting import PATIENCE
+from tisfm.formats import folder_lock
 from tisfm.formats.folder_lock import LOCK, FolderInUseError, is_written_to, locked_folder
 
 
@@ -25,7 +27,8 @@ def test_the_file_of_a_killed_run_says_nothing(tmp_path):
         assert is_written_to(tmp_path)
 
 
-def test_who_looks_keeps_no_run_from_its_folder(tmp_path):
+def test_who_looks_keeps_no_run_from_its_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(folder_lock, "_PATIENCE", PATIENCE)  # a busy machine may stop who looks
     ended = threading.Event()
 
     def look():

@@ -12,9 +12,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 # The folder of a test is shared by the examples of one property: each overwrites the last.
-PROPERTY = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+PROPERTY = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 # Subnormal numbers are left out: a library loaded beside us may have switched them off.
 FINITE_OR_NOT = st.floats(width=32, allow_subnormal=False)
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)

@@ -18,6 +18,7 @@ from collections import Counter, defaultdict
 LIMIT = 240  # s a case may take where others work beside it; the first of a process twice that
 SLOW, LEAST_SLOW = 10, 1.0  # times the median of its like, and s: what is reported
 SHOWN = 5  # slowest cases
+PROGRAM = (sys.executable, "-m", "tests.fuzz.frames")
 LIKE = 5  # cases, from which a median is told
 
 
@@ -126,7 +127,7 @@ def watch(chosen):
     counts, times, wrong = Counter(), defaultdict(list), []
     number, end = chosen.first, time.monotonic() + chosen.seconds
     while (left := end - time.monotonic()) > 0:
-        command = [sys.executable, "-m", "tests.fuzz.frames", "--worker", "--seconds", str(left)]
+        command = [*PROGRAM, "--worker", "--seconds", str(left)]
         command += ["--seed", str(chosen.seed), "--first", str(number)]
         command += ["--threads", str(chosen.threads), "--limit", str(chosen.limit)]
         for name in ("entry", "motion"):

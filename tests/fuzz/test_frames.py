@@ -1,6 +1,7 @@
 """A short run of random small frames: `python -m tests.fuzz.frames` runs longer ones."""
 
 import dataclasses
+import sys
 import warnings
 
 import numpy as np
@@ -128,12 +129,24 @@ def test_a_broken_promise_is_seen(word, pair):
         checked(dataclasses.replace(result, **BROKEN[word](result)), pose)
 
 
+HANGING = """
+import sys
+import time
+from tests.fuzz import frame_cases, frames
+
+frame_cases.outcome = lambda case: time.sleep(1000)
+sys.exit(frames.main(sys.argv[1:]))
+"""
+
+
 @pytest.mark.slow
-def test_a_case_that_takes_too_long_is_ended_and_told(capfd):
-    assert frames.main(["--seconds", "0.5", "--limit", "0.0005"]) == 1
+def test_a_case_that_takes_too_long_is_ended_and_told(capfd, monkeypatch):
+    """The first case has twice the limit: no second one begins within the seconds of the run."""
+    monkeypatch.setattr(frames, "PROGRAM", (sys.executable, "-c", HANGING))
+    assert frames.main(["--seconds", "2", "--limit", "1"]) == 1
     said = capfd.readouterr().out
     assert "case 0:" in said and "ended 1" in said and "Timeout" in said
-    assert "1 wrong" in said
+    assert "1 cases, 1 wrong" in said
 
 
 def test_slow_cases_are_told(capsys):

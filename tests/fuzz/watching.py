@@ -20,7 +20,7 @@ class Watch:
     """Has inputs read, one after the other."""
 
     def __init__(self) -> None:
-        self._held = _peak()
+        self._held = peak()
 
     def outcome(self, target: Target, path: Path) -> str:
         """Return "read", "refused", or what is wrong.
@@ -31,7 +31,7 @@ class Watch:
         path : Path
             The input.
         """
-        before, began = _peak(), time.process_time()
+        before, began = peak(), time.process_time()
         try:
             target.read(path)
             found = READ
@@ -41,16 +41,16 @@ class Watch:
                 found = f"unclear: {text!r}"
         except Exception as error:
             found = f"raised {type(error).__name__}: {error}"
-        took, peak = time.process_time() - began, _peak()
+        took, after = time.process_time() - began, peak()
         if took > target.seconds:
             return f"slow: {took:.1f} s"
         # The peak never falls: that of this input is known only if it is the highest so far.
-        if peak > before and peak - self._held > target.memory:
-            more, self._held = peak - self._held, peak
+        if after > before and after - self._held > target.memory:
+            more, self._held = after - self._held, after
             return f"memory: {more / MIB:.0f} MiB"
         return found
 
 
-def _peak() -> int:
+def peak() -> int:
     """Return the most bytes that the process has held so far."""
     return 0 if resource is None else _UNIT * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -46,6 +46,9 @@ runtime.on_gpu = lambda: True
 """
 STARTED = """
 from tisfm import runtime
+from tisfm.machine.vulkan import software_vulkan
+if sys.argv[2] == "vulkan" and software_vulkan():
+    sys.exit(f"Vulkan has no GPU here: {software_vulkan()} is software on the CPU")
 runtime.start(sys.argv[2])
 """
 INTERPRET = """
@@ -76,7 +79,7 @@ def python(code, *arguments, **environment):
 
 @cache
 def obstacle(arch):
-    """Return why Taichi cannot start an arch, or an empty string."""
+    """Return why there is no GPU for an arch of Taichi, or an empty string."""
     done = python(STARTED, "", arch)
     return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["it crashed"])[-1]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.waiting import PATIENCE
 from tisfm.cli import command_line
 from tisfm.formats import write_png
 from tisfm.machine import address_space
@@ -31,7 +32,7 @@ def run(folder, kilobytes, *arguments):
         },
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE,
         check=False,
     )
 

@@ -91,7 +91,7 @@ def test_least_decides_what_follows():
     assert counts == [(2, 1), (2, 1), (1, 0)]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), things=st.integers(1, 3), found=st.integers(0, 4))
 def test_the_mean_is_that_of_frames_one_by_one(seed, things, found):
     rng = np.random.default_rng(seed)

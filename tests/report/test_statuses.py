@@ -4,15 +4,13 @@ import re
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm.outcome import Status
 from tisfm.report.pictures import chosen
 from tisfm.report.statuses import MEANINGS, color_of, counted, spans
 
-# Other processes may hold up a test for longer than Hypothesis likes.
-anywhere = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"
 
 
@@ -43,7 +41,6 @@ def test_they_are_counted_with_the_advice_of_the_first():
     assert counted([], []) == []
 
 
-@anywhere
 @given(st.lists(st.sampled_from("abc"), max_size=60), st.integers(1, 20))
 def test_spans_cover_all_frames_once(codes, most):
     found = spans(codes, most)
@@ -64,7 +61,6 @@ def test_a_rare_status_is_seen_in_a_long_sequence():
     assert [code for _, _, code in spans(codes)] == ["converged", "diverged", "converged"]
 
 
-@anywhere
 @given(st.integers(0, 2000), st.lists(st.integers(0, 1999), max_size=80), st.integers(4, 60))
 def test_chosen_frames_are_there_and_spread(count, wanted, most):
     wanted = [frame for frame in wanted if frame < count]

@@ -112,7 +112,7 @@ def test_pixels_that_leave_the_image_are_not_visible():
     assert (pair.visible[3:9, 8:13]).all() and not pair.visible[3:9, 13:16].any()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     normal=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda n: np.linalg.norm(n) > 0.1),
     distance=st.floats(1, 50),

@@ -16,7 +16,7 @@ from tisfm.show import (
 )
 from tisfm.show.anaglyph import _MATRICES
 
-PROPERTY = settings(max_examples=60, deadline=None)
+PROPERTY = settings(max_examples=60)
 
 
 def slow_second_view(image: np.ndarray, shifts: np.ndarray) -> np.ndarray:

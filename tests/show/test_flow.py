@@ -15,7 +15,7 @@ from tisfm.show import (
     usual_length,
 )
 
-PROPERTY = settings(max_examples=60, deadline=None)
+PROPERTY = settings(max_examples=60)
 
 
 def one_vector(u: float, v: float) -> np.ndarray:

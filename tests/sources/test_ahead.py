@@ -11,6 +11,7 @@ import pytest
 
 import tisfm
 from tests.sources.made import FRAMES, QUICK
+from tests.waiting import PATIENCE, wait_for
 from tisfm.formats import write_png
 from tisfm.sources import FrameSource
 from tisfm.sources.ahead import AHEAD, read_ahead
@@ -46,9 +47,7 @@ def test_items_are_made_ahead_and_no_further():
     ahead = read_ahead(items())
     assert next(ahead) == 0
     for k in range(1, 5):
-        deadline = time.monotonic() + 10
-        while len(made) < k + AHEAD and time.monotonic() < deadline:
-            time.sleep(0.001)
+        wait_for(lambda k=k: len(made) >= k + AHEAD)
         time.sleep(0.01)
         assert made == list(range(k + AHEAD))
         assert next(ahead) == k
@@ -162,7 +161,7 @@ print(next(frames).name, flush=True)
 def test_the_interpreter_ends(tmp_path, end):
     """Without waiting for who reads the rest, and with the rest for who still reads it."""
     program = [sys.executable, "-c", PROGRAM + end, str(folder_of(tmp_path, 12))]
-    done = subprocess.run(program, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(program, capture_output=True, text=True, timeout=PATIENCE)
     lines = done.stdout.split()
     assert lines[0] == "f00"
     if "later" in end:

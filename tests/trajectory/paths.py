@@ -1,12 +1,12 @@
 """Paths of cameras that tests make."""
 
 import numpy as np
-from hypothesis import HealthCheck, settings
+from hypothesis import settings
 
 from tisfm.rigid import pose_matrix
 
-# Of tests with drawn examples: a busy machine is no fault.
-PATIENT = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# Of tests with drawn examples.
+PATIENT = settings(max_examples=50)
 
 
 def random_path(rng, count, *, length=1.0, turn=0.3, missing=()):

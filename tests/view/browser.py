@@ -4,6 +4,8 @@ import shutil
 
 import pytest
 
+from tests.waiting import PATIENCE
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 # WebGL without a GPU.
 OPTIONS = (
@@ -19,6 +21,8 @@ def launched(playwright):
     if path is None:
         pytest.skip("no Chromium: Debian has it as the package chromium")
     try:
-        return playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
+        return playwright.chromium.launch(
+            executable_path=path, args=list(OPTIONS), timeout=1000 * PATIENCE
+        )
     except Error as error:
         pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")

@@ -1,17 +1,8 @@
-"""Pages without a browser: to wait for what they show, and to set their controls."""
+"""Pages without a browser: tests wait until they are drawn, and set their controls."""
 
-import time
 from concurrent.futures import Future
 
-PATIENCE = 120.0  # s, for machines that do much else
-
-
-def wait_for(condition):
-    """Wait until something is so."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.02)
+from tests.waiting import PATIENCE, wait_for
 
 
 def between_drawings(page, look):

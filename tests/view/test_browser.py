@@ -2,6 +2,7 @@
 
 import io
 import re
+import time
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 from tests.view.browser import launched
 from tests.view.pages import is_drawn
 from tests.view.results import write_reconstruction, write_record_of, write_run
+from tests.waiting import PATIENCE
 from tisfm.view.opening import open_result
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
@@ -20,7 +22,6 @@ from tisfm.view.page import Page  # noqa: E402, after what is skipped without vi
 from tisfm.view.scene import quaternion  # noqa: E402
 
 SIZE = {"width": 1200, "height": 800}
-PATIENCE = 120_000  # ms: without a GPU a picture takes its time
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def look(browser, tmp_path):
         opened.append(page)
         tab = browser.new_context(viewport=SIZE, accept_downloads=True).new_page()
         opened.append(tab.context)
-        tab.set_default_timeout(PATIENCE)
+        tab.set_default_timeout(1000 * PATIENCE)
         tab.asked = []
         tab.on("request", lambda request: tab.asked.append(request.url))
         tab.goto(page.url)
@@ -61,11 +62,10 @@ def picture(tab):
 
 
 def wait_until(tab, condition, what):
-    for _ in range(PATIENCE // 250):
-        if condition():
-            return
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, what
         tab.wait_for_timeout(250)
-    raise AssertionError(what)
 
 
 def wait_until_still(tab):
@@ -300,7 +300,7 @@ def test_it_saves_pictures_films_and_pages(look, browser, tmp_path, monkeypatch)
     tab.get_by_text("Save", exact=True).click()
 
     def saved(name):
-        with tab.expect_download(timeout=PATIENCE) as download:
+        with tab.expect_download(timeout=1000 * PATIENCE) as download:
             tab.get_by_role("button", name=name).click()
         path = tmp_path / download.value.suggested_filename
         download.value.save_as(path)

@@ -41,7 +41,7 @@ def made(inverse_depth, **parts):
     scale=st.floats(0.1, 10),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_points_project_to_their_pixels(height, width, most, scale, seed):
     random = np.random.default_rng(seed)
     inverse = random.uniform(0.5, 1.5, (height, width))

@@ -4,7 +4,7 @@ import math
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.view.results import HEIGHT, WIDTH
@@ -14,7 +14,6 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[
 
 
 @given(aspect=st.floats(0.2, 5), focal=st.floats(10, 1000))
-@settings(deadline=None)
 def test_all_of_the_frame_is_in_sight_and_fills_the_window(aspect, focal):
     frame = SimpleNamespace(shape=(HEIGHT, WIDTH), camera=SimpleNamespace(focal=focal))
     up = math.tan(following_fov(frame, aspect) / 2)

@@ -11,6 +11,7 @@ import pytest
 
 from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
+from tests.waiting import PATIENCE
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.point_cloud import PointCloud
 from tisfm.view.opening import open_result
@@ -37,6 +38,7 @@ def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
         other = socket.gethostbyname(socket.gethostname())
         if other != "127.0.0.1":
             with socket.socket() as probe:
+                probe.settimeout(5)  # s; a firewall may answer nothing
                 assert probe.connect_ex((other, port)) != 0
     assert capsys.readouterr().out == ""
     assert page.server.request_share_url() is None  # no tunnel to the outside
@@ -49,13 +51,17 @@ def test_pages_from_elsewhere_are_refused(opened, tmp_path):
 
     write_run(tmp_path / "r", 1)
     address = opened(tmp_path / "r").url.replace("http", "ws")
-    protocol = f"viser-v{viser.__version__}"
+    options = {
+        "subprotocols": [f"viser-v{viser.__version__}"],
+        "open_timeout": PATIENCE,
+        "proxy": None,  # whatever the environment says
+    }
     for origin in ("http://127.0.0.1:8080", "http://localhost:1", "http://[::1]", None):
-        with connect(address, origin=origin, subprotocols=[protocol], max_size=None) as socket:
-            assert socket.recv(timeout=20)
+        with connect(address, origin=origin, max_size=None, **options) as socket:
+            assert socket.recv(timeout=PATIENCE)
     for origin in ("http://example.org", "http://127.0.0.1.example.org", "http://1.2.3.4", "null"):
         with pytest.raises(InvalidStatus, match="403"):
-            connect(address, origin=origin, subprotocols=[protocol])
+            connect(address, origin=origin, **options)
 
 
 def test_a_host_that_is_none_is_refused(tmp_path):

@@ -11,7 +11,7 @@ from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picke
 
 
 @given(seed=st.integers(0, 999), row=st.integers(0, 10), column=st.integers(0, 22))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_ray_through_a_pixel_hits_its_point(seed, row, column):
     inverse = np.random.default_rng(seed).uniform(0.9, 1.1, (11, 23))
     points = cloud(made(inverse), "image", RANGES, Choice())
@@ -30,7 +30,7 @@ def test_the_nearest_surface_is_hit():
 
 
 @given(row=st.integers(0, 10), column=st.integers(0, 22), back=st.floats(0.1, 5))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_pixel_of_the_picture_in_a_frustum(row, column, back):
     frame, distance = made(np.ones((11, 23))), 0.4
     place = distance * np.array([(column - 11) / 30, (row - 5) / 30, 1])

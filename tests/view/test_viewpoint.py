@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.view.results import write_reconstruction
@@ -24,7 +24,6 @@ def slopes(pose, points):
     depth=st.floats(0.01, 1000),
     deep=st.floats(0.01, 1.5),
 )
-@settings(deadline=None)
 def test_camera_and_points_are_in_sight(aspect, wide, depth, deep):
     generator = np.random.default_rng(1)
     rays = np.concatenate([generator.uniform(-wide, wide, (300, 2)), np.ones((300, 1))], axis=1)

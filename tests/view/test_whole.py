@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from trimesh import Trimesh
 
@@ -84,7 +84,6 @@ def test_damaged_files_are_told(tmp_path, name, kind, data):
 
 
 @given(most=st.integers(1, 200))
-@settings(deadline=None)
 def test_few_points_are_left(most):
     points = some_points(100)
     whole = Whole(positions=points.positions, colors=points.colors, faces=None, origin="")
@@ -114,7 +113,6 @@ def test_a_coarser_surface_is_much_the_same(most):
 
 
 @given(low=st.floats(-2, 1), wide=st.floats(0, 3))
-@settings(deadline=None)
 def test_what_is_clipped_lies_in_the_box(low, wide):
     box = np.full(3, low), np.full(3, low + wide)
     points = some_points()

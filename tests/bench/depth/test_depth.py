@@ -292,7 +292,7 @@ def test_every_threshold_is_scored_from_one_flow_and_the_best_is_reported(tmp_pa
     errors = [np.prod(held.typical_errors(pipeline.name, t)) for t in (0.02, 20.0)]
     assert held.best_threshold(pipeline.name) == (0.02, 20.0)[int(np.argmin(errors))]
     first = held.scores[0]
-    assert first.flow_seconds == 2.0 and 2.0 < first.seconds < 3.0
+    assert first.flow_seconds == 2.0 < first.seconds
     write(held, tmp_path / "out", remarks=["a remark"])
     text = (tmp_path / "out.md").read_text(encoding="utf-8")
     assert "- a remark" in text and "## Thresholds of the essential matrix" in text

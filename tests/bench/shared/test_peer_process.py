@@ -11,6 +11,7 @@ import pytest
 from bench.shared.contest import MethodFailure, score
 from bench.shared.peer_process import WORKER, Peer, find_peers, survey
 from bench.shared.sequences import scene_pairs
+from tests.waiting import PATIENCE
 
 
 def test_the_worker_needs_nothing_of_this_project():
@@ -24,7 +25,11 @@ def test_the_worker_needs_nothing_of_this_project():
 @pytest.fixture
 def dis(tmp_path):
     peer = Peer(
-        "OpenCV DIS fast", python=Path(sys.executable), threads=1, folder=tmp_path, timeout=60
+        "OpenCV DIS fast",
+        python=Path(sys.executable),
+        threads=1,
+        folder=tmp_path,
+        timeout=PATIENCE,
     )
     yield peer
     peer.close()
@@ -53,7 +58,7 @@ def test_what_a_library_refuses_is_reported_and_the_worker_goes_on(dis):
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
 def test_a_worker_that_does_not_answer_is_ended(tmp_path):
     python = tmp_path / "python"
-    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.write_text("#!/bin/sh\nexec sleep 1000\n")
     python.chmod(0o755)
     peer = Peer("OpenCV DIS fast", python=python, threads=1, folder=tmp_path, timeout=0.2)
     with pytest.raises(MethodFailure, match="without an answer"):
