@@ -14,7 +14,7 @@ from tests.reconstruction.test_cover import (
     view_of,
 )
 from tisfm.reconstruction.growing import first_pair_tolerance
-from tisfm.reconstruction.match_score import MatchScore, half_line_angles
+from tisfm.reconstruction.match_score import MatchScore, half_line_distances
 
 REST = np.eye(4)[:3]
 SIDEWAYS = np.column_stack([np.eye(3), [-0.5, 0, 0]])  # the camera goes to the right
@@ -28,24 +28,39 @@ def unit(*direction):
 @pytest.mark.parametrize("depth", [0.5, 1.0, 10.0, 1e9])
 def test_a_point_at_any_depth_lies_on_its_half_line(depth):
     after = unit(-0.5, 0, depth)
-    assert half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, after)[0] == pytest.approx(0, abs=1e-12)
+    found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, after)
+    assert found[0] == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("x", "angle"), [(0.01, np.arctan(0.01)), (-0.01, 0.0)])
-def test_a_point_beyond_infinity_is_as_far_as_infinity(x, angle):
+@pytest.mark.parametrize(("x", "away"), [(0.01, 0.01), (-0.01, 0.0)])
+def test_a_point_beyond_infinity_is_as_far_as_infinity(x, away):
     """The camera goes to the right, so points move to the left: to the right is behind it."""
-    found = half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, unit(x, 0, 1))
-    assert found[0] == pytest.approx(angle, abs=1e-12)
+    found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, unit(x, 0, 1))
+    assert found[0] == pytest.approx(away, abs=1e-12)
+
+
+@pytest.mark.parametrize(("x", "away"), [(0.05, 0.0), (-0.1, 0.1), (0.12, 0.02)])
+def test_a_half_line_ends_at_the_epipole(x, away):
+    """The camera goes back, so a point moves towards the middle, and not beyond it."""
+    back = np.column_stack([np.eye(3), [0, 0, 0.5]])
+    found = half_line_distances(REST, back, unit(0.1, 0, 1), unit(x, 0, 1))
+    assert found[0] == pytest.approx(away, abs=1e-12)
 
 
 def test_a_point_beside_the_line_is_as_far_as_the_line():
-    found = half_line_angles(REST, SIDEWAYS, STRAIGHT_ON, unit(-0.2, 0.03, 1))
-    assert found[0] == pytest.approx(np.arctan(0.03 / np.hypot(0.2, 1)), rel=1e-6)
+    found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, unit(-0.2, 0.03, 1))
+    assert found[0] == pytest.approx(0.03, rel=1e-9)
 
 
 def test_without_translation_a_point_stays_at_infinity():
-    found = half_line_angles(REST, REST, STRAIGHT_ON, unit(0.02, 0, 1))
-    assert found[0] == pytest.approx(np.arctan(0.02), rel=1e-9)
+    found = half_line_distances(REST, REST, STRAIGHT_ON, unit(0.02, 0, 1))
+    assert found[0] == pytest.approx(0.02, rel=1e-9)
+
+
+def test_what_a_turn_brings_behind_the_camera_is_infinitely_far():
+    turned = np.diag([1.0, -1.0, -1.0]) @ REST  # by half a turn
+    found = half_line_distances(REST, turned, STRAIGHT_ON, unit(0.02, 0, 1))
+    assert found[0] == np.inf
 
 
 def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():

@@ -33,6 +33,8 @@ class FramesPath:
         As for `tisfm.reconstruction.path.PathFinder`.
     readout : float or None
         Of the shutter, as in `tisfm.Camera`; None if it is found, which a known path does not show.
+    focal_known : bool
+        As for `tisfm.reconstruction.path.PathFinder`.
     """
 
     def __init__(
@@ -43,12 +45,15 @@ class FramesPath:
         *,
         limit: float = WORTHLESS,
         readout: float | None = None,
+        focal_known: bool = True,
     ) -> None:
         self._camera, self._given, self._readout = camera, given, readout
         self._shape = (0, 0)
         self._seen = Shelf(Seen.arrays, Seen.of_arrays)
         self._tracker = Tracker(camera, TRACKING)
-        self._finder = PathFinder(camera, calibrate, limit=limit, readout=readout)
+        self._finder = PathFinder(
+            camera, calibrate, limit=limit, readout=readout, focal_known=focal_known
+        )
 
     def add(
         self,

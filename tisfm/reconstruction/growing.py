@@ -24,10 +24,10 @@ GROWING, ENDING = (10, 1e-4), (50, 1e-5)
 # small ones are found.
 ANGLES = (4.0, 1.0, 0.5)
 TRIED = 24  # first pairs, at most, for each angle
-# px: errors that RANSAC tolerates at a first pair of frames from 480 to 1000 px long. With a larger
-# one than the parallax, which may be 2 px, any motion is accepted.
-TOLERANCE = 1.0
-SMALL_FRAME, LARGE_FRAME = 480, 1000  # px: the longer side where the tolerance begins to change
+# px: errors that RANSAC tolerates at a first pair of frames up to LARGE_FRAME px long; beyond, it
+# grows with the longer side. With a larger one than the parallax, which may be 2 px, any motion is
+# accepted.
+TOLERANCE, LARGE_FRAME = 1.0, 1000
 LEAST_PARALLAX = 5e-4  # rad: matching noise has as much
 ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
 # A first pair's motion explains its directions so many times better than a homography if the focal

@@ -66,39 +66,52 @@ class MatchScore:
         for (first, second), both in self._pairs.items():
             if first in poses and second in poses:
                 before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
-                angle = half_line_angles(poses[first], poses[second], before, after)
-                distance = camera.focal_length_x * angle / self._scale
+                away = half_line_distances(poses[first], poses[second], before, after)
+                distance = camera.focal_length_x * away / self._scale
                 total += float((1 / (1 + distance**2)).sum())
         return total
 
 
-def half_line_angles(
+def half_line_distances(
     pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Return the angles between directions and the half lines where they may lie.
+    """Return how far points are from the half lines where they may lie.
+
+    A half line goes from the point at infinite depth towards the epipole, where the first camera
+    is seen. It ends there if the first camera is in front of the second.
 
     Parameters
     ----------
     pose0, pose1 : (3, 4) array
         World to camera, of two views.
     before, after : (N, 3) array
-        Unit directions to the same points in the first and the second view.
+        Directions to the same points in the first and the second view; z of `after` is positive.
 
     Returns
     -------
     (N,) float64
-        Angles, rad, between `after` and the arc from the direction of the point at infinite depth
-        to the direction of the first camera.
+        Distances in the second image, in focal lengths; infinite where the nearest place of the
+        half line is not in front of the second camera.
     """
     rotation = pose1[:, :3] @ pose0[:, :3].T
     infinite = before @ rotation.T
     translation = pose1[:, 3] - rotation @ pose0[:, 3]
-    to_end = np.linalg.norm(after - infinite, axis=1)
-    at_infinity = 2 * np.arcsin(np.minimum(to_end / 2, 1))
+    seen = after / after[:, 2:]
     normal = np.cross(infinite, translation)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal /= np.maximum(length, 1e-12)
-    off_plane = np.abs(np.arcsin(np.clip((after * normal).sum(axis=1), -1, 1)))
-    # Beyond infinity, which is behind the camera: the end of the half line is nearest.
-    behind = (np.cross(infinite, after) * normal).sum(axis=1) < 0
-    return np.where(behind | (length[:, 0] < 1e-12), at_infinity, off_plane)
+    slope = np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-12)
+    of_line = np.abs((seen * normal).sum(axis=1)) / slope
+    # Beyond infinity a point would lie behind the cameras; beyond the epipole, behind the first.
+    beyond_infinity = (np.cross(infinite, after) * normal).sum(axis=1) < 0
+    beyond_epipole = (np.cross(after, translation) * normal).sum(axis=1) < 0
+    is_open = np.linalg.norm(normal, axis=1) < 1e-12  # no translation, or along the direction
+    at_infinity = _distance_to(infinite, seen)
+    at_epipole = _distance_to(np.broadcast_to(translation, seen.shape), seen)
+    found = np.where(beyond_epipole, at_epipole, of_line)
+    return np.where(beyond_infinity | is_open, at_infinity, found)
+
+
+def _distance_to(direction: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the distances of points with z = 1 from directions, infinite for those behind."""
+    z = np.where(direction[:, 2] > 1e-9, direction[:, 2], np.nan)
+    away = np.hypot(*(seen - direction / z[:, None])[:, :2].T)
+    return np.nan_to_num(away, nan=np.inf)

@@ -118,7 +118,9 @@ def own_path(
     side = float(np.median(np.sqrt(thing.boxes[:, 2] * thing.boxes[:, 3])))
     longer = max(frames.shape)
     cells = min(CELLS * longer / max(side, 1.0), longer / FINEST)
-    finder = PathFinder(frames.camera, readout=0.0, cells=max(CELLS, round(cells)))
+    finder = PathFinder(
+        frames.camera, readout=0.0, cells=max(CELLS, round(cells)), focal_known=False
+    )
     rim = np.ones((RIM, RIM), np.uint8)
     for number in range(len(numbers)):
         grey = np.rint(own.grey(number)).clip(0, 255).astype(np.uint8)

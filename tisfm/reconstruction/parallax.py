@@ -69,19 +69,22 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))
     angles = np.full(len(before), np.pi)
     if len(start):
-        angles[seen] = _fit_rotation_and_focal(start, end)
+        moved = np.column_stack([_moved_by_rotation(start, end), np.ones(len(start))])
+        moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+        angles[seen] = np.linalg.norm(np.cross(after[seen], moved), axis=1)
     return angles
 
 
-def _fit_rotation_and_focal(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the distances that the fit leaves, (N,); points are (N, 2), in focal lengths."""
+def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return where the best rotation and focal length move points to; all (N, 2), focal lengths."""
     rotation, log_focal, weights = np.eye(3), 0.0, np.ones(len(start))
     for number in range(ROTATION_STEPS):
         focal = np.exp(log_focal)
         x, y, z = (np.column_stack([start / focal, np.ones(len(start))]) @ rotation.T).T
         z = np.maximum(z, IN_FRONT)
         u, v = x / z, y / z
-        left = end - focal * np.column_stack([u, v])
+        moved = focal * np.column_stack([u, v])
+        left = end - moved
         distance = np.hypot(*left.T)
         if number:
             weights = 1 / (distance + NOISE)
@@ -109,7 +112,7 @@ def _fit_rotation_and_focal(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         log_focal = limited
         if number and np.abs(step).max() < SMALLEST_STEP:
             break
-    return np.asarray(distance)
+    return moved
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:

@@ -78,6 +78,9 @@ class PathFinder:
         Of the shutter, as in `tisfm.Camera`; None if it is found.
     cells : int
         As for `tisfm.reconstruction.tracks.Tracker`.
+    focal_known : bool
+        Whether the focal length is known before. If it is a guess, a path does not begin before a
+        single plane.
     """
 
     def __init__(
@@ -88,7 +91,9 @@ class PathFinder:
         limit: float = WORTHLESS,
         readout: float | None = None,
         cells: int = CELLS,
+        focal_known: bool = True,
     ) -> None:
+        self._focal_known = focal_known and calibrate == "nothing"
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._readout = readout
         self._tracker = Tracker(camera, TRACKING, cells)
@@ -164,11 +169,6 @@ class PathFinder:
             focal=way.focal,
             rolling=rolling,
         )
-
-    @property
-    def _focal_known(self) -> bool:
-        """Whether the focal length was stated."""
-        return self._calibrate == "nothing"
 
     def _unrolled(self, way: Way, instants: np.ndarray) -> tuple[Way, Rolling | None]:
         """Return the way of middle rows, and how frames moved while they were read, if they did."""

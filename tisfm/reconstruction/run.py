@@ -262,6 +262,9 @@ class Run:
             calibrate or self._calibrate,
             limit=OF_EXIF if stated else WORTHLESS,
             readout=readout,
+            focal_known=(
+                self._calibrate == "nothing" and self._guess is None and self._stated.seen
+            ),
         )
 
     def _take_camera(self, path: CameraPath) -> None:

@@ -99,6 +99,9 @@ class SlidingPath:
         Of the shutter, as in `tisfm.Camera`; None if it is found with the first path, and stays.
     limit : float
         Of the focal length: with a larger deviation, the guess stays.
+    is_guess : bool
+        Whether the focal length is a guess though it is not to be found. Then a path does not begin
+        before a single plane.
 
     Attributes
     ----------
@@ -122,12 +125,13 @@ class SlidingPath:
         focal_known: bool = True,
         readout: float | None = 0.0,
         limit: float = WORTHLESS,
+        is_guess: bool = False,
     ) -> None:
         self.camera = camera
         self.focal: FocalEstimate | None = None
         self.readout, self.readout_deviation = readout, 0.0
         self._focal_known, self._limit = focal_known, limit
-        self._focal_stated = focal_known
+        self._focal_stated = focal_known and not is_guess
         self.seen = Remembered()
         self._read = Remembered()  # tracks as rows were read
         self._unrolled: dict[int, View] = {}

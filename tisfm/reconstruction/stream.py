@@ -138,6 +138,7 @@ class Stream:
                 focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
                 limit=OF_EXIF if stated else WORTHLESS,
+                is_guess=self._guess is not None or not self._stated.seen,
             )
         self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
         self._look_at_time(number, frame)
