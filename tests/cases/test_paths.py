@@ -150,3 +150,16 @@ def test_a_room_gives_the_same_path_as_ever():
     assert (found.piece == 0).all()
     assert path_error(found.poses, inputs.walk(16)) < 0.0025
     assert found.calibration.readout == 0
+
+
+@pytest.mark.slow
+def test_a_guess_that_is_kept_is_not_taken_for_a_known_focal_length():
+    with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
+        found = tisfm.reconstruct(
+            plane_film(flight(ABOVE)),
+            calibrate="nothing",
+            settings=tisfm.Settings.preset("fast", motion="camera"),
+            depth_of="none",
+        )
+    assert set(found.status) == {"little_parallax"}
+    assert "one plane" in found.status[0].message

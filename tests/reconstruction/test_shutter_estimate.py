@@ -7,6 +7,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.shutter_estimate import estimate_readout
 from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.unrolled_way import _is_seen
 from tisfm.rigid import pose_matrix
 from tisfm.shutter import at_middle, rates_of, transported
 
@@ -89,6 +90,40 @@ def test_a_steady_way_shows_little_of_it():
         for v, path in zip(views, (poses, shaking), strict=True)
     )
     assert steady.deviation > 5 * shaken_.deviation
+
+
+@pytest.mark.parametrize(
+    "twist",
+    [
+        (0.05, 0, 0, 0, 0, 0),
+        (0, 0.05, 0, 0, 0, 0),
+        (0, 0, 0.1, 0, 0, 0),
+        (0.05, 0, 0.01, 0, 0.02, 0),
+    ],
+    ids=["sideways", "up", "forward", "pan"],
+)
+@pytest.mark.parametrize("readout", [0.0, 0.5])
+def test_a_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readout):
+    """A steady way moves rows as other poses or another focal length would."""
+    poses = {k: pose_matrix(np.multiply(k, twist)) for k in range(10)}
+    views = seen_by(poses, readout, 0.3)
+    found = estimate_readout(views, {}, poses, rates_of(poses, np.arange(10)), CAMERA, SHAPE)
+    assert found.deviation > 1  # more than any readout
+    assert not _is_seen(found)
+
+
+def test_it_depends_on_no_choice_of_axes():
+    """Where the world has its origin, and how it is turned, changes no image."""
+    poses = shaken(8)
+    views = seen_by(poses, 0.5, 0.3)
+    elsewhere = pose_matrix((3, -2, 1, 0.5, 1.0, -0.3))
+    moved = {frame: elsewhere @ pose for frame, pose in poses.items()}
+    rates = rates_of(poses, np.arange(8))
+    here, there = (
+        estimate_readout(views, {}, some, rates, CAMERA, SHAPE) for some in (poses, moved)
+    )
+    assert here.readout == pytest.approx(there.readout, abs=1e-3)
+    assert here.deviation == pytest.approx(there.deviation, rel=1e-2)
 
 
 def test_nothing_is_said_of_views_that_share_nothing():

@@ -1,0 +1,51 @@
+"""Drives along straight roads: the path goes forward, and not sideways with depth inside out."""
+
+import numpy as np
+import pytest
+
+import tisfm
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning"),
+]
+
+
+def path_of(source, **options):
+    found = tisfm.reconstruct(
+        source,
+        settings=tisfm.Settings.preset("fast", motion="camera"),
+        depth_of="none",
+        **options,
+    )
+    assert (found.piece == 0).all() and set(found.status) == {"converged"}
+    return np.asarray(found.poses)
+
+
+def assert_forward(poses):
+    """Check that a camera goes along its own axis, and turns by less than 2° in all."""
+    steps = np.einsum("nji,nj->ni", poses[:-1, :3, :3], np.diff(poses[:, :3, 3], axis=0))
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    assert np.median(steps[:, 2]) > 0.99
+    turn = poses[0, :3, :3].T @ poses[-1, :3, :3]
+    assert np.degrees(np.arccos(min((np.trace(turn) - 1) / 2, 1))) < 2
+
+
+@pytest.fixture
+def folder(shared_data, request):
+    found = shared_data / request.param
+    if not found.exists():
+        pytest.skip(f"{found} is not there")
+    return found
+
+
+@pytest.mark.parametrize("folder", ["kitti_cars/images"], indirect=True)
+@pytest.mark.parametrize(("size", "focal"), [(640, 721.5), (640, None), (800, None)])
+def test_a_street_with_cars(folder, size, focal):
+    camera = None if focal is None else tisfm.Camera(focal=focal)
+    assert_forward(path_of(folder, size=size, camera=camera))
+
+
+@pytest.mark.parametrize("folder", ["clips/carnd_solidWhiteRight.mp4"], indirect=True)
+def test_a_motorway(folder):
+    assert_forward(path_of(folder, start=120, stop=161, step=2))
