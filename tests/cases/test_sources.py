@@ -2,6 +2,7 @@
 
 import random
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from PIL import Image
 
 import tisfm
 from tests.cases.inputs import sliding, write_film, write_folder
-from tisfm.formats.time_names import named_times, times_of_names
+from tisfm.formats.time_names import in_order, named_times, times_of_names
 from tisfm.sources import FrameSource
 from tisfm.sources.notes import SourceWarning
 
@@ -106,7 +107,14 @@ def test_masks_are_in_the_same_order(tmp_path):
         ([f"{BEGIN}.{k:06d}" for k in range(0, 10**6, 10**5)], "decimals"),  # TUM's
         ([f"{BEGIN}{k:09d}" for k in range(0, 10**9, 10**8)], "integers"),  # EuRoC's
         ([f"{scene}.{k}" for scene in (1, 2) for k in range(1, 13)], None),  # numbers
+        ([f"t{0.05 * k:g}" for k in range(1, 9)], "decimals"),
+        ([f"{0.05 * k:g}" for k in range(-5, 9)], "decimals"),
+        ([f"{0.05 * k:.2f}" for k in range(-5, 9)], "decimals"),
+        ([f"t{0.05 * k:g}" for k in range(-5, 9)], "decimals"),
+        ([str(1e-05), "0.05", "0.1", "0.15"], "decimals"),
+        ([f"s01e{k:02d}" for k in range(8, 12)], None),
         ([f"take2.{k}" for k in range(8, 12)], None),
+        ([f"take2.{k}" for k in (8, 9, 11, 12)], None),
         ([f"take_2.{k:04d}" for k in range(8, 12)], None),
         ([f"{k}.{k * k}" for k in range(8, 12)], None),
         ([f"1{'0' * 400}.{k}" for k in (5, 25, 125)], None),  # beyond all floats
@@ -117,6 +125,13 @@ def test_what_names_are_taken_for(names, reading):
     found = named_times(names)
     assert (None if found is None else found.reading) == reading
     assert (times_of_names(names) is None) == (reading is None)
+    files = [Path(f"{name}.png") for name in reversed(names)]
+    assert reading is None or in_order(files) == files[::-1]
+
+
+def test_numbers_that_are_no_times_are_told(tmp_path):
+    (note,) = read(with_names(tmp_path / "a", [f"take2.{k}" for k in range(8, 14)]))[-1].notes
+    assert "not read as times" in note and "take2.8 comes first, take2.13 last" in note
 
 
 @given(

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tisfm.formats import FormatError, read_image
-from tisfm.formats.time_names import named_times, times_of_names
+from tisfm.formats.time_names import named_times, times_of_names, unread_note
 from tisfm.sources.reading import BadFrame, RawFrame
 
 
@@ -39,8 +39,8 @@ class ImageFiles:
         self.count: int | None = len(files)
         stems = [file.stem for file in files]
         self.times = times_of_names(stems)
-        named = None if self.times is None else named_times(stems)
-        note = "" if named is None else named.note(stems)
+        named = named_times(stems)
+        note = unread_note(stems) if named is None else named.note(stems) if self.times else ""
         self.notes = (*notes, *([note] if note else []))
         # Of different folders or suffixes; some file systems take a and A for the same.
         if len({stem.lower() for stem in stems}) < len(stems):
