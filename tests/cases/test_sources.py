@@ -321,6 +321,20 @@ def test_both_decoders_resample_alike(tmp_path, monkeypatch):
         assert np.abs(one.astype(int) - other).max() <= 4
 
 
+@pytest.mark.parametrize("rotation", [90, 180])
+def test_both_decoders_say_the_same_of_a_rotated_video(tmp_path, monkeypatch, rotation):
+    pytest.importorskip("av")
+    squeezed = [frame[:, ::2] for frame in FRAMES]
+    path = write_film(tmp_path / "a.mp4", squeezed, aspect="2/1", rotation=rotation)
+    frames, *_, ours = read(path)
+    monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
+    others, *_, other = read(path)
+    height, width = frames[0].shape[:2]
+    assert others[0].shape[:2] == (height, width) == ((64, 48) if rotation == 90 else (48, 64))
+    assert ours.notes == other.notes
+    assert f"to {width} × {height} px" in ours.notes[0]
+
+
 def test_the_focal_length_is_that_of_the_square_pixels(tmp_path):
     """A camera that is given is of frames as players show them; one that is guessed as well."""
     pytest.importorskip("av")

@@ -12,6 +12,7 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.run_file import FORMAT
 from tisfm.scenes import room_film
 
 HEIGHT, WIDTH = 45, 61
@@ -150,5 +151,10 @@ def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=("
             "twists": twists,
             "files": {ending: [1, 1] for ending in files},
         }
-    about = {"version": tisfm.__version__, "settings": {"motion": motion}, "pairs": pairs}
+    about = {
+        "format": FORMAT,
+        "version": tisfm.__version__,
+        "settings": {"motion": motion},
+        "pairs": pairs,
+    }
     (Path(folder) / "run.json").write_text(json.dumps(about))

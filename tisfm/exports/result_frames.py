@@ -16,8 +16,9 @@ from tisfm.outcome import Status
 from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
+from tisfm.run_file import NAME as RUN
+from tisfm.run_file import refuse_other_format
 
-RUN = "run.json"
 _SAME_LENGTH = 1e-6  # relative
 
 
@@ -152,7 +153,7 @@ class PairFrames:
     FileNotFoundError
         If a file of a pair is missing.
     tisfm.formats.FormatError
-        A ValueError: if a file is damaged.
+        A ValueError: if a file is damaged, or of another format.
     ValueError
         If there is no pair.
 
@@ -170,6 +171,7 @@ class PairFrames:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = folder = Path(folder)
         record = read_json(folder / RUN)
+        refuse_other_format(folder / RUN, record)
         try:
             pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
             self.names = tuple(_checked(name) for name, _ in pairs)
