@@ -6,6 +6,7 @@ import pytest
 
 from tests.cli.command_line import FRAMES
 from tests.exports.made import made
+from tisfm.exports.frame_files import write_pictures
 from tisfm.formats import write_png
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
@@ -51,6 +52,18 @@ def test_export(tisfm_run, place, outside, form):
     if code == 0:
         assert links_in(place / "real") == []
         assert sorted(p.relative_to(place / "real") for p in (place / "real").rglob("*")) == written
+
+
+@pytest.mark.parametrize("images", ["link", "copy"])
+def test_a_picture_that_is_a_link_is_exported_as_a_file(place, outside, images):
+    result = made(place / "r", count=2)
+    picture = place / "r" / "frames" / "000000.jpg"
+    whole = picture.read_bytes()
+    picture.rename(place / "elsewhere.jpg")
+    picture.symlink_to(place / "elsewhere.jpg")
+    write_pictures(result, [0, 1], place / "o", images)
+    assert links_in(place / "o") == [] and (place / "o" / "000000.jpg").read_bytes() == whole
+    assert (place / "elsewhere.jpg").stat().st_nlink == 1
 
 
 def test_an_export_that_is_renewed(tisfm_run, place, outside):

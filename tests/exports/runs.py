@@ -8,8 +8,8 @@ import numpy as np
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
 from tisfm.cli.motion_text import motion_rows
+from tisfm.formats.run_file import FORMAT
 from tisfm.outcome import History, Status
-from tisfm.run_file import FORMAT
 
 TWIST = np.array([1.0, 0, 0, 0, 0.01, 0])
 

@@ -8,11 +8,11 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
+from tisfm.formats.run_file import FORMAT
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.run_file import FORMAT
 from tisfm.scenes import room_film
 
 HEIGHT, WIDTH = 45, 61

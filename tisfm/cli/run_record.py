@@ -12,9 +12,9 @@ from typing import Any
 from tisfm.cli.csv_table import csv_table
 from tisfm.formats import atomic_write
 from tisfm.formats.accounts import check_sum, differing, said
+from tisfm.formats.run_file import FORMAT, NAME, refuse_other_format
 from tisfm.outcome import Status
 from tisfm.reconstruction.report_file import TIMINGS
-from tisfm.run_file import FORMAT, NAME, refuse_other_format
 from tisfm.trajectory.clock import fault_between
 
 RECORD, TABLE = NAME, "run.csv"

@@ -10,14 +10,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
+from tisfm.formats.run_file import NAME as RUN
+from tisfm.formats.run_file import refuse_other_format
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
-from tisfm.run_file import NAME as RUN
-from tisfm.run_file import refuse_other_format
 
 _SAME_LENGTH = 1e-6  # relative
 

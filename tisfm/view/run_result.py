@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
+from tisfm.formats.run_file import NAME as RECORD
+from tisfm.formats.run_file import refuse_other_format
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.rigid import pose_matrix
-from tisfm.run_file import NAME as RECORD
-from tisfm.run_file import refuse_other_format
 from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Change, as_rgb
 from tisfm.view.whole import Whole, WholeKind

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from tisfm.formats import FormatError
+from tisfm.formats.errors import FormatError
 
 NAME, FORMAT = "run.json", 2
 
