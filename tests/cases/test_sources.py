@@ -249,6 +249,39 @@ def test_patterns_of_other_programs(tmp_path, name):
     assert "no file matches it" in refused(tmp_path / name, FileNotFoundError)
 
 
+def test_such_patterns_of_folders(tmp_path):
+    for k in range(3):
+        write_folder(tmp_path / f"f{k:03d}", FRAMES[:1], ["x.png"])
+    assert f"'{tmp_path}/f*/x.png'" in refused(tmp_path / "f%03d" / "x.png", FileNotFoundError)
+
+
+@pytest.mark.parametrize("name", ["take#1.mp4", "take#.mp4", "take#1.png"])
+def test_a_single_number_sign_is_a_part_of_a_name(tmp_path, name):
+    assert "check the path" in refused(tmp_path / name, FileNotFoundError)
+
+
+def test_a_folder_of_gifs(tmp_path):
+    (tmp_path / "a.gif").write_bytes(b"no matter")
+    text = refused(tmp_path, FileNotFoundError)
+    assert "give the path of one GIF" in text and "cannot read" not in text
+
+
+def test_animations_of_which_the_first_frame_is_read(tmp_path):
+    pictures = [Image.fromarray(frame) for frame in FRAMES]
+    for name in ("a", "b"):
+        path = tmp_path / f"{name}.webp"
+        pictures[0].save(path, save_all=True, append_images=pictures[1:])
+    (note,) = FrameSource(tmp_path).notes
+    assert "only the first of the 6 frames of a.webp" in note
+
+
+def test_a_pattern_of_one_animated_gif(tmp_path):
+    pictures = [Image.fromarray(frame) for frame in FRAMES]
+    pictures[0].save(tmp_path / "a.gif", save_all=True, append_images=pictures[1:])
+    assert "a GIF of 6 frames, which is read as a video" in refused(f"{tmp_path}/*.gif")
+    assert len(read(tmp_path / "a.gif")[0]) == 6
+
+
 def test_a_file_of_such_a_name_is_read(tmp_path):
     folder = write_folder(tmp_path / "a", FRAMES[:3], [f"{k}%03d.png" for k in range(3)])
     assert read(f"{folder}/*%03d.png")[1] == ["0%03d", "1%03d", "2%03d"]
@@ -268,6 +301,8 @@ def test_such_patterns_of_masks(tmp_path):
         ("http://example.org/a.mp4?x=*", "download the file"),
         ("https://example.org/[a].mp4", "download the file"),
         ("rtsp://camera/1", "ffmpeg -i rtsp://camera/1"),
+        ("www.youtube.com/watch?v=a", "download the file"),
+        ("youtu.be/a", "download the file"),
         ("file:///home/my%20film.mp4", "give the path, /home/my film.mp4"),
         ("file:/home/film.mp4", "give the path, /home/film.mp4"),
         ("file://host/film.mp4", "give the path of the file"),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tisfm.formats import FormatError, read_image
 from tisfm.formats.time_names import named_times, times_of_names, unread_note
+from tisfm.sources.animations import animations_note
 from tisfm.sources.reading import BadFrame, RawFrame
 
 
@@ -41,7 +42,7 @@ class ImageFiles:
         self.times = times_of_names(stems)
         named = named_times(stems)
         note = unread_note(stems) if named is None else named.note(stems) if self.times else ""
-        self.notes = (*notes, *([note] if note else []))
+        self.notes = (*notes, *filter(None, (note, animations_note(files))))
         # Of different folders or suffixes; some file systems take a and A for the same.
         if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
