@@ -26,7 +26,7 @@ Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _starting = threading.Lock()
 _process: int | None = None  # in which Taichi was started, or found running
-_warned_of: int | None = None  # id of the program of Taichi that was said to compile slowly
+_warned_of: int | None = None  # id of the program of Taichi that the user was warned of
 _VULKAN_RUNS_ON = "vulkan runs on"
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
@@ -124,7 +124,7 @@ def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> Non
     """
     keep_freed_memory()
     with warnings.catch_warnings():
-        # What began the work has said so once.
+        # The main process has warned already.
         warnings.filterwarnings("ignore", f"{_VULKAN_RUNS_ON} ", UserWarning)
         start(arch, threads=None if _is_running() else threads)
 
