@@ -155,6 +155,7 @@ def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=("
         "format": FORMAT,
         "version": tisfm.__version__,
         "settings": {"motion": motion},
+        "outputs": ["npz"],
         "pairs": pairs,
     }
     (Path(folder) / "run.json").write_text(json.dumps(about))

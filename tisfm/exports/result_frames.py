@@ -14,7 +14,7 @@ from tisfm.formats.run_file import NAME as RUN
 from tisfm.formats.run_file import refuse_other_format
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
+from tisfm.outcome import STATUSES, Status
 from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
@@ -179,7 +179,7 @@ class PairFrames:
             self._statuses = [Status(pair["status"]) for _, pair in pairs]
             self.is_posed = any(_is_posed(pair) for _, pair in pairs)
             self.camera = _camera_of(record["camera"])
-            is_kept = "npz" in record.get("outputs", ("npz",))
+            is_kept = "npz" in record["outputs"]
         except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())
             raise FormatError(f"{folder / RUN} is damaged or of another kind: {reason}") from error
@@ -213,6 +213,11 @@ class PairFrames:
         if frame not in self._shows_depth:
             self._shows_depth[frame] = bool((self.result(frame).inverse_depth > 0).any())
         return self._shows_depth[frame]
+
+    def unknown_status(self, frame: int) -> str:
+        """Return the status code of a pair if this version does not know it, else ""."""
+        status = self._statuses[frame]
+        return "" if status in STATUSES else str(status)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the first frame of a pair, (H, W) or (H, W, 3) RGB uint8."""
