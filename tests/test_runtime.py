@@ -178,6 +178,21 @@ def test_software_vulkan_is_told(monkeypatch):
         runtime._start("vulkan", None, False)
 
 
+def test_software_vulkan_that_an_application_started_is_told_once(monkeypatch):
+    monkeypatch.setattr(runtime, "running_arch", lambda: "vulkan")
+    monkeypatch.setattr(runtime, "software_vulkan", lambda: "llvmpipe (LLVM 15)")
+    monkeypatch.setattr(runtime, "_warned_of", None)
+    with pytest.warns(runtime.SoftwareVulkanWarning, match="vulkan runs on llvmpipe"):
+        runtime.start()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        runtime.start()
+    monkeypatch.setattr(runtime, "_warned_of", None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        runtime.start_worker()  # the main process has told it
+
+
 # Asking again
 
 

@@ -109,7 +109,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
                 center=None if center is None else tuple(center),
                 distortion=record["distortion"],
                 aspect=record["aspect"],
-                readout=record.get("readout"),  # earlier versions wrote none
+                readout=record["readout"],
             )
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -136,7 +136,7 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
 
 
 def at_size(shape: tuple[int, int] | None) -> str:
-    """Return of which frames (H, W) a number of px is, in words; nothing where that is not known.
+    """Return the frame size (H, W) in words, to put after a number of px; "" if it is not known.
 
     Examples
     --------

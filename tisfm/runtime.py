@@ -26,14 +26,17 @@ Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _starting = threading.Lock()
 _process: int | None = None  # in which Taichi was started, or found running
-_warned_of: int | None = None  # id of the program of Taichi that was said to compile slowly
-_VULKAN_RUNS_ON = "vulkan runs on"
+_warned_of: int | None = None  # id of the program of Taichi that the user was warned of
 _AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
     "vulkan": "it needs a GPU with a Vulkan driver, and the loader (libvulkan)",
     "metal": "it needs macOS on Apple silicon",
 }
+
+
+class SoftwareVulkanWarning(UserWarning):
+    """Vulkan offers no GPU, but software on the CPU."""
 
 
 def start(
@@ -61,7 +64,8 @@ def start(
     Warns
     -----
     UserWarning
-        If Vulkan offers no GPU but software on the CPU, which is slow, and may give wrong answers.
+        If Vulkan offers no GPU but software on the CPU, which is slow, and may give wrong answers;
+        also where an application started Taichi on it.
         If an application started Taichi on the CPU without ``real_matrix_scalarize=False``: our
         kernels may then take minutes to compile.
 
@@ -124,19 +128,19 @@ def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> Non
     """
     keep_freed_memory()
     with warnings.catch_warnings():
-        # What began the work has said so once.
-        warnings.filterwarnings("ignore", f"{_VULKAN_RUNS_ON} ", UserWarning)
+        # The main process has warned already.
+        warnings.simplefilter("ignore", SoftwareVulkanWarning)
         start(arch, threads=None if _is_running() else threads)
 
 
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if _is_running():
         _check_running(arch, threads)
-        _warn_of_slow_compiling()
+        _warn_of_application()
         return
     chosen = arch or _arch_of_environment()
     if chosen == "vulkan" and (device := software_vulkan()):
-        warnings.warn(software_said(device), stacklevel=3)
+        warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=3)
     require_for_taichi(threads or os.cpu_count() or 1)
     options = cache_options()
 
@@ -161,9 +165,10 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
 
 def _initialise(arch: str, options: dict[str, Any]) -> None:
     """Start Taichi on an arch, or explain why it cannot be."""
+    global _warned_of
     import taichi as ti
 
-    from tisfm.kernels.layout.internals import materialize
+    from tisfm.kernels.layout.internals import materialize, program
 
     overriding = os.environ.pop("TI_ARCH", None)  # would win over what is asked for
     try:
@@ -180,12 +185,13 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
         if overriding is not None:
             os.environ["TI_ARCH"] = overriding
     ti.set_logging_level(ti.WARN)
+    _warned_of = id(program())  # no application has started it
 
 
 def software_said(device: str) -> str:
     """Return what to know of a Vulkan device that is software, by its name."""
     return (
-        f"{_VULKAN_RUNS_ON} {device}, software on the CPU and no GPU: it is slow, and answers may "
+        f"vulkan runs on {device}, software on the CPU and no GPU: it is slow, and answers may "
         'be wrong; take arch="cpu" (--arch cpu)'
     )
 
@@ -277,14 +283,22 @@ def _check_running(arch: str | None, threads: int | None) -> None:
         )
 
 
-def _warn_of_slow_compiling() -> None:
-    """Warn, once for each ``ti.init``, where an application let Taichi take vectors apart."""
+def _warn_of_application() -> None:
+    """Warn, once for each ``ti.init``, where an application started Taichi in a way that is slow.
+
+    It let Taichi take vectors apart, or Vulkan is software.
+    """
     global _warned_of
     from tisfm.kernels.layout import internals
 
-    program = id(internals.program())
-    slow = running_arch() == "cpu" and internals.configuration().real_matrix_scalarize
-    if slow and _warned_of != program:
+    program, arch = id(internals.program()), running_arch()
+    if _warned_of == program:
+        return
+    if arch == "vulkan":
+        _warned_of = program  # before the drivers are asked, which takes its time
+        if device := software_vulkan():
+            warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=4)
+    if arch == "cpu" and internals.configuration().real_matrix_scalarize:
         _warned_of = program
         warnings.warn(
             "Taichi was started without real_matrix_scalarize=False: kernels may take minutes to "

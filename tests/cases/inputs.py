@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 import tisfm
 from tisfm.formats import write_png
@@ -66,11 +67,14 @@ def write_folder(folder, frames, names=None):
     return folder
 
 
-def write_film(path, *streams, times=None, aspect=None, default=None, rate=RATE, codec="libx264"):
+def write_film(
+    path, *streams, times=None, aspect=None, default=None, rotation=0, rate=RATE, codec="libx264"
+):
     """Write a film with PyAV, each of `streams` a sequence of (H, W) uint8 frames.
 
     `times` are those of the frames, in 1/rate s, by default 0, 1, 2, …; `aspect` is the width of a
-    pixel over its height; `default` is the number of the stream that is marked as such.
+    pixel over its height; `default` is the number of the stream that is marked as such; `rotation`
+    is what a camera writes of how it was held, in degrees.
     """
     import av
 
@@ -83,6 +87,10 @@ def write_film(path, *streams, times=None, aspect=None, default=None, rate=RATE,
             stream.codec_context.time_base = Fraction(1, rate)
             if aspect is not None:
                 stream.codec_context.sample_aspect_ratio = Fraction(aspect)
+            if rotation:
+                if not hasattr(stream, "set_display_rotation"):
+                    pytest.skip("this PyAV cannot write a rotation")
+                stream.set_display_rotation(rotation)
             if default is not None:
                 stream.disposition = 1 if number == default else 0
             written.append(stream)

@@ -2,6 +2,7 @@
 
 import random
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from PIL import Image
 
 import tisfm
 from tests.cases.inputs import sliding, write_film, write_folder
-from tisfm.formats.time_names import named_times, times_of_names
+from tisfm.formats.time_names import in_order, named_times, times_of_names
 from tisfm.sources import FrameSource
 from tisfm.sources.notes import SourceWarning
 
@@ -106,7 +107,14 @@ def test_masks_are_in_the_same_order(tmp_path):
         ([f"{BEGIN}.{k:06d}" for k in range(0, 10**6, 10**5)], "decimals"),  # TUM's
         ([f"{BEGIN}{k:09d}" for k in range(0, 10**9, 10**8)], "integers"),  # EuRoC's
         ([f"{scene}.{k}" for scene in (1, 2) for k in range(1, 13)], None),  # numbers
+        ([f"t{0.05 * k:g}" for k in range(1, 9)], "decimals"),
+        ([f"{0.05 * k:g}" for k in range(-5, 9)], "decimals"),
+        ([f"{0.05 * k:.2f}" for k in range(-5, 9)], "decimals"),
+        ([f"t{0.05 * k:g}" for k in range(-5, 9)], "decimals"),
+        ([str(1e-05), "0.05", "0.1", "0.15"], "decimals"),
+        ([f"s01e{k:02d}" for k in range(8, 12)], None),
         ([f"take2.{k}" for k in range(8, 12)], None),
+        ([f"take2.{k}" for k in (8, 9, 11, 12)], None),
         ([f"take_2.{k:04d}" for k in range(8, 12)], None),
         ([f"{k}.{k * k}" for k in range(8, 12)], None),
         ([f"1{'0' * 400}.{k}" for k in (5, 25, 125)], None),  # beyond all floats
@@ -117,6 +125,13 @@ def test_what_names_are_taken_for(names, reading):
     found = named_times(names)
     assert (None if found is None else found.reading) == reading
     assert (times_of_names(names) is None) == (reading is None)
+    files = [Path(f"{name}.png") for name in reversed(names)]
+    assert reading is None or in_order(files) == files[::-1]
+
+
+def test_numbers_that_are_no_times_are_told(tmp_path):
+    (note,) = read(with_names(tmp_path / "a", [f"take2.{k}" for k in range(8, 14)]))[-1].notes
+    assert "not read as times" in note and "take2.8 comes first, take2.13 last" in note
 
 
 @given(
@@ -234,6 +249,39 @@ def test_patterns_of_other_programs(tmp_path, name):
     assert "no file matches it" in refused(tmp_path / name, FileNotFoundError)
 
 
+def test_such_patterns_of_folders(tmp_path):
+    for k in range(3):
+        write_folder(tmp_path / f"f{k:03d}", FRAMES[:1], ["x.png"])
+    assert f"'{tmp_path}/f*/x.png'" in refused(tmp_path / "f%03d" / "x.png", FileNotFoundError)
+
+
+@pytest.mark.parametrize("name", ["take#1.mp4", "take#.mp4", "take#1.png"])
+def test_a_single_number_sign_is_a_part_of_a_name(tmp_path, name):
+    assert "check the path" in refused(tmp_path / name, FileNotFoundError)
+
+
+def test_a_folder_of_gifs(tmp_path):
+    (tmp_path / "a.gif").write_bytes(b"no matter")
+    text = refused(tmp_path, FileNotFoundError)
+    assert "give the path of one GIF" in text and "cannot read" not in text
+
+
+def test_animations_of_which_the_first_frame_is_read(tmp_path):
+    pictures = [Image.fromarray(frame) for frame in FRAMES]
+    for name in ("a", "b"):
+        path = tmp_path / f"{name}.webp"
+        pictures[0].save(path, save_all=True, append_images=pictures[1:])
+    (note,) = FrameSource(tmp_path).notes
+    assert "only the first of the 6 frames of a.webp" in note
+
+
+def test_a_pattern_of_one_animated_gif(tmp_path):
+    pictures = [Image.fromarray(frame) for frame in FRAMES]
+    pictures[0].save(tmp_path / "a.gif", save_all=True, append_images=pictures[1:])
+    assert "a GIF of 6 frames, which is read as a video" in refused(f"{tmp_path}/*.gif")
+    assert len(read(tmp_path / "a.gif")[0]) == 6
+
+
 def test_a_file_of_such_a_name_is_read(tmp_path):
     folder = write_folder(tmp_path / "a", FRAMES[:3], [f"{k}%03d.png" for k in range(3)])
     assert read(f"{folder}/*%03d.png")[1] == ["0%03d", "1%03d", "2%03d"]
@@ -253,6 +301,8 @@ def test_such_patterns_of_masks(tmp_path):
         ("http://example.org/a.mp4?x=*", "download the file"),
         ("https://example.org/[a].mp4", "download the file"),
         ("rtsp://camera/1", "ffmpeg -i rtsp://camera/1"),
+        ("www.youtube.com/watch?v=a", "download the file"),
+        ("youtu.be/a", "download the file"),
         ("file:///home/my%20film.mp4", "give the path, /home/my film.mp4"),
         ("file:/home/film.mp4", "give the path, /home/film.mp4"),
         ("file://host/film.mp4", "give the path of the file"),
@@ -304,6 +354,20 @@ def test_both_decoders_resample_alike(tmp_path, monkeypatch):
     monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
     for one, other in zip(ours, read(path)[0], strict=True):
         assert np.abs(one.astype(int) - other).max() <= 4
+
+
+@pytest.mark.parametrize("rotation", [90, 180])
+def test_both_decoders_say_the_same_of_a_rotated_video(tmp_path, monkeypatch, rotation):
+    pytest.importorskip("av")
+    squeezed = [frame[:, ::2] for frame in FRAMES]
+    path = write_film(tmp_path / "a.mp4", squeezed, aspect="2/1", rotation=rotation)
+    frames, *_, ours = read(path)
+    monkeypatch.setattr("tisfm.sources.video.has_av", lambda: False)
+    others, *_, other = read(path)
+    height, width = frames[0].shape[:2]
+    assert others[0].shape[:2] == (height, width) == ((64, 48) if rotation == 90 else (48, 64))
+    assert ours.notes == other.notes
+    assert f"to {width} × {height} px" in ours.notes[0]
 
 
 def test_the_focal_length_is_that_of_the_square_pixels(tmp_path):

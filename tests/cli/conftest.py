@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
-from tisfm.cli import foretelling
+from tisfm.cli import foretelling, kernels_start
 from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
 
@@ -25,6 +25,12 @@ def place(tmp_path, monkeypatch):
 def no_time_passes_for_forecasts(monkeypatch):
     """On a busy machine a run of a few pairs would say how long it is going to take."""
     monkeypatch.setattr(foretelling, "time", SimpleNamespace(monotonic=lambda: 0.0))
+
+
+@pytest.fixture
+def without_vulkan(monkeypatch):
+    """A machine without a Vulkan driver: commands announce the device of others."""
+    monkeypatch.setattr(kernels_start, "vulkan_device", lambda: None)
 
 
 @pytest.fixture

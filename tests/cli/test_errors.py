@@ -227,7 +227,7 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
     ],
     ids=lambda value: " ".join(value),
 )
-def test_values_out_of_range_are_one_line(tisfm_run, frames, place, options, words):
+def test_values_out_of_range_are_one_line(tisfm_run, frames, place, without_vulkan, options, words):
     code, out, err = tisfm_run("run", "frames", "-o", "out", *options)
     assert code == 1 and out == ""
     assert_one_line(code, err, *words)

@@ -150,7 +150,9 @@ def test_an_interrupted_evaluation_is_one_line(tisfm_run, benchmark_folder, monk
     ],
     ids=lambda value: " ".join(value),
 )
-def test_wrong_evaluations_are_one_line(tisfm_run, frames, benchmark_folder, arguments, words):
+def test_wrong_evaluations_are_one_line(
+    tisfm_run, frames, benchmark_folder, without_vulkan, arguments, words
+):
     code, out, err = tisfm_run("eval", *arguments, "-o", "out")
     assert code == 1 and out == ""
     assert_one_line(code, err, *words)

@@ -25,7 +25,8 @@ from tests.waiting import PATIENCE, started, wait_for
 from tisfm import interpretation_file, pair, runtime
 from tisfm.cli import pair_work
 from tisfm.cli.command_line import main
-from tisfm.formats import write_png
+from tisfm.formats import FormatError, write_png
+from tisfm.view.opening import open_result
 
 PLAIN = ("run", "frames", "-o", "out", "--preset", "fast")
 
@@ -89,13 +90,25 @@ def test_resume_refuses_another_kind_of_processor(tisfm_run, frames, monkeypatch
     assert_one_line(code, err, f"lanes was {lanes}, now {24 - lanes}")
 
 
-def test_resume_refuses_a_run_of_an_earlier_tisfm(tisfm_run, frames):
+def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
+    """Only a run without --resume takes it, and removes the files that it names."""
+    assert tisfm_run(*PLAIN, "--flo")[0] == 0
+    path = Path("out", "run.json")
+    about = json.loads(path.read_text())
+    assert about.pop("format") == 2
+    del about["source"]
+    path.write_text(json.dumps(about))
+    for call in (
+        (*PLAIN, "--flo", "--resume"),
+        ("report", "out"),
+        ("export", "out", "--to", "depth-tiff", "-o", "o"),
+    ):
+        code, _, err = tisfm_run(*call)
+        assert_one_line(code, err, "run.json is of format 1", "reads format 2: run anew")
+    with pytest.raises(FormatError, match=r"format 1, .*run anew"):
+        open_result(Path("out"))
     assert tisfm_run(*PLAIN)[0] == 0
-    about = json.loads(Path("out", "run.json").read_text())
-    del about["disparity"]
-    Path("out", "run.json").write_text(json.dumps(about))
-    code, _, err = tisfm_run(*PLAIN, "--resume")
-    assert_one_line(code, err, "a run of an earlier tisfm", "without --resume")
+    assert not list(Path("out").glob("*.flo"))
 
 
 def test_resume_refuses_other_frames(tisfm_run, frames):

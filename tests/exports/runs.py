@@ -8,6 +8,7 @@ import numpy as np
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
 from tisfm.cli.motion_text import motion_rows
+from tisfm.formats.run_file import FORMAT
 from tisfm.outcome import History, Status
 
 TWIST = np.array([1.0, 0, 0, 0, 0.01, 0])
@@ -54,6 +55,7 @@ def run_of(folder, *, scales=(1.0, 1.0, 1.0), posed=False, motion="camera", came
             "files": {},
         }
     record = {
+        "format": FORMAT,
         "version": tisfm.__version__,
         "camera": asdict(camera),
         "outputs": ["npz"],

@@ -9,6 +9,7 @@ import pytest
 
 from tests.exports.made import SHAPE, made, picture, ramp
 from tests.exports.runs import run_of
+from tisfm.cli.command_line import main
 from tisfm.exports import PairFrames, SequenceFrames, write_video
 from tisfm.exports.ranges import inverse_depth_ranges
 from tisfm.exports.video_file import video_file
@@ -241,12 +242,19 @@ def test_videos_need_their_package(tmp_path, monkeypatch):
         write_video(frames, tmp_path / "a.mp4", "depth")
 
 
-def test_runs_of_earlier_versions_and_damaged_ones(tmp_path):
+def test_depth_of_a_status_that_is_not_known_is_told(tmp_path, capsys):
     folder = run_of(tmp_path / "run")
     record = json.loads((folder / "run.json").read_text())
-    del record["outputs"]  # as before it was told
+    record["pairs"]["p1"]["status"] = "brand_new"
     (folder / "run.json").write_text(json.dumps(record))
-    assert len(PairFrames(folder)) == 3
+    assert main(["export", str(folder), "--to", "depth-tiff", "-o", str(tmp_path / "o")]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "1 frame with a status that this version does not know (brand_new): take" in said
+
+
+def test_damaged_runs(tmp_path):
+    folder = run_of(tmp_path / "run")
+    record = json.loads((folder / "run.json").read_text())
     (folder / "p1.npz").unlink()
     with pytest.raises(FileNotFoundError, match=r"no p1\.npz, which was removed.*run again"):
         PairFrames(folder)

@@ -189,7 +189,7 @@ def objects():
         extent=np.ones(3),
         scale_from="size",
     )
-    return [json.dumps({"format": 2, "objects": [thing.as_json()]}).encode()]
+    return [json.dumps({"format": 1, "objects": [thing.as_json()]}).encode()]
 
 
 def reconstructions(motion="objects"):

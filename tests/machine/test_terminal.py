@@ -14,7 +14,7 @@ from tisfm.machine.terminal import printable
         ("\x1b[2J\x1b]0;title\x07", r"\x1b[2J\x1b]0;title\x07"),
         ("\x9b31m\x7f\x00", r"\x9b31m\x7f\x00"),
         ("a\nb\rc\td\x85", r"a\nb\rc\td\x85"),
-        ("\u202egnp.exe\u2066", r"\u202egnp.exe\u2066"),
+        ("\u202egnp.exe\u2066\u061c", r"\u202egnp.exe\u2066\u061c"),
         ("\udcff", "?"),
     ],
 )

@@ -1,5 +1,9 @@
 """What is kept of every frame, on disk."""
 
+import errno
+import io
+import tempfile
+
 import numpy as np
 import pytest
 
@@ -35,6 +39,16 @@ def test_what_is_read_may_be_changed_and_the_shelf_stays():
     shelf.append(seen_of(4))
     shelf[0].points[:] = 0
     assert_same(shelf[0], seen_of(4))
+
+
+def test_a_full_disk_is_told_with_what_to_do(monkeypatch):
+    class Full(io.BytesIO):
+        def write(self, data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda prefix: Full())
+    with pytest.raises(OSError, match="No space left on device; set TMPDIR to another folder"):
+        Shelf(Seen.arrays, Seen.of_arrays).append(seen_of(1))
 
 
 def test_there_is_no_item_after_the_last():

@@ -8,6 +8,7 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
+from tisfm.formats.run_file import FORMAT
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.moving_object import MovingObject
@@ -150,5 +151,11 @@ def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=("
             "twists": twists,
             "files": {ending: [1, 1] for ending in files},
         }
-    about = {"version": tisfm.__version__, "settings": {"motion": motion}, "pairs": pairs}
+    about = {
+        "format": FORMAT,
+        "version": tisfm.__version__,
+        "settings": {"motion": motion},
+        "outputs": ["npz"],
+        "pairs": pairs,
+    }
     (Path(folder) / "run.json").write_text(json.dumps(about))

@@ -10,6 +10,7 @@ from tests.view.pages import wait_for
 from tests.view.results import thing, write_reconstruction
 from tisfm.formats import FormatError
 from tisfm.outcome import Status
+from tisfm.reconstruction.calibration import GIVEN
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report import write_reconstruction_report
 
@@ -42,6 +43,8 @@ def evil_folder(folder):
         "skipped": ((1, EVIL),),
         "version": EVIL,
         "objects": (one,),
+        "notes": (EVIL,),
+        "calibration": replace(GIVEN, origin="guessed", seen=False, message=EVIL),
     }
     write_reconstruction(folder, count, things=True, changes=changes)
     (folder / "frames" / "000002.jpg").unlink()

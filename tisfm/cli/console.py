@@ -85,7 +85,7 @@ class _Description(ProgressColumn):
 
 
 class _Printable:
-    """A table of whose texts none is a command to the terminal."""
+    """A table whose texts are made printable."""
 
     def __init__(self, table: Table) -> None:
         self._table = table

@@ -13,8 +13,8 @@ _QUOTE = "'"  # it makes a cell text, as in spreadsheets
 def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return rows as CSV, whose texts a spreadsheet does not take as formulas.
 
-    A text that would be one, or that begins with ``'``, gets a ``'`` in front: without it, it is
-    what it was. Numbers stay as they are.
+    A text that would be one, or that begins with ``'``, gets a ``'`` in front: remove the ``'``
+    to get the original text. Numbers stay as they are.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ def start_kernels(arch: Arch | None, *, threads: int | None) -> None:
     """Start Taichi as `tisfm.runtime.start` does, and say which device Vulkan runs on."""
     tell_device(arch)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "vulkan runs on ", UserWarning)  # it was told
+        warnings.simplefilter("ignore", runtime.SoftwareVulkanWarning)  # it was told
         runtime.start(arch, threads=threads)
 
 

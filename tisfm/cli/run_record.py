@@ -12,11 +12,12 @@ from typing import Any
 from tisfm.cli.csv_table import csv_table
 from tisfm.formats import atomic_write
 from tisfm.formats.accounts import check_sum, differing, said
+from tisfm.formats.run_file import FORMAT, NAME, refuse_other_format
 from tisfm.outcome import Status
 from tisfm.reconstruction.report_file import TIMINGS
 from tisfm.trajectory.clock import fault_between
 
-RECORD, TABLE = "run.json", "run.csv"
+RECORD, TABLE = NAME, "run.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
@@ -63,7 +64,9 @@ class RunRecord:
 
     def __init__(self, folder: Path, asked: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
         self._folder, self._notes = folder, tuple(notes)
-        self._about: dict[str, Any] = {**asked, **dict.fromkeys(FOUND), "notes": [], "pairs": {}}
+        self._about: dict[str, Any] = {
+            "format": FORMAT, **asked, **dict.fromkeys(FOUND), "notes": [], "pairs": {}
+        }  # fmt: skip
         self.statuses: Counter[str] = Counter()
         self._seconds: dict[str, float] = {}
         self._next, self._is_written = -math.inf, True
@@ -71,16 +74,18 @@ class RunRecord:
 
     def look(self) -> list[Path]:
         """Look at the record of an earlier run; return the files that it says it wrote."""
+        before = None
         try:
-            self._before = read_record(self._folder)
+            before = self._before = _of_any_format(self._folder)
+            refuse_other_format(self._folder / RECORD, before)
         except ValueError as error:
             self._before = error
-        if not isinstance(self._before, dict):
+        if before is None:
             return []
         return [
             self._folder / f"{name}{ending}"
-            for name, pair in self._before["pairs"].items()
-            for ending in (ENDINGS.values() if pair["files"] is None else pair["files"])
+            for name, pair in before["pairs"].items()
+            for ending in pair["files"]
         ]
 
     def __getitem__(self, key: str) -> Any:
@@ -108,11 +113,6 @@ class RunRecord:
             raise before
         if before is None:
             return
-        if not before.keys() >= set(ASKED):
-            raise ValueError(
-                f"{self._folder} holds a run of an earlier tisfm: run without --resume to start "
-                "again"
-            )
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
         differences = said(differing({key: before.get(key) for key in ASKED}, asked))
         if differences:
@@ -215,8 +215,15 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     Raises
     ------
     ValueError
-        If it is damaged.
+        If it is damaged, or of another format.
     """
+    about = _of_any_format(folder)
+    refuse_other_format(folder / RECORD, about)
+    return about
+
+
+def _of_any_format(folder: Path) -> dict[str, Any] | None:
+    """Return the record of a run in a folder, None if there is none, ValueError if damaged."""
     path = folder / RECORD
     if not path.is_file():
         return None
@@ -228,8 +235,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
             if os.path.basename(name) != name:
                 raise ValueError(f"{name!r} is no name of a pair")
             Status(pair["status"], pair["message"])  # refused here if it is none
-            pair.setdefault("files", None)  # of versions that did not say so much
-            if not set(pair["files"] or ()) <= set(ENDINGS.values()):
+            if not set(pair["files"]) <= set(ENDINGS.values()):
                 raise ValueError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise _damaged(path, error) from error
@@ -239,6 +245,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a record of this version whose values are of the kinds that it writes."""
     try:
+        if missing := set(ASKED) - about.keys():
+            raise ValueError(f"it has no {sorted(missing)[0]}")
         for key in FOUND:
             if about[key] is not None and not _is_number(about[key]):
                 raise ValueError(f"{key} is {about[key]!r}")

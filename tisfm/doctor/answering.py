@@ -17,7 +17,7 @@ def is_asked() -> bool:
 def _is_tisfm() -> bool:
     """Return whether this process is the command ``tisfm``, or ``python -m tisfm``."""
     name = sys.argv[0] if sys.argv else ""
-    if name != "-m":  # which it is as long as Python looks for the module
+    if name != "-m":  # argv[0] is -m until Python has found the module
         return Path(name).stem == "tisfm"
     module = sys.orig_argv[-len(sys.argv) :][0]  # "tisfm" of "-m tisfm", or "-mtisfm"
     return module.removeprefix("-m") == "tisfm"

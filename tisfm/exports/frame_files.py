@@ -1,7 +1,5 @@
 """Frames of a reconstruction as files of an export, and what in them moves on its own."""
 
-import contextlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
@@ -9,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from tisfm.formats import FormatError, write_png
-from tisfm.formats.atomic import copy_file
+from tisfm.formats.atomic import copy_file, link_or_copy
 from tisfm.reconstruction.folder import PICTURES
 from tisfm.reconstruction.result import Reconstruction
 
@@ -39,7 +37,8 @@ def write_pictures(
     """Copy the pictures of frames, byte for byte, or link them.
 
     A link is a hard one, where the file system has such: it stays right if the reconstruction is
-    moved, deleted or made anew. Elsewhere the file is copied.
+    moved, deleted or made anew. Elsewhere the file is copied, and so is the picture that a symbolic
+    link in the reconstruction leads to.
 
     Raises
     ------
@@ -50,11 +49,8 @@ def write_pictures(
     for frame in frames:
         picture_of(result, frame)
         source, target = result.folder / PICTURES / name_of(frame), folder / name_of(frame)
-        if images == "link":
-            with contextlib.suppress(OSError):
-                os.link(source, target)
-                continue
-        copy_file(source, target)
+        take = link_or_copy if images == "link" else copy_file
+        take(source, target)
 
 
 def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suffix: str) -> None:

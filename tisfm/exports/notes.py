@@ -82,9 +82,18 @@ def of_shutter(export: Export) -> list[str]:
 
 
 def of_depth(export: Export) -> list[str]:
-    """Tell of frames without depth."""
-    without = len(export.chosen) - len(frames_with_depth(export.frames, export.chosen))
-    return [f"{_frames(without)} without depth left out"] if without else []
+    """Tell of frames without depth, and of depth whose status this version does not know."""
+    shown = frames_with_depth(export.frames, export.chosen)
+    without = len(export.chosen) - len(shown)
+    notes = [f"{_frames(without)} without depth left out"] if without else []
+    if isinstance(export.frames, PairFrames):
+        codes = [code for frame in shown if (code := export.frames.unknown_status(frame))]
+        if codes:
+            notes.append(
+                f"{_frames(len(codes))} with a status that this version does not know "
+                f"({', '.join(sorted(set(codes)))}): take their depth as doubt"
+            )
+    return notes
 
 
 def of_scale(export: Export, kind: DepthKind) -> list[str]:

@@ -10,14 +10,15 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
+from tisfm.formats.run_file import NAME as RUN
+from tisfm.formats.run_file import refuse_other_format
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
+from tisfm.outcome import STATUSES, Status
 from tisfm.reconstruction.folder import DEPTH, depth_path
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.rigid import rigid_motion
 
-RUN = "run.json"
 _SAME_LENGTH = 1e-6  # relative
 
 
@@ -152,7 +153,7 @@ class PairFrames:
     FileNotFoundError
         If a file of a pair is missing.
     tisfm.formats.FormatError
-        A ValueError: if a file is damaged.
+        A ValueError: if a file is damaged, or of another format.
     ValueError
         If there is no pair.
 
@@ -170,6 +171,7 @@ class PairFrames:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = folder = Path(folder)
         record = read_json(folder / RUN)
+        refuse_other_format(folder / RUN, record)
         try:
             pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
             self.names = tuple(_checked(name) for name, _ in pairs)
@@ -177,7 +179,7 @@ class PairFrames:
             self._statuses = [Status(pair["status"]) for _, pair in pairs]
             self.is_posed = any(_is_posed(pair) for _, pair in pairs)
             self.camera = _camera_of(record["camera"])
-            is_kept = "npz" in record.get("outputs", ("npz",))
+            is_kept = "npz" in record["outputs"]
         except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())
             raise FormatError(f"{folder / RUN} is damaged or of another kind: {reason}") from error
@@ -211,6 +213,11 @@ class PairFrames:
         if frame not in self._shows_depth:
             self._shows_depth[frame] = bool((self.result(frame).inverse_depth > 0).any())
         return self._shows_depth[frame]
+
+    def unknown_status(self, frame: int) -> str:
+        """Return the status code of a pair if this version does not know it, else ""."""
+        status = self._statuses[frame]
+        return "" if status in STATUSES else str(status)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the first frame of a pair, (H, W) or (H, W, 3) RGB uint8."""

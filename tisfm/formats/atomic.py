@@ -96,6 +96,23 @@ def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) ->
         shutil.copyfileobj(given, file, _BUFFER)
 
 
+def link_or_copy(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
+    """Give a file a second name by a hard link; copy it where the file system has none.
+
+    Of a symbolic link the file that it leads to is copied: the target is never one.
+
+    Raises
+    ------
+    OSError
+        If the source cannot be read, or the target cannot be written.
+    """
+    if not os.path.islink(source):
+        with contextlib.suppress(OSError):
+            os.link(source, target)
+            return
+    copy_file(source, target)
+
+
 def is_temporary(name: str) -> bool:
     """Return whether a file is called as those are that `atomic_write` did not finish."""
     return name.startswith(BEGINNING) and name.endswith(ENDING)

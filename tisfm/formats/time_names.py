@@ -15,7 +15,14 @@ from tisfm.formats.images import natural_order
 Reading = Literal["decimals", "nanoseconds", "integers"]
 
 _NANOSECONDS = re.compile(r"\d{19}")
-_PREFIX = re.compile(r"(.*?[^0-9a-zA-Z.])?(\d+(?:\.\d+)?)", re.DOTALL)
+_FLOAT = r"(-?\d+(?:\.\d+)?(?:e[+-]\d{2,})?)"  # as Python prints it
+# The number alone, or with a beginning that ends in a separator, or in a letter.
+_NUMBER, _PREFIXED, _LETTERED = (
+    re.compile(before + _FLOAT, re.DOTALL)
+    for before in ("()", r"(.*?[^0-9a-zA-Z.])", r"(.*?[a-zA-Z])")
+)
+_SIGN_OR_EXPONENT = re.compile("[-e]")
+_EVEN = 0.1  # mean deviation of steps from their median, as a share of it
 _MOST_NANOSECONDS = 9  # digits
 _FEWEST_NANOSECONDS = 7  # digits of some name: not all frames are within 10 ms of a full second
 _SHORTEST = 1e-4  # s: frames closer than that in the median are numbers, not times
@@ -33,8 +40,8 @@ class NamedTimes:
         Seconds with decimals; seconds, a point and nanoseconds without leading zeros; or a whole
         number of nanoseconds.
     is_inferred : bool
-        Whether the digits after the point differ in number, so that only all names together tell
-        what they mean.
+        Whether the digits after the point differ in number, or a name has a minus or an exponent,
+        so that only all names together tell what they mean.
     """
 
     seconds: tuple[float, ...]
@@ -65,7 +72,8 @@ def named_times(stems: Sequence[str]) -> NamedTimes | None:
     ``12.5`` may be 12.5 s (a float that was printed), 12 s and 5 ns (ROS, printed without leading
     zeros), or the fifth picture of the twelfth kind. A zero at the beginning of the digits excludes
     nanoseconds, one at the end excludes a float, and frames less than 0.1 ms apart are no times. If
-    two readings are left, the one with the more even steps is taken.
+    two readings are left, the one with the more even steps is taken. Numbers right behind a letter,
+    as in ``t0.05``, are times only if their steps are even. Floats may have a minus or an exponent.
 
     Parameters
     ----------
@@ -81,24 +89,47 @@ def named_times(stems: Sequence[str]) -> NamedTimes | None:
         return None
     if all(map(_NANOSECONDS.fullmatch, stems)):
         return NamedTimes(tuple(int(stem) / 1e9 for stem in stems), "integers", False)
-    matches = [_PREFIX.fullmatch(stem) for stem in stems]
-    beginnings = {match and match[1] for match in matches}
-    if None in matches or len(beginnings) > 1:
+    found = _numbers(stems)
+    if found is None:
         return None
-    numbers = [match[2] for match in matches if match is not None]
+    beginning, numbers = found
     lengths = {len(_fraction(number)) for number in numbers}
+    is_sorted_anew = any(map(_SIGN_OR_EXPONENT.search, numbers))
     if lengths == {0} or (0 in lengths and len(stems) < 3):
         return None
     if len(lengths) == 1:
-        if beginnings != {None}:
+        if beginning:
             return None  # frame_1.05 may be a version and a number
-        return _finite(NamedTimes(tuple(map(float, numbers)), "decimals", False))
+        return _finite(NamedTimes(tuple(map(float, numbers)), "decimals", is_sorted_anew))
     decimals, nanoseconds = _as_decimals(numbers), _as_nanoseconds(numbers)
     if decimals is not None and nanoseconds is not None:
         if _unevenness(nanoseconds.seconds) < _unevenness(decimals.seconds):
             return nanoseconds
         return decimals
-    return decimals or nanoseconds
+    times = decimals or nanoseconds
+    follows_letter = beginning[-1:].isalpha()
+    return None if times and follows_letter and _unevenness(times.seconds) > _EVEN else times
+
+
+def unread_note(stems: Sequence[str]) -> str:
+    """Return that numbers with a point are not read as times, "" if names have none of them."""
+    found = _numbers(stems)
+    if found is None or len({len(_fraction(number)) for number in found[1]}) == 1:
+        return ""
+    return (
+        "the numbers in the names of the pictures are not read as times, as they may be versions: "
+        f"{stems[0]} comes first, {stems[-1]} last; if they are times, write all with the same "
+        "number of digits after the point"
+    )
+
+
+def _numbers(stems: Sequence[str]) -> tuple[str, list[str]] | None:
+    """Return the beginning that all names share, and the numbers that follow it; or None."""
+    for pattern in (_NUMBER, _PREFIXED, _LETTERED):
+        matches = [match for stem in stems if (match := pattern.fullmatch(stem))]
+        if len(matches) == len(stems) and len({match[1] for match in matches}) == 1:
+            return matches[0][1], [match[2] for match in matches]
+    return None
 
 
 def times_of_names(stems: Sequence[str]) -> tuple[float, ...] | None:
@@ -139,22 +170,27 @@ def in_order(files: Iterable[Path]) -> list[Path]:
 
 
 def _fraction(number: str) -> str:
-    """Return the digits after the point."""
-    return number.rpartition(".")[2] if "." in number else ""
+    """Return the digits after the point, without an exponent."""
+    return number.rpartition(".")[2].partition("e")[0] if "." in number else ""
 
 
 def _as_decimals(numbers: Sequence[str]) -> NamedTimes | None:
     """Return numbers as floats, unless one ends in a zero that no float is printed with."""
-    ends_in_zero = any(len(_fraction(number)) > 1 and number.endswith("0") for number in numbers)
-    if ends_in_zero:
+    fractions = map(_fraction, numbers)
+    if any(len(digits) > 1 and digits.endswith("0") for digits in fractions):
         return None
     return _plausible(NamedTimes(tuple(map(float, numbers)), "decimals", True))
 
 
 def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
-    """Return numbers as seconds and nanoseconds, unless one has too many digits or a zero first."""
+    """Return numbers as seconds and nanoseconds, unless one has too many digits or a zero first.
+
+    Those with a minus or an exponent are none.
+    """
     seconds = []
     for number in numbers:
+        if _SIGN_OR_EXPONENT.search(number):
+            return None
         whole, point, digits = number.partition(".")
         padded = len(digits) > 1 and digits.startswith("0")
         if not point or padded or len(digits) > _MOST_NANOSECONDS:

@@ -4,7 +4,7 @@ import re
 
 # Control characters, of which a terminal takes some as commands (ESC and those above 0x7f begin
 # them); line and paragraph separators; and those that turn the direction of writing.
-_COMMANDS = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_COMMANDS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def printable(text: str) -> str:

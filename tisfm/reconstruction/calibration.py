@@ -119,8 +119,8 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
     path : path
         One that `tisfm.camera_file.read_camera` reads.
     focal : float
-        Of the frames that it was read for, px, which may be larger or smaller. So are the focal
-        length and its deviation that are returned; the message is that of the file.
+        Of the frames that it was read for, px, which may be larger or smaller. The returned focal
+        length and deviation are px of the same frames; the message is that of the file.
 
     Raises
     ------

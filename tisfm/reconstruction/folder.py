@@ -25,7 +25,7 @@ from tisfm.formats.reading import read_bytes
 from tisfm.formats.removal import make_inner_folder
 from tisfm.formats.text import read_json
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration import GIVEN, as_json, from_json
+from tisfm.reconstruction.calibration import as_json, from_json
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
@@ -143,7 +143,8 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         about = read_json(path)
         if about["format"] != OBJECTS_FORMAT:
             raise ValueError(
-                f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}"
+                f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}: "
+                "reconstruct anew"
             )
         things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
         for thing in things:
@@ -223,7 +224,8 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         about = read_json(path / RECORD)
         if about["format"] != FORMAT:
             raise ValueError(
-                f"it is of format {about['format']}, this version reads {FORMAT}: reconstruct anew"
+                f"it is of format {about['format']}, written by tisfm {about.get('version')}; this "
+                f"version reads format {FORMAT}: reconstruct anew"
             )
         with NpzFile(path / PATH) as file:
             poses, piece, times, unit = (
@@ -265,9 +267,9 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 center=None if camera["center"] is None else tuple(camera["center"]),
                 distortion=camera["distortion"],
                 aspect=camera["aspect"],
-                readout=camera.get("readout"),
+                readout=camera["readout"],
             ),
-            calibration=from_json(about["calibration"]) if "calibration" in about else GIVEN,
+            calibration=from_json(about["calibration"]),
             settings=settings,
             version=str(about["version"]),
             objects=_read_objects(path, settings, count),

@@ -94,7 +94,7 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
             make_inner_folder(path / name)
             for file in sorted((source / name).iterdir()):
                 copy_file(file, path / name / file.name)
-        if (source / CAMERA).exists():  # earlier versions wrote none
+        if (source / CAMERA).exists():  # somebody may have deleted it
             copy_file(source / CAMERA, path / CAMERA)
         write_record(path, result)
 

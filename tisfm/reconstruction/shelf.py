@@ -1,6 +1,7 @@
 """What is kept of every frame, on disk: memory does not grow with it."""
 
 import contextlib
+import errno
 import math
 import tempfile
 import weakref
@@ -10,6 +11,7 @@ from typing import IO, Generic, TypeVar
 import numpy as np
 
 T = TypeVar("T")
+_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class Shelf(Sequence[T], Generic[T]):
@@ -52,9 +54,11 @@ class Shelf(Sequence[T], Generic[T]):
                 self._file.write(array.tobytes())
             self._file.flush()
         except OSError as error:  # the disk is full, for one
+            # Another folder does not help against a limit on the size of files (ulimit -f).
+            advice = "; set TMPDIR to another folder" if error.errno in _FULL else ""
             raise OSError(
-                f"cannot write a temporary file in {tempfile.gettempdir()}: {error.strerror}; set "
-                "TMPDIR to another folder"
+                f"cannot write a temporary file in {tempfile.gettempdir()}: "
+                f"{error.strerror}{advice}"
             ) from error
         what = tuple((array.dtype.str, array.shape) for array in arrays)
         self._items.append((self._end, what))

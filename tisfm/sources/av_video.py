@@ -70,11 +70,14 @@ class AvVideo:
                 self._aspect = float(stream.sample_aspect_ratio or 1)
                 size = stream.width, stream.height, self._aspect
                 refuse_large_frames(path, *square_size(*size))
+                decoding = _Decoding(container, stream)
+                first = next((item for item in decoding if isinstance(item, VideoFrame)), None)
+                if first is None:
+                    raise ValueError(f"{path} has no frame")
+                if first.rotation % 180 == 90:  # as frames are read, upright
+                    size = stream.height, stream.width, 1 / self._aspect
                 notes = (_streams_note(path, container, stream), resampling_note(path, *size))
                 self.notes = tuple(filter(None, notes))
-                decoding = _Decoding(container, stream)
-                if not any(isinstance(item, VideoFrame) for item in decoding):
-                    raise ValueError(f"{path} has no frame")
         except (av.FFmpegError, OSError) as error:
             raise ValueError(f"{path} cannot be decoded: {error}") from error
 

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tisfm.formats import FormatError, read_image
-from tisfm.formats.time_names import named_times, times_of_names
+from tisfm.formats.time_names import named_times, times_of_names, unread_note
+from tisfm.sources.animations import animations_note
 from tisfm.sources.reading import BadFrame, RawFrame
 
 
@@ -39,9 +40,9 @@ class ImageFiles:
         self.count: int | None = len(files)
         stems = [file.stem for file in files]
         self.times = times_of_names(stems)
-        named = None if self.times is None else named_times(stems)
-        note = "" if named is None else named.note(stems)
-        self.notes = (*notes, *([note] if note else []))
+        named = named_times(stems)
+        note = unread_note(stems) if named is None else named.note(stems) if self.times else ""
+        self.notes = (*notes, *filter(None, (note, animations_note(files))))
         # Of different folders or suffixes; some file systems take a and A for the same.
         if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]

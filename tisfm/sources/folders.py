@@ -16,7 +16,7 @@ from tisfm.sources.urls import refuse_url
 # Suffixes of pictures that no reader here knows, and of those that are read, but that a folder is
 # not searched for.
 _UNREADABLE = (
-    ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".gif", ".heic", ".heif", ".jxl", ".nef",
+    ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".heic", ".heif", ".jxl", ".nef",
     ".orf", ".psd", ".raf", ".raw", ".rw2",
 )  # fmt: skip
 _BY_PATTERN = (".dib", ".hdr", ".jfif", ".jpe", ".pbm", ".pfm", ".pic", ".ras", ".sr")
@@ -24,7 +24,10 @@ _VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts
 _SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
 _NAMED = 3  # files or folders that a message lists, at most
 _LOOKED_AT = 200  # folders, for one that has pictures
-_PRINTF = re.compile(r"%0?\d*d|#+")  # the number of a frame, as FFmpeg and renderers write it
+# The number of a frame, as FFmpeg and renderers write it; a single # only before a suffix.
+_PRINTF = re.compile(
+    r"%0?\d*d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -121,11 +124,13 @@ def refuse_numbered(path: str) -> None:
 
     It says which glob pattern to write. Not if the path matches files as it is.
     """
-    folder, name = os.path.split(path)
-    if not _PRINTF.search(name) or os.path.exists(path) or files_matching(path):
+    folder = os.path.dirname(path)
+    while folder and not os.path.isdir(folder):
+        folder = os.path.dirname(folder)
+    rest = path[len(folder) :]
+    if not _PRINTF.search(rest) or os.path.exists(path) or files_matching(path):
         return
-    folder = glob.escape(folder) if os.path.isdir(folder) else folder
-    pattern = os.path.join(folder, _PRINTF.sub("*", name))
+    pattern = glob.escape(folder) + _PRINTF.sub("*", rest)
     are_there = "" if files_matching(pattern) else ", though no file matches it now"
     raise FileNotFoundError(
         f"there is no file {path}: for pictures with a number in their names write a pattern with "
@@ -181,6 +186,7 @@ def _left_out(folder: str, there: Sequence[Path], *, is_all: bool = False) -> li
     notes = []
     for suffixes, advice in (
         (_UNREADABLE, "tisfm cannot read them; convert them to PNG or JPEG"),
+        ((".gif",), "a GIF is read as a video; give the path of one GIF"),
         (_BY_PATTERN, "a folder is not searched for them; give a pattern such as {pattern}"),
     ):
         names = [file.name for file in there if file.suffix.lower() in suffixes]

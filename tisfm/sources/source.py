@@ -337,6 +337,11 @@ class FrameSource:
 def _refuse_animation(file: Path) -> None:
     """Raise ValueError if a picture has several frames, of which the first alone would be read."""
     count = frames_in_picture(file)
+    if count > 1 and file.suffix.lower() == ".gif":
+        raise ValueError(
+            f"{file} is a GIF of {count} frames, which is read as a video: give its path, not a "
+            "folder or a pattern"
+        )
     if count > 1:
         raise ValueError(
             f"{file} is a picture of {count} frames, of which only the first can be read: save "

@@ -5,15 +5,16 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://?", re.DOTALL)
+_WITHOUT_SCHEME = re.compile(r"www\.[^/]+\.[^/]+(/|$)|youtu\.be/")  # as browsers show them
 _STREAMS = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp", "v4l2")
 
 
 def refuse_url(source: str) -> None:
     """Raise ValueError if a source is a URL; it says what to give in its place."""
     match = _URL.match(source)
-    if match is None:
+    if match is None and not _WITHOUT_SCHEME.match(source):
         return
-    scheme = match[1].lower()
+    scheme = match[1].lower() if match else "https"
     if scheme == "file":
         path = _path_of(source)
         instead = f"give the path, {path}" if path else "give the path of the file"

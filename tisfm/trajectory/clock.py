@@ -31,7 +31,7 @@ def times_note(times: Sequence[float | None]) -> str:
     Returns
     -------
     str
-        "" if times rise, and where no frame has one, as nobody expects any then.
+        "" if times rise or no frame has a time.
     """
     fault = _fault(times)
     if not fault or all(time is None for time in times):

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
+from tisfm.formats.run_file import NAME as RECORD
+from tisfm.formats.run_file import refuse_other_format
 from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
@@ -17,7 +19,6 @@ from tisfm.view.frame import ViewFrame
 from tisfm.view.result import Change, as_rgb
 from tisfm.view.whole import Whole, WholeKind
 
-RECORD = "run.json"
 _UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
 
 
@@ -27,7 +28,7 @@ class RunResult:
     Raises
     ------
     FormatError
-        If the record is damaged, or the run keeps no ``.npz`` files.
+        If the record is damaged or of another format, or the run keeps no ``.npz`` files.
     OSError
         If it cannot be read.
     """
@@ -50,6 +51,7 @@ class RunResult:
         if seen == self._seen:
             return None
         record = read_json(path)
+        refuse_other_format(path, record)
         before = self._files
         try:
             self._take(record)

@@ -91,7 +91,7 @@ STAGES = [
     # The camera that all share, before there is a chunk.
     (chunk_module, "reconstruct", 1),
     # The whole, half way; its record; and what is left to do then.
-    (joining, "_take", 9),
+    (joining, "link_or_copy", 9),
     (folder_module, "atomic_write", 20),
     (joining, "write_record", 1),
     (entry, "write_asked", 2),
@@ -205,7 +205,7 @@ def test_an_earlier_result_is_there_until_the_next_one_is(frames, begun, tmp_pat
     before = contents(folder)
     shutil.copytree(begun / CHUNKS, folder / CHUNKS)
     with monkeypatch.context() as patch:
-        patch.setattr(joining, "_take", at(5, joining._take))
+        patch.setattr(joining, "link_or_copy", at(5, joining.link_or_copy))
         with pytest.raises(Killed):
             again(frames, folder)
     after = contents(folder)

@@ -1,6 +1,5 @@
 """The folder of a whole, made of those of its chunks."""
 
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera_file import NAME as CAMERA
-from tisfm.formats.atomic import copy_file
+from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.outcome import Status
 from tisfm.reconstruction.chunked.placing import Part, Place
@@ -45,9 +44,9 @@ def write_whole(
     first = parts[0].result
     for frame, place in enumerate(places):
         source = parts[place.part].result.folder
-        _take(_picture(source, place.number), _picture(folder, frame))
+        link_or_copy(_picture(source, place.number), _picture(folder, frame))
         _take_depth(depth_path(source, place.number), depth_path(folder, frame), place.scale)
-    _take(camera.folder / CAMERA, folder / CAMERA)
+    link_or_copy(camera.folder / CAMERA, folder / CAMERA)
     shutil.rmtree(folder / CACHE, ignore_errors=True)
     results = [parts[place.part].result for place in places]
     skipped = {index: why for part in parts for index, why in part.result.skipped}
@@ -99,16 +98,8 @@ def _take_depth(source: Path, target: Path, scale: float) -> None:
     if not source.exists():
         return
     if scale == 1:
-        _take(source, target)
+        link_or_copy(source, target)
         return
     with NpzFile(source) as file:
         parts = {name: file.read(name) for name in ("inverse_depth", "inverse_depth_std", "scale")}
     write_npz(target, {**parts, "scale": np.array(float(parts["scale"]) / scale)})
-
-
-def _take(source: Path, target: Path) -> None:
-    """Give a file another name, without copying it where the file system can do so."""
-    try:
-        os.link(source, target)
-    except OSError:
-        copy_file(source, target)

@@ -1,0 +1,28 @@
+"""The file in which `tisfm run` keeps what it did, and the format that this version reads."""
+
+from pathlib import Path
+from typing import Any
+
+from tisfm.formats.errors import FormatError
+
+NAME, FORMAT = "run.json", 2
+
+
+def refuse_other_format(path: Path, record: Any) -> None:
+    """Raise FormatError if a record is of a format that this version does not read.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file, for the message.
+    record : object
+        The JSON in it. If it is not a record of any version, nothing is raised here.
+    """
+    if not isinstance(record, dict) or not {"format", "version"} & record.keys():
+        return
+    found = record.get("format", 1)  # the first one was not stated
+    if found != FORMAT:
+        raise FormatError(
+            f"{path} is of format {found}, written by tisfm {record.get('version')}; this version "
+            f"reads format {FORMAT}: run anew, without --resume"
+        )
