@@ -12,8 +12,8 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
-# The same of what is seen in both, and by how much of the image's longer side most of that has
-# to move, where the images alone vouch for a motion of half the image and more.
+# Images bear out a motion of half the image and more if most of what both show moves by a quarter
+# of the longer side, and its median correlation is this.
 BORNE_OUT, FAR = 0.9, 0.25
 # Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
 # misses much then, and under "paper" 0.17 and more between unrelated ones.
@@ -204,6 +204,8 @@ def _judged_level(pyramid: ImagePyramid) -> int:
 def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
     """Return whether the images bear out that most of what they share has moved far.
 
+    A texture that repeats bears out no motion: it looks alike at every period.
+
     Parameters
     ----------
     pyramid : ImagePyramid
@@ -227,7 +229,22 @@ def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bo
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in known])
     if not seen.any() or _folded(coarse, seen) > FOLDED:
         return False
-    return median(correlation(frame0, frame1, coarse)[seen > 0]) >= BORNE_OUT
+    if median(correlation(frame0, frame1, coarse)[seen > 0]) < BORNE_OUT:
+        return False
+    return not _repeats(frame0, seen > 0)
+
+
+def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
+    """Return whether the middle of what is seen looks alike elsewhere in the same frame."""
+    left, top, width, height = cv2.boundingRect(seen.astype(np.uint8))
+    left, top = left + width // 4, top + height // 4
+    width, height = max(width // 2, 1), max(height // 2, 1)
+    part = frame[top : top + height, left : left + width]
+    if not part.std():
+        return True  # nothing tells where it is
+    alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= BORNE_OUT
+    _, places = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
+    return bool((alike & (places != places[top, left])).any())
 
 
 def unexplained(
