@@ -130,7 +130,8 @@ class Settings:
     tolerance : float
         Half-quadratic iterations, two at least, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. Where
         `pyramid_levels` is 1, as in the paper, they stop when ‖error of ρ̂‖ ≤ tolerance · ‖ρ̂‖, as
-        estimated from the way the changes shrink.
+        estimated from the way the changes shrink. That takes three iterations, or four with sweeps
+        (`cycles=0`), so fewer `outer_iterations` cannot converge.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved; both give the same answer up to rounding.
 

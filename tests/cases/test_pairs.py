@@ -44,11 +44,46 @@ def test_a_camera_at_rest_is_no_cut(motion, noise):
     assert interpreted(*frames, motion).status == "no_motion"
 
 
-@pytest.mark.parametrize("motion", ["camera", "objects"])
-def test_a_thing_that_moves_before_a_camera_at_rest_is_no_cut(motion):
+def with_thing(height, width, move):
+    """Return two frames of a room at rest with a thing that moves to the right, float64."""
+    top, left = (HEIGHT - height) // 2, (WIDTH - width - move) // 2
     frames = []
-    for moved in (0, 8):
+    for moved in (0, move):
         frame = room(1)[0].astype(float)
-        frame[90:150, 90 + moved : 230 + moved] = grain(7, 60, 140)
+        frame[top : top + height, left + moved : left + moved + width] = grain(7, height, width)
         frames.append(frame)
-    assert interpreted(*frames, motion).status != "unrelated"
+    return frames
+
+
+@pytest.mark.parametrize("motion", ["camera", "objects"])
+@pytest.mark.parametrize(("height", "width", "move"), [(60, 140, 8), (120, 160, 60)])
+def test_a_thing_that_moves_before_a_camera_at_rest_is_no_cut(height, width, move, motion):
+    assert interpreted(*with_thing(height, width, move), motion).status != "unrelated"
+
+
+@pytest.mark.parametrize("move", [20, 30, 45, 90])
+@pytest.mark.parametrize(("height", "width"), [(90, 130), (120, 160), (150, 200)])
+def test_a_large_fast_thing_is_no_cut_even_if_no_flow_finds_it(height, width, move):
+    from tisfm.motion.agreement import replaced
+
+    frames = (frame.astype(np.float32) for frame in with_thing(height, width, move))
+    assert replaced(*frames, np.zeros((HEIGHT, WIDTH, 2), np.float32)) is None
+
+
+@pytest.mark.parametrize("margin", [40, 50])
+@pytest.mark.parametrize("pictures", ["grains", "mirrored", "upside down", "smooth"])
+def test_another_middle_is_a_cut(pictures, margin):
+    from tisfm.motion.agreement import replaced
+
+    frame0 = room(1)[0].astype(np.float32)
+    other = {
+        "grains": grain(1).astype(np.float32),
+        "mirrored": frame0[:, ::-1],
+        "upside down": frame0[::-1],
+        "smooth": cv2.GaussianBlur(grain(2), (0, 0), 8).astype(np.float32) * 8 - 7 * 128,
+    }[pictures]
+    inner = np.s_[margin:-margin, margin:-margin]
+    frame1 = frame0.copy()
+    frame1[inner] = other[inner]
+    status = replaced(frame0, frame1, np.zeros((HEIGHT, WIDTH, 2), np.float32))
+    assert status == "unrelated"

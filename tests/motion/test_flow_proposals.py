@@ -187,7 +187,7 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
 
 @pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
 def test_areas_that_may_be_mistaken_do_not_move(kind):
-    """Stripes and bare parts look alike far and wide, and much does in all of the image."""
+    """Stripes and bare parts look alike far away. In a whole image, much looks alike by chance."""
     from tisfm.motion.flow_proposals import _unmistakable
     from tisfm.motion.matched_windows import Windows
 
@@ -225,6 +225,38 @@ def test_a_shift_by_half_the_image_is_no_divergence(share):
     result = tisfm.interpret(surface[:, :320], surface[:, shift:])
     assert error(result, (-shift, 0))[:, shift:].mean() < 0.5
     assert result.status == "converged"
+
+
+@pytest.mark.parametrize("kind", ["shifted", "unrelated", "repeating", "periods", "folded", "near"])
+def test_images_bear_out_a_shift_by_half_the_image_only_where_they_agree(kind):
+    from tisfm.motion.agreement import borne_out
+    from tisfm.motion.problems import pyramid_of
+    from tisfm.visibility.occlusion import leaves_image
+
+    surface = texture(240, 480, 0).astype(np.float32)
+    frame0, frame1 = surface[:, :320], surface[:, 160:]
+    flow = np.zeros((2, 240, 320), np.float32)
+    flow[0] = -160
+    if kind == "unrelated":
+        frame1 = texture(240, 320, 1).astype(np.float32)
+    elif kind == "repeating":  # two and a half times
+        frame0 = frame1 = np.tile(surface[:, :64], 5)
+    elif kind == "periods":  # four times
+        frame0 = frame1 = np.tile(surface[:, :40], 8)
+    elif kind == "folded":
+        flow[0, :, ::16] -= 24
+    elif kind == "near":
+        frame1, flow[0] = frame0, 0
+    pyramid = pyramid_of(frame0, frame1, tisfm.Camera(focal=300.0), tisfm.Settings())
+    assert borne_out(pyramid, flow, leaves_image(flow)) == (kind == "shifted")
+
+
+def test_a_false_shift_of_a_texture_that_repeats_is_a_divergence():
+    """It moves by 18 px, and flow finds that and four periods."""
+    surface = np.clip(np.rint(np.tile(texture(240, 480, 0)[:, :40], 9)), 0, 255).astype(np.uint8)
+    result = tisfm.interpret(surface[:, :320], surface[:, 18:338])
+    assert np.median(result.flow[..., 0]) < -160
+    assert result.status == "diverged"
 
 
 def bits():

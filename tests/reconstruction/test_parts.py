@@ -83,7 +83,6 @@ def test_a_round_trip_closes_across_parts():
     assert residual(found, centres(way)) < 0.005
 
 
-@pytest.mark.slow
 def a_part(span, groups):
     """A part whose cameras are where the world begins; only its poses are looked at."""
     poses = {view: np.eye(4) for view in range(*span)}
@@ -110,6 +109,7 @@ def test_one_pose_goes_over_into_the_other():
     np.testing.assert_allclose([found[view][0, 3] for view in range(10)], expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_two_scenes_are_two_pieces():
     mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in frames(WALK[:14], seed=5)]
     found = path_in_parts(frames(WALK[:14]) + mirrored)

@@ -141,7 +141,8 @@ def test_energy_never_rises(components, real, contrast, relaxation):
 
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("relaxation", [1.0, 1.9])
-def test_energy_never_rises_with_robust_data_and_image_edges(joint, relaxation):
+@pytest.mark.parametrize("thorough", [False, True])
+def test_energy_never_rises_with_robust_data_and_image_edges(joint, relaxation, thorough):
     tensor, motion, rho = random_problem(6, real=True)
     other, _, _ = random_problem(6, seed=1)
     rng = np.random.default_rng(2)
@@ -164,6 +165,7 @@ def test_energy_never_rises_with_robust_data_and_image_edges(joint, relaxation):
         outer_iterations=15,
         sweeps=2,
         relaxation=relaxation,
+        thorough=thorough,
     )
     energies, half = np.array([start, *run.energies]), np.array(run.half_quadratic)
     assert np.all(np.diff(energies) <= 1e-12 * energies[:-1])

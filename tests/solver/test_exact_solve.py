@@ -120,6 +120,44 @@ def test_what_has_not_says_so(changes, advice):
     assert result.status == "iteration_limit" and advice in result.status.message
 
 
+@pytest.mark.parametrize(
+    ("model", "thorough", "expected"),
+    [("translation", False, 0.059), ("rigid", False, 1.0), ("rigid", True, 0.0195)],
+)
+def test_the_last_change_says_too_little(shared_data, model, thorough, expected):
+    """The reference stops by it, with and without a solve for what moves no pixel."""
+    frames, exact = solved("flowergarden", model, shared_data)
+    settings = paper(model=model)
+    rho = np.zeros_like(exact)
+    run = reference.minimise(
+        reference.tensors_of([constraints(*frames, settings)[None]]),
+        reference.motion_matrix(CAMERA, *rho.shape[1:], len(rho)),
+        rho,
+        alpha=settings.alpha,
+        smoothness=reference.Smoothness(contrast=settings.contrast_for(CAMERA.focal)),
+        outer_iterations=settings.outer_iterations,
+        sweeps=settings.sweeps,
+        relaxation=settings.relaxation,
+        tolerance=settings.tolerance,
+        thorough=thorough,
+    )
+    assert run.converged and run.changes[-1] <= settings.tolerance
+    off = np.linalg.norm(rho - exact) / np.linalg.norm(exact)
+    assert off == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "limit", "status"),
+    [(1, 2, "iteration_limit"), (1, 3, "converged"), (0, 3, "iteration_limit")],
+)
+def test_the_fewest_iterations_that_can_converge(cycles, limit, status):
+    """Any error is tolerated, so that only the rule itself asks for more."""
+    pair = static_scene("sideways", 30, 42)
+    settings = paper(cycles=cycles, outer_iterations=limit, tolerance=1e6)
+    result = tisfm.interpret(pair.frame0, pair.frame1, camera=CAMERA, settings=settings)
+    assert len(result.history.change) == limit and result.status == status
+
+
 def test_error_left_of_changes_that_shrink():
     from tisfm.solver.half_quadratic import error_left
 

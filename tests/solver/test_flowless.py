@@ -9,6 +9,7 @@ from tisfm import reference
 from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
 
 ALPHA = 40.0
+STIFFNESS = (3.0, 0.5, 1.0, 10.0, 3.0, 0.5)
 
 
 @pytest.mark.parametrize("components", [6, 3])
@@ -21,18 +22,27 @@ def test_they_move_no_pixel(components):
         np.testing.assert_allclose(reference.flow(motion, field), 0, atol=1e-12)
 
 
+@pytest.mark.parametrize("stiff", [False, True], ids=["even", "stiff"])
+@pytest.mark.parametrize("joint", [False, True], ids=["separate", "joint"])
 @pytest.mark.parametrize("components", [6, 3])
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize("size", [(13, 37), (6, 64)])
-def test_the_least_energy_is_that_of_the_reference(components, lanes, size, make_problem):
+def test_the_least_energy_is_that_of_the_reference(
+    components, lanes, size, joint, stiff, make_problem
+):
     from tisfm.solver.flowless import FlowlessFields
 
     problem = make_problem(*size, components, lanes)
-    weights = reference.edge_weights(problem.rho, reference.Smoothness(contrast=1.0))
+    stiffness = np.array(STIFFNESS[:components]) if stiff else np.ones(components)
+    smoothness = reference.Smoothness(contrast=1.0, stiffness=stiffness, joint=joint)
+    weights = reference.edge_weights(problem.rho, smoothness)
     expected = problem.rho.astype(np.float64).copy()
     minimise_over_flowless(problem.motion, weights, expected, ALPHA)
     assert np.abs(expected - problem.rho).max() > 0.1
-    FlowlessFields(problem.unknowns).minimise(problem.system(weights, alpha=ALPHA))
+    # The kernels keep the stiffness apart from b, and one b for all components if edges are joint.
+    b = weights.reshape(2, components, *size) / smoothness.stiffnesses(components)
+    b = (b[:, :1] if joint else b).reshape(-1, *size)
+    FlowlessFields(problem.unknowns).minimise(problem.system(b, alpha=ALPHA, stiffness=stiffness))
     found = problem.from_lanes(problem.unknowns.rho)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 

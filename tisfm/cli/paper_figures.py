@@ -32,6 +32,7 @@ def write_paper_figures(
     ``figure_presmoothing.png``: without and with a Gaussian applied to the frames first (Fig. 8).
     ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of
     τ, and with the default one: under the paper's, b stays at 1 and no edge is preserved.
+    Both panels of a figure have one grey scale.
 
     Parameters
     ----------

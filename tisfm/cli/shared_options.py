@@ -17,8 +17,9 @@ class CameraOptions:
     file: Annotated[Path | None, arg(name="camera", metavar="FILE")] = None
     """The camera.json that tisfm reconstruct wrote of the same lens, or its folder."""
     focal: float | Literal["guess"] | None = None
-    """Focal length, px of the frames before --crop and --size. 'guess' takes the first image's EXIF
-    data, or else its size. By default the paper's 600 where motion is 'field', else the guess."""
+    """Focal length, px of the frames before any crop or resizing. 'guess' takes the first image's
+    EXIF data, or else its size. By default the paper's 600 where motion is 'field', else the guess.
+    """
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None

@@ -12,8 +12,8 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
-# The same of what is seen in both, and by how much of the image's longer side most of that has
-# to move, where the images alone vouch for a motion of half the image and more.
+# Images bear out a motion of half the image and more if most of what both show moves by a quarter
+# of the longer side, and its median correlation is this.
 BORNE_OUT, FAR = 0.9, 0.25
 # Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
 # misses much then, and under "paper" 0.17 and more between unrelated ones.
@@ -23,6 +23,11 @@ JUDGED = 2**12  # pixels, at least, of the level that a flow field is judged on
 # Noise, and a thing that moves before a camera at rest, make it 0.00; a picture of which the middle
 # 37 % are replaced 0.21, and 52 % 0.48.
 REPLACED = 0.15
+# Of squares that are not alike: those that the same displacement finds in the other frame, with
+# such a correlation. Where a thing moves that fills a sixth to a third of the frame, 0.52 and more.
+# Where the middle of a picture is replaced, 0.28 at most.
+MOVED, FOUND = 0.4, 0.8
+SQUARE, SQUARE_STEP = 15, 5  # px
 STRUCTURE = 16.0  # times the variance of the noise: what a window has that shows more than noise
 QUIETEST = 10  # percentile of the difference of windows: that is noise, whatever the others show
 FEWEST_SEEN = 0.05  # of all windows: if fewer show more than noise, nothing is said
@@ -100,7 +105,8 @@ def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status
     """Return the status of frames of one layout that show other things in it, None for others.
 
     What such frames share does not move. They are told from frames of a scene at rest by the
-    windows that vary more than noise does, and are not alike.
+    windows that vary more than noise does, and are not alike. A large thing that moves far makes
+    such windows too: most of them are seen in another place of the other frame.
 
     Parameters
     ----------
@@ -125,8 +131,9 @@ def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status
         seen = np.maximum(first, second) > np.float32(STRUCTURE * noise)
     if np.count_nonzero(seen) < FEWEST_SEEN * seen.size:
         return None
-    share = float(np.mean(correlation(frame0, frame1, flow)[seen] < CORRELATED))
-    if share <= REPLACED:
+    lost = seen & (correlation(frame0, frame1, flow) < CORRELATED)
+    share = np.count_nonzero(lost) / np.count_nonzero(seen)
+    if share <= REPLACED or _moved_together(frame0, frame1, lost) >= MOVED:
         return None
     return Status(
         "unrelated",
@@ -134,6 +141,27 @@ def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status
         "is something else in the second: check that they are of one scene, or mask what is fixed "
         "to the image",
     )
+
+
+def _moved_together(frame0: np.ndarray, frame1: np.ndarray, lost: np.ndarray) -> float:
+    """Return the greatest share of what is lost that one displacement leads to the other frame.
+
+    Squares around lost pixels are sought in all of the other frame. Some are found by chance, but
+    hardly at one displacement.
+    """
+    half = SQUARE // 2
+    squares = np.argwhere(lost[half:-half:SQUARE_STEP, half:-half:SQUARE_STEP])
+    ways = np.full((2, len(squares), 2), np.nan)  # from frame 0 to frame 1, both ways round
+    for k, (here, there) in enumerate(((frame0, frame1), (frame1, frame0))):
+        for number, (top, left) in enumerate(squares * SQUARE_STEP):
+            square = here[top : top + SQUARE, left : left + SQUARE]
+            alike = cv2.matchTemplate(there, square, cv2.TM_CCOEFF_NORMED)
+            _, best, _, (column, row) = cv2.minMaxLoc(alike)
+            if best >= FOUND:
+                ways[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
+    known = np.isfinite(ways[..., 0])
+    together = [(np.abs(ways - way).max(axis=-1) <= 1).any(axis=0).sum() for way in ways[known]]
+    return max(together, default=0) / max(len(squares), 1)
 
 
 def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
@@ -204,6 +232,8 @@ def _judged_level(pyramid: ImagePyramid) -> int:
 def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
     """Return whether the images bear out that most of what they share has moved far.
 
+    A texture that repeats bears out no motion: it looks alike at every period.
+
     Parameters
     ----------
     pyramid : ImagePyramid
@@ -227,7 +257,22 @@ def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bo
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in known])
     if not seen.any() or _folded(coarse, seen) > FOLDED:
         return False
-    return median(correlation(frame0, frame1, coarse)[seen > 0]) >= BORNE_OUT
+    if median(correlation(frame0, frame1, coarse)[seen > 0]) < BORNE_OUT:
+        return False
+    return not _repeats(frame0, seen > 0)
+
+
+def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
+    """Return whether the middle of what is seen looks alike elsewhere in the same frame."""
+    left, top, width, height = cv2.boundingRect(seen.astype(np.uint8))
+    left, top = left + width // 4, top + height // 4
+    width, height = max(width // 2, 1), max(height // 2, 1)
+    part = frame[top : top + height, left : left + width]
+    if not part.std():
+        return True  # nothing tells where it is
+    alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= BORNE_OUT
+    _, places = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
+    return bool((alike & (places != places[top, left])).any())
 
 
 def unexplained(

@@ -97,7 +97,7 @@ def ended(
             f"depth still changed by {last.change:.1e} of its norm in the last iteration "
             f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
         )
-    if settings.pyramid_levels == 1:  # they were solved to the end
+    if settings.pyramid_levels == 1:  # iterations stop by the error left
         return _ended_thoroughly(converged, settings)
     if not converged:
         more = "cycles" if settings.cycles else "sweeps"

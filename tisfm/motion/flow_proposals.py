@@ -298,7 +298,7 @@ def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarr
 def _unmistakable(
     new: np.ndarray, there: np.ndarray, before: np.ndarray, windows: Windows
 ) -> np.ndarray:
-    """Return the areas of the new pixels whose motion is hardly another one by mistake.
+    """Return the areas of the new pixels whose motion is hardly found by chance.
 
     An area has to vary along both directions: stripes look alike all along themselves. And it may
     not move by too much of the image: in so large a part of it, much looks alike by chance.

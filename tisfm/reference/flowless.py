@@ -29,7 +29,7 @@ def flowless_fields(motion: np.ndarray) -> np.ndarray:
 def minimise_over_flowless(
     motion: np.ndarray, weights: np.ndarray, rho: np.ndarray, alpha: float
 ) -> None:
-    """Add to ρ̂ what of these fields leads to the least energy; `rho` is modified in place.
+    """Add to ρ̂ the multiple of each field that minimises the energy; `rho` is modified in place.
 
     The data do not see them: only α Σ b Δρ̂² counts, with `weights` b, (2n, H, W).
     """

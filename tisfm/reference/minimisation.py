@@ -39,7 +39,9 @@ def minimise(
     """Run the half-quadratic algorithm (Table 1); `rho` is modified in place.
 
     `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`. `thorough` says
-    whether rigid motions without image motion are minimised over after the sweeps.
+    whether rigid motions without image motion are minimised over after the sweeps. Iterations stop
+    by the last change in either case: the estimate of the error left, and multigrid, are the
+    solver's alone. ρ̂ may be further from the minimum than `tolerance`.
     """
     energies: list[float] = []
     half: list[float] = []

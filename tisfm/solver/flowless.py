@@ -38,7 +38,7 @@ class FlowlessFields:
         self._y = (np.arange(grid.height) - cy) / camera.focal
 
     def minimise(self, system: LinearSystem) -> None:
-        """Add to ρ̂ what of these fields leads to the least energy of a system.
+        """Add to ρ̂ the multiple of each field that minimises the energy of a system.
 
         Parameters
         ----------

@@ -37,8 +37,8 @@ class Effort:
         Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖; where `thorough`, when ‖error of ρ̂‖
         is estimated to be no more than that.
     thorough : bool
-        Whether ρ̂ has to come near the minimum: due where no other linearisation follows that would
-        take over what is left.
+        Whether ρ̂ has to come near the minimum. It has to where no other linearisation follows.
+        That takes three iterations, or four with sweeps.
     solver : {"cholesky", "closed_form"}
     """
 
