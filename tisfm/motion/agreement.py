@@ -101,7 +101,9 @@ def unrelated(
     )
 
 
-def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status | None:
+def replaced(
+    frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray, unseen: np.ndarray | None = None
+) -> Status | None:
     """Return the status of frames of one layout that show other things in it, None for others.
 
     What such frames share does not move. They are told from frames of a scene at rest by the
@@ -114,12 +116,19 @@ def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status
         Grey levels.
     flow : (H, W, 2) float32
         px/frame.
+    unseen : (H, W) bool, optional
+        Pixels that frame 1 cannot show; they do not count. By default all do.
     """
     while frame0.size >= 4 * JUDGED and min(frame0.shape) > 4 * BORDER:  # where noise is less
         frame0, frame1, flow = (
             cv2.resize(array, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             for array in (frame0, frame1, flow * np.float32(0.5))
         )
+        if unseen is not None:
+            part = cv2.resize(
+                unseen.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA
+            )
+            unseen = part > 0
     with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
         unit = np.float32(frame0.std(dtype=float))
         moved = _moved(frame1, flow)
@@ -129,6 +138,8 @@ def replaced(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> Status
         quiet = float(np.percentile(difference, QUIETEST))
         noise = max(quiet / 2, (FAINT * float(unit)) ** 2)
         seen = np.maximum(first, second) > np.float32(STRUCTURE * noise)
+    if unseen is not None:
+        seen &= ~unseen
     if np.count_nonzero(seen) < FEWEST_SEEN * seen.size:
         return None
     lost = seen & (correlation(frame0, frame1, flow) < CORRELATED)

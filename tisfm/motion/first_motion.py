@@ -164,7 +164,9 @@ def first_motion(
         if doubt is not None:
             return replace(start, status=doubt)
     moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
-    cut = replaced(*frames, start.flow) if apart is None and moved < HARDLY else None
+    cut = None
+    if apart is None and moved < HARDLY:
+        cut = replaced(*frames, start.flow, unseen)
     if cut is not None:
         return replace(start, status=cut, is_cut=True)
     if apart is not None:
