@@ -159,10 +159,8 @@ def test_a_result_without_objects_has_no_labels():
     assert not (result.folder / "masks").exists()
 
 
-def test_what_cannot_be_combined_is_refused():
+def test_a_stream_refuses_objects():
     frames = list(film().frames[:4])
-    with pytest.raises(ValueError, match="motion"):
-        tisfm.reconstruct(frames, settings=tisfm.Settings.preset("fast"))
     with pytest.raises(ValueError, match="motion"):
         next(tisfm.reconstruct_stream(iter(frames), settings=OBJECTS))
 

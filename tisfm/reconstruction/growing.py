@@ -37,8 +37,12 @@ ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
 BETTER_IF_GUESSED = 2.5
 BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
 QUANTILE = 0.75  # of the parallax of two views
-EXPLAINED = 0.65  # score per match: a model that explains as much is right
-STARTS, ELSEWHERE = 3, 4  # models that are grown otherwise; views from one beginning to another
+# Score per match: a model that explains as much is right. A wrong one had 0.83, and right ones of
+# noisy frames 0.55. Below it, a model from another first pair has to get nearly the same score.
+EXPLAINED, SAME_SCORE = 0.95, 0.02
+STARTS = 3  # models that are grown, at most
+# Views from one beginning to another: a share of those that are left, and a number that is enough.
+ELSEWHERE, FAR_ENOUGH = 0.25, 4
 NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
@@ -184,10 +188,11 @@ class _FirstPairs:
         Pairs near views of `begun`, which may grow meanwhile, are left out.
         """
         possible = [pair for pair in self._ranked if left.issuperset(pair)]
+        apart = min(max(ELSEWHERE * len(left), 1), FAR_ENOUGH)
         for angle in ANGLES:
             options.mapper.init_min_tri_angle = angle
             for first, second in possible[:TRIED]:
-                if any(abs(one - other) < ELSEWHERE for one in (first, second) for other in begun):
+                if any(abs(one - other) < apart for one in (first, second) for other in begun):
                     continue
                 motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
                 if motion is not None and self._is_needed(motion.matrix(), first, second):
@@ -229,10 +234,10 @@ def _one(
 ) -> Any | None:
     """Return a reconstruction of some of the views that are left, None if there is none.
 
-    A first pair may leave the motion open. A model that is grown from it is bent and explains
-    little. Then further models are grown from other pairs, and the one with the best score counts.
+    A first pair may leave the motion open, and views may be added at wrong places. So models are
+    grown from several first pairs until two have the same score. The best score counts.
     """
-    best, most, begun = None, 0.0, list[int]()
+    best, most, begun, is_confirmed = None, 0.0, list[int](), False
     enough = EXPLAINED * score.matches(left)
     for pair in first_pairs.starts(mapper, options, left, begun):
         begun += pair[:2]
@@ -244,9 +249,10 @@ def _one(
         mapper.end_reconstruction(False)
         if reconstruction.num_reg_images() >= SMALLEST:
             explained = score.score(reconstruction)
+            is_confirmed = abs(explained - most) < SAME_SCORE * most
             if explained > most:
                 best, most = reconstruction, explained
-        if most > enough or len(begun) >= 2 * STARTS:
+        if is_confirmed or most > enough or len(begun) >= 2 * STARTS:
             break
     return best
 
