@@ -39,9 +39,9 @@ def view_of(frame, points):
     return View(frame=frame, seen=Seen(points=points, tracks=tracks), detected=np.empty((0, 2)))
 
 
-def model_of(motion):
-    """Return what a reconstruction of two views says of them."""
-    poses = {1: np.eye(4)[:3], 2: motion}
+def model_of(*motions):
+    """Return what a reconstruction says of a first view and of others that have these motions."""
+    poses = dict(enumerate((np.eye(4)[:3], *motions), start=1))
     images = {
         number: SimpleNamespace(cam_from_world=lambda pose=pose: pycolmap().Rigid3d(pose))
         for number, pose in poses.items()

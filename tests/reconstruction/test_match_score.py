@@ -77,6 +77,18 @@ def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
     assert score.score(model_of(turned_back)) < 40
 
 
+def test_a_view_at_a_wrong_place_explains_less_than_the_others():
+    """Of five views the last is at a wrong place."""
+    random = np.random.default_rng(0)
+    points = points_seen(random, 10, 150, 80)
+    places = [MOTION + np.column_stack([np.zeros((3, 3)), [0.1 * k, 0, 0]]) for k in range(4)]
+    views = [view_of(k, projected(points, pose)) for k, pose in enumerate([REST, *places])]
+    both = np.repeat(np.arange(80)[:, None], 2, axis=1)
+    score = MatchScore(views, {(k, m): both for k in range(5) for m in range(k)}, SHAPE)
+    assert score.least_view(model_of(*places)) == pytest.approx(1, abs=1e-3)
+    assert score.least_view(model_of(*places[:3], OTHER)) < 0.6
+
+
 def test_half_the_tolerance_halves_the_score():
     """The frames are 160 px long, so a match off by 0.5 px has a score of a half."""
     points = np.array([[80.0, 60.0], [100.0, 60.0]])

@@ -37,9 +37,12 @@ ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
 BETTER_IF_GUESSED = 2.5
 BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
 QUANTILE = 0.75  # of the parallax of two views
-# Score per match: a model that explains as much is right. A wrong one had 0.83, and right ones of
-# noisy frames 0.55. Below it, a model from another first pair has to get nearly the same score.
-EXPLAINED, SAME_SCORE = 0.95, 0.02
+# A model is right if it explains as much of each match, and all views nearly as well as the median.
+# Worst views of right models had 0.84 to 1 of the median (0.67 in blurred images), a bent one 0.53.
+EXPLAINED, EVENLY = 0.65, 0.8
+# Any other model is right if one from another first pair gets nearly the same score. Few views are
+# always grown again, as it costs little.
+SAME_SCORE, FEW_VIEWS = 0.02, 8
 STARTS = 3  # models that are grown, at most
 # Views from one beginning to another: a share of those that are left, and a number that is enough.
 ELSEWHERE, FAR_ENOUGH = 0.25, 4
@@ -53,6 +56,9 @@ class Score(Protocol):
 
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a model."""
+
+    def least_view(self, model: Any) -> float:
+        """Return the mean score of the matches of the worst view over the median of all views."""
 
     def matches(self, views: Collection[int] | None = None) -> int:
         """Return the number of matches between views, whose numbers begin with 1."""
@@ -234,10 +240,11 @@ def _one(
 ) -> Any | None:
     """Return a reconstruction of some of the views that are left, None if there is none.
 
-    A first pair may leave the motion open, and views may be added at wrong places. So models are
-    grown from several first pairs until two have the same score. The best score counts.
+    A first pair may leave the motion open, and views may be added at wrong places. A model
+    counts if it explains all views well, or if a model from another first pair gets the same score.
+    Otherwise the one with the best score counts.
     """
-    best, most, begun, is_confirmed = None, 0.0, list[int](), False
+    best, most, begun, is_right = None, 0.0, list[int](), False
     enough = EXPLAINED * score.matches(left)
     for pair in first_pairs.starts(mapper, options, left, begun):
         begun += pair[:2]
@@ -249,10 +256,14 @@ def _one(
         mapper.end_reconstruction(False)
         if reconstruction.num_reg_images() >= SMALLEST:
             explained = score.score(reconstruction)
-            is_confirmed = abs(explained - most) < SAME_SCORE * most
+            is_right = abs(explained - most) < SAME_SCORE * most or (
+                reconstruction.num_reg_images() > FEW_VIEWS
+                and explained > enough
+                and score.least_view(reconstruction) > EVENLY
+            )
             if explained > most:
                 best, most = reconstruction, explained
-        if is_confirmed or most > enough or len(begun) >= 2 * STARTS:
+        if is_right or len(begun) >= 2 * STARTS:
             break
     return best
 

@@ -59,17 +59,34 @@ class MatchScore:
 
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a pycolmap model."""
+        return sum(score for score, _ in self._of_pairs(model).values())
+
+    def least_view(self, model: Any) -> float:
+        """Return the mean score of the matches of the worst view over the median of all views.
+
+        In a right model it is near 1. A view at a wrong place has a small one, though the model as
+        a whole explains most of the matches.
+        """
+        sums: dict[int, np.ndarray] = {}
+        for pair, score in self._of_pairs(model).items():
+            for view in pair:
+                sums[view] = sums.get(view, np.zeros(2)) + score
+        means = [score / count for score, count in sums.values() if count]
+        return float(min(means) / np.median(means)) if means and max(means) > 0 else 0.0
+
+    def _of_pairs(self, model: Any) -> dict[tuple[int, int], tuple[float, int]]:
+        """Return the sum of the scores, and the number, of the matches of every pair of views."""
         camera = next(iter(model.cameras.values()))
         poses = {k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()}
         rays = {view: rays_of(self._points[view], camera) for view in poses}
-        total = 0.0
+        found = {}
         for (first, second), both in self._pairs.items():
             if first in poses and second in poses:
                 before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
                 away = half_line_distances(poses[first], poses[second], before, after)
                 distance = camera.focal_length_x * away / self._scale
-                total += float((1 / (1 + distance**2)).sum())
-        return total
+                found[first, second] = float((1 / (1 + distance**2)).sum()), len(both)
+        return found
 
 
 def half_line_distances(
