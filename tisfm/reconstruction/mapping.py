@@ -21,7 +21,15 @@ from tisfm.reconstruction.database import (
     database_of,
     pairs_of,
 )
-from tisfm.reconstruction.growing import FEWEST, INLIER, LEAST_SEEN, OUTLYING, grown, grown_from
+from tisfm.reconstruction.growing import (
+    FEWEST,
+    INLIER,
+    LEAST_SEEN,
+    OUTLYING,
+    grown,
+    grown_from,
+    shows_parallax,
+)
 from tisfm.reconstruction.lasting import lasting
 from tisfm.reconstruction.match_score import MatchScore
 from tisfm.reconstruction.sparse_points import TrackPoints, located, triangulated
@@ -129,6 +137,12 @@ class Shared:
                 calibrate,
                 focal_known=self.focal_known,
             )
+
+    def shows_parallax(self, camera: Camera) -> bool:
+        """Return whether most pairs of views show parallax with the focal length of a camera."""
+        directions = Directions(self.views, self.pairs, camera, self.shape)
+        with database_of(self.views, self.pairs, colmap_camera(camera, self.shape)) as database:
+            return shows_parallax(database, directions)
 
     def score(self, reconstructions: Sequence[Any]) -> float:
         """Return how well pycolmap's reconstructions explain the matches: their mean score."""

@@ -180,7 +180,7 @@ def models_and_focal(
     models : list of Model
         With that focal length, or with the guess if it is as good.
     found : FocalEstimate or None
-        None if no path is found with any.
+        None if no path is found with any, or if few views show parallax with the one that is found.
     """
     shared = Shared.of(views, matches, shape, focal_known=False)
     begun = _best_start(shared, camera, calibrate)
@@ -192,6 +192,8 @@ def models_and_focal(
     estimate = replace(_estimate(found[0], camera, shape, calibrate), limit=limit)
     if not estimate.is_of_use:
         return models_of(views, matches, camera, shape, focal_known=False), estimate
+    if not estimate.radial and not shared.shows_parallax(estimate.taken(camera)):
+        return [], None
     if not estimate.is_seen and not estimate.radial:
         # What a wrong focal length has made of a turn may look like a path: from the one that was
         # found it is not begun. But what comes of the same focal length may be bent as well.
