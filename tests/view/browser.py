@@ -26,3 +26,10 @@ def launched(playwright):
         )
     except Error as error:
         pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+
+
+def tab_of(browser, **options):
+    """Return a tab of a context of its own, with the options of that."""
+    tab = browser.new_context(**options).new_page()
+    tab.set_default_timeout(1000 * PATIENCE)
+    return tab

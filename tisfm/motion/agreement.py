@@ -112,10 +112,8 @@ def replaced(
 
     Parameters
     ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    flow : (H, W, 2) float32
-        px/frame.
+    frame0, frame1, flow
+        As for `unrelated`.
     unseen : (H, W) bool, optional
         Pixels that frame 1 cannot show; they do not count. By default all do.
     """
