@@ -1,4 +1,4 @@
-"""Pairs that were given a status that says something else than what they show."""
+"""Pairs that were given a wrong status."""
 
 import cv2
 import numpy as np
@@ -9,14 +9,14 @@ from tests.cases.inputs import FOCAL, HEIGHT, WIDTH, room
 
 
 def grain(seed, height=HEIGHT, width=WIDTH):
-    """Return a picture of grains of some px, (height, width) float64."""
+    """Return a picture of grains of a few px, (height, width) float64."""
     noise = np.random.default_rng(seed).normal(size=(height, width))
     grains = cv2.GaussianBlur(noise, (0, 0), 2)
     return 128 + 45 * grains / grains.std()
 
 
 def layout(seed, margin):
-    """Return a picture whose margin, px, is that of every other and whose middle is its own."""
+    """Return a picture with the same margin, px, as all others and a middle of its own."""
     picture = grain(99)
     inner = np.s_[margin:-margin, margin:-margin]
     picture[inner] = grain(seed, *picture[inner].shape)
@@ -33,7 +33,7 @@ def interpreted(frame0, frame1, motion):
 @pytest.mark.parametrize("margin", [50, 60, 70])
 def test_a_cut_between_pictures_of_one_layout(motion, margin):
     status = interpreted(layout(0, margin), layout(1, margin), motion).status
-    assert status == "unrelated" and "something else in the second" in status.message
+    assert status == "unrelated" and "differs in the second" in status.message
 
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])

@@ -14,7 +14,7 @@ CARD = VulkanDevice(name="A card", is_software=False, score=1400)
 @pytest.mark.parametrize(
     ("device", "said"),
     [
-        (LAVAPIPE, "vulkan runs on llvmpipe (LLVM 15), software on the CPU and no GPU: it is slow"),
+        (LAVAPIPE, "vulkan runs on llvmpipe (LLVM 15), software on the CPU, not a GPU: it is slow"),
         (CARD, "vulkan runs on A card\n"),
         (None, ""),
     ],

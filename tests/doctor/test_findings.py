@@ -277,7 +277,7 @@ def test_software_vulkan_is_no_gpu():
     tried = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": "llvmpipe (LLVM 15)"}}
     found = machine.about_gpus(tried, {})
     assert found.verdict == "absent" and "none that Taichi can use" in found.text
-    assert "llvmpipe (LLVM 15), software on the CPU and no GPU" in found.text
+    assert "llvmpipe (LLVM 15), software on the CPU, not a GPU" in found.text
     assert "leave out --arch vulkan" in found.advice
     beside = {"archs": {"archs": ["cuda", "vulkan"]}, "software_vulkan": {"device": "llvmpipe"}}
     found = machine.about_gpus(beside, {"kernel:cuda": {"arch": "cuda"}})

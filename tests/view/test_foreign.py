@@ -1,4 +1,4 @@
-"""A folder that came from elsewhere: none of its texts runs as script, whatever shows it."""
+"""Folders from elsewhere: no page runs their texts as script."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ from tisfm.view.opening import open_result
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.static import static_page
 
-# Each sets a mark if a browser takes it for a part of the page.
+# Each sets a mark if a browser runs it.
 EVIL = (
     '"\'></title></style></script><img src=x onerror="window.hacked=1">'
     "<svg onload=window.hacked=2><script>window.hacked=3</script>"
@@ -30,7 +30,7 @@ EVIL = (
 
 
 def evil_folder(folder):
-    """Write a reconstruction all of whose texts are evil; the last frame but one is damaged."""
+    """Write a reconstruction with an attack in every text; the third of four frames is missing."""
     count = 4
     one = replace(thing(count), message=EVIL)
     status = (Status("brand_new", EVIL), *(Status("converged", EVIL),) * (count - 1))
@@ -63,7 +63,7 @@ def hacked(tab):
 
 
 def test_an_evil_status_runs_no_script(opened, tab, tmp_path):
-    """It is refused; if it were not, it would be shown as text."""
+    """It is refused, or else shown as text."""
     write_reconstruction(tmp_path / "r")
     path = tmp_path / "r" / "reconstruction.json"
     about = json.loads(path.read_text())
@@ -85,7 +85,7 @@ def test_the_page_runs_no_script_of_a_folder(opened, tab, tmp_path):
     tab.goto(page.url)
     shown.wait_for()
     text = shown.inner_text()
-    assert "<img src=x" in text and "brand_new" in text and "take it as doubt" in text
+    assert "<img src=x" in text and "brand_new" in text and "treat it as doubtful" in text
     page.controls.frame.value = 2
     wait_for(lambda: "is not complete" in page.controls.status.content)
     tab.wait_for_function("document.body.innerText.includes('is not complete')")

@@ -98,7 +98,7 @@ def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         step = np.linalg.solve(matrix, vector)
         wanted = log_focal + step[3]
         limited = float(np.clip(wanted, np.log(SHORTEST), np.log(LONGEST)))
-        if limited != wanted:  # the rotation that suits the limit
+        if limited != wanted:  # the best rotation at the limit
             vector = vector - matrix[:, 3] * (limited - log_focal)
             step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), limited - log_focal]
         rotation = _rotation(step[:3]) @ rotation

@@ -1,13 +1,13 @@
-"""The rigid motions that move no pixel, which sweeps and cycles find last.
+"""Rigid motions without image motion, which sweeps and cycles find last.
 
 Four fields of ρ̂ have no image motion, Gρ̂ = 0: τ along the line of sight, and each component of ω
-with the τ that undoes it,
+with the τ that cancels its image motion,
 
     (x̂, ŷ, 1, 0, 0, 0),            (x̂ŷ, 1 + ŷ², 0, 1, 0, 0),
     (−1 − x̂², −x̂ŷ, 0, 0, 1, 0),    (ŷ, −x̂, 0, 0, 0, 1).
 
-The data do not see them, and they are so smooth that the smoothness hardly does: of all errors they
-shrink most slowly. But how much of each is best follows from 4 equations, to the end.
+The data terms do not depend on them, and they are so smooth that the smoothness term hardly does:
+of all errors they shrink most slowly. The best multiple of each follows exactly from 4 equations.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ BAND = 64  # rows that are computed at a time, in float64
 
 
 class FlowlessFields:
-    """Such fields on one level.
+    """The fields without image motion on one level.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class FlowlessFields:
         """
         matrix, vector = self._normal_equations(system)
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
-            return  # ρ̂ has run away, and its status says so
+            return  # ρ̂ has diverged, and its status says so
         scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
         shares, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, LEAST_SHARE)
         unknowns = self._unknowns
@@ -86,7 +86,7 @@ class FlowlessFields:
     def _steps(self) -> Sequence[Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]]:
         """Return the differences of τ1 and τ2, to the east and to the south, of every field.
 
-        Each as a function of the row and one of the column, whose product it is.
+        Each is the product of a function of the row and a function of the column.
         """
         x, y, pitch = self._x, self._y, 1 / self._unknowns.camera.focal
         one_x, one_y = np.full(x.shape, pitch), np.ones(y.shape)
