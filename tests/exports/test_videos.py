@@ -242,7 +242,7 @@ def test_videos_need_their_package(tmp_path, monkeypatch):
         write_video(frames, tmp_path / "a.mp4", "depth")
 
 
-def test_depth_of_a_status_that_is_not_known_is_told(tmp_path, capsys):
+def test_a_note_tells_of_depth_with_an_unknown_status(tmp_path, capsys):
     folder = run_of(tmp_path / "run")
     record = json.loads((folder / "run.json").read_text())
     record["pairs"]["p1"]["status"] = "brand_new"

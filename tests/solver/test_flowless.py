@@ -1,4 +1,4 @@
-"""Rigid motions without image motion: the kernel's side of them against the reference."""
+"""Rigid motions without image motion: the solver against the reference."""
 
 import tracemalloc
 

@@ -29,7 +29,7 @@ def launched(playwright):
 
 
 def tab_of(browser, **options):
-    """Return a tab of a context of its own, with the options of that."""
+    """Return a tab in a new context with these options."""
     tab = browser.new_context(**options).new_page()
     tab.set_default_timeout(1000 * PATIENCE)
     return tab
