@@ -140,7 +140,7 @@ def test_a_note_says_that_numbers_are_not_read_as_times(tmp_path):
     st.lists(st.integers(80, 120), min_size=40, max_size=60),
 )
 def test_any_clock_of_ros_is_read(second, usual, percent):
-    """Nanoseconds are told from decimals by more even steps, if these vary by up to 20 %."""
+    """Nanoseconds have more even steps than decimals, if the steps vary by up to 20 %."""
     instants = np.cumsum(np.array(percent) * usual // 100)
     names = [f"{second + at // 10**9}.{at % 10**9}" for at in instants.tolist()]
     times = times_of_names(names)

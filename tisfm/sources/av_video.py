@@ -148,7 +148,7 @@ def _chosen(container: InputContainer) -> VideoStream:
 
 def _videos(container: InputContainer) -> list[VideoStream]:
     """Return the video streams that can be decoded, except pictures such as a cover."""
-    # codec_context is None for codecs that FFmpeg does not know, although PyAV's types exclude it.
+    # Codecs that FFmpeg does not know have no codec_context, although PyAV's types promise one.
     known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
     return [one for one in known if not one.disposition & _NO_VIDEO] or known
 
