@@ -21,9 +21,9 @@ from bench.shared.machine import RESULTS, ROOT
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
-# Packages that benchmarks are run by, and their modules.
+# Packages that run the benchmarks, and their modules.
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
-FAILED = 1  # exit code of pytest where a test failed, and of no other fault
+FAILED = 1  # exit code of pytest where a test failed; other faults have other codes
 DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
 TABLE_WIDTH = 136  # columns, where the output is no terminal
 

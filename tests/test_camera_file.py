@@ -78,7 +78,7 @@ def test_impossible_cameras_are_not_written(camera, shape, error, tmp_path):
 
 
 def test_a_file_of_an_earlier_format_is_refused_with_advice(tmp_path):
-    """Its deviation was of frames that had been shrunk."""
+    """Its deviation was in px of shrunk frames."""
     path = tmp_path / "c.json"
     write_camera(path, LENS, (4, 4))
     path.write_text(path.read_text().replace('"format": 2', '"format": 1'))

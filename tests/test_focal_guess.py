@@ -35,7 +35,7 @@ def test_film_stands_for_the_diagonal(tmp_path):
 
 
 @pytest.mark.parametrize("orientation", [None, 1, 3, 6, 8])
-def test_the_size_is_that_of_the_picture_as_it_is_read(tmp_path, orientation):
+def test_the_size_is_that_of_the_picture_upright(tmp_path, orientation):
     path = picture(tmp_path / "a.jpg", {FILM: 50}, height=30, width=40, orientation=orientation)
     assert guess_focal(path).shape == read_image(path).shape[:2]
     assert guess_focal((30, 40, 3)).shape == (30, 40)

@@ -1,4 +1,4 @@
-"""Codes of statuses in files that came from elsewhere, by each of the readers."""
+"""Status codes in files from elsewhere, for each reader."""
 
 import json
 
@@ -17,12 +17,12 @@ NO_CODES = ("<img src=x>", "Converged", "", "a b", "converged\n", "é", None, 3,
 
 
 @pytest.mark.parametrize("code", NO_CODES)
-def test_it_is_no_code(code):
+def test_a_wrong_code_is_refused(code):
     with pytest.raises((TypeError, ValueError), match="status is"):
         Status(code)
 
 
-def test_a_message_is_a_text():
+def test_a_message_is_a_string():
     with pytest.raises(TypeError, match="message is None"):
         Status("converged", None)
 
@@ -59,7 +59,7 @@ def load_npz(folder):
         (change_npz, load_npz),
     ],
 )
-def test_every_reader_refuses_what_is_no_code(tmp_path, change, read):
+def test_every_reader_refuses_a_wrong_code(tmp_path, change, read):
     if change is change_reconstruction:
         write_reconstruction(tmp_path / "r", 2)
     else:

@@ -1,4 +1,4 @@
-"""HTML is made by one means: literals of Markup, which escape what is put into them."""
+"""HTML is made in one way: by literals of Markup, which escape texts that are put into them."""
 
 import ast
 import re
@@ -8,7 +8,7 @@ import pytest
 from tests.imports import sources
 
 TAG = re.compile(r"</?[a-z!]", re.IGNORECASE)
-# Markup of what is no literal: constants of ours, and what Matplotlib drew.
+# Markup of other values than literals: constants of ours, and drawings of Matplotlib.
 TRUSTED = {"MARK", "STYLE", "SCRIPT", "box[0]", "rest"}
 
 
@@ -34,7 +34,7 @@ def html_of_other_means(text):
     return found
 
 
-def test_other_means_are_found():
+def test_other_ways_are_found():
     assert html_of_other_means('x = f"<b>{name}</b>"') == [1]
     assert html_of_other_means("x = Markup(name)") == [1]
     assert html_of_other_means('x = Markup(f"{name}")') == [1]
@@ -45,13 +45,13 @@ def test_other_means_are_found():
 
 
 @pytest.mark.parametrize("package", ["tisfm.report", "tisfm.view"])
-def test_there_is_one_means(package):
+def test_there_is_one_way(package):
     for name, path in sources().items():
         if name.startswith(package):
             assert html_of_other_means(path.read_text(encoding="utf-8")) == [], name
 
 
-def test_plain_text_is_no_content_of_a_control():
+def test_a_control_refuses_plain_text():
     from types import SimpleNamespace
 
     from markupsafe import Markup

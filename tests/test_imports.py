@@ -106,7 +106,7 @@ def test_kernels_need_no_more_than_taichi_and_numpy():
 
 
 def test_the_top_level_stays_small():
-    entry = "tisfm.__main__"  # which nothing imports
+    entry = "tisfm.__main__"  # no module imports it
     direct = [name for name in MODULES if name.count(".") == 1 and name not in PACKAGES]
     direct.remove(entry)
     assert 5 < len(direct) <= 25

@@ -23,7 +23,7 @@ def equation_18(s, it, b, neighbours, alpha, third):
 
 
 def test_equation_18_needs_s3_in_its_third_line():
-    """All else of it is right as printed: it solves eq. 16."""
+    """The rest is right as printed: it solves eq. 16."""
     rng = np.random.default_rng(0)
     s, b = rng.normal(scale=5, size=3), rng.uniform(0.5, 4, size=3)
     neighbours, it, alpha = rng.normal(size=3), 1.7, 20.0

@@ -136,8 +136,8 @@ def test_an_application_that_started_taichi_gets_the_same_answer(
     np.testing.assert_allclose(np.load(tmp_path / "rho.npy"), rho, atol=1e-4)
 
 
-def test_an_application_whose_kernels_compile_slowly_is_told_at_once():
-    """Before anything is compiled, once for each ``ti.init``, with the argument to pass."""
+def test_an_application_whose_kernels_compile_slowly_is_warned_at_once():
+    """Before any compilation, once for each ``ti.init``, with the argument to pass."""
     code = """
     import os, sys, warnings
     os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
@@ -164,8 +164,8 @@ def test_an_application_whose_kernels_compile_slowly_is_told_at_once():
 # Software Vulkan
 
 
-def test_software_vulkan_is_told(monkeypatch):
-    """A driver without a GPU: what it is, and what to take."""
+def test_software_vulkan_gives_a_warning(monkeypatch):
+    """It names the driver without a GPU, and the arch to take."""
     monkeypatch.setattr(runtime, "_is_running", lambda: False)
     monkeypatch.setattr(runtime, "_initialise", lambda arch, options: None)
     monkeypatch.setattr(runtime, "software_vulkan", lambda: "llvmpipe (LLVM 15)")
@@ -178,7 +178,7 @@ def test_software_vulkan_is_told(monkeypatch):
         runtime._start("vulkan", None, False)
 
 
-def test_software_vulkan_that_an_application_started_is_told_once(monkeypatch):
+def test_software_vulkan_that_an_application_started_gives_one_warning(monkeypatch):
     monkeypatch.setattr(runtime, "running_arch", lambda: "vulkan")
     monkeypatch.setattr(runtime, "software_vulkan", lambda: "llvmpipe (LLVM 15)")
     monkeypatch.setattr(runtime, "_warned_of", None)
@@ -190,7 +190,7 @@ def test_software_vulkan_that_an_application_started_is_told_once(monkeypatch):
     monkeypatch.setattr(runtime, "_warned_of", None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        runtime.start_worker()  # the main process has told it
+        runtime.start_worker()  # the main process has warned
 
 
 # Asking again

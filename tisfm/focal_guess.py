@@ -217,12 +217,12 @@ def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, A
 
 
 def _upright_size(picture: Image.Image) -> tuple[int, int]:
-    """Return height and width once the picture is turned as its EXIF data say, as it is read."""
+    """Return height and width of the picture after the rotation that its EXIF data state."""
     try:
         is_turned = picture.getexif().get(ExifTags.Base.Orientation) in _SIDEWAYS
     except MemoryError:
         raise
-    except Exception:  # whatever damaged EXIF data lead Pillow to
+    except Exception:  # Pillow raises many kinds for damaged EXIF data
         is_turned = False
     height, width = picture.height, picture.width
     return (width, height) if is_turned else (height, width)
@@ -233,7 +233,7 @@ def _exif(picture: Image.Image) -> Mapping[int, Any]:
         return dict(picture.getexif().get_ifd(ExifTags.IFD.Exif))
     except MemoryError:
         raise
-    except Exception:  # whatever damaged EXIF data lead Pillow to: the picture is still good
+    except Exception:  # Pillow raises many kinds for damaged EXIF data: the picture is still good
         return {}
 
 

@@ -11,8 +11,8 @@ STATUSES = (
     "unexplained", "uncertain",
 )  # fmt: skip
 """Codes of `Status`."""
-UNKNOWN = "This version of tisfm does not know this status: take it as doubt."
-"""What is said of a code that is none of `STATUSES`."""
+UNKNOWN = "This version of tisfm does not know this status: treat it as doubtful."
+"""The message for a code that is not in `STATUSES`."""
 _CODE = re.compile(r"[a-z_]+")
 
 
@@ -24,10 +24,10 @@ class Status(str):
     ``"no_texture"``, frame 0 shows no gradient that motion could be seen by, or too few pixels are
     trusted to fit a motion to them; ``"diverged"``, the numbers are of no use: somewhere the image
     motion grew beyond half of the image's longer side, or more than half of the pixels leave the
-    image (the whole side, and 80 %, where matched points, a 4×4 pose, or images that agree
-    vouch for a large motion);
-    ``"unrelated"``, the frames have nothing in common, or parts of them are alike and at rest and
-    the others show something else; ``"aperture"``, they vary along one direction only, so that
+    image (the whole side, and 80 %, where matched points, a 4×4 pose, or the images themselves
+    confirm a large motion);
+    ``"unrelated"``, the frames have nothing in common, or some parts are alike and at rest while
+    the others differ; ``"aperture"``, they vary along one direction only, so that
     motion along their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
     ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
     camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth;
@@ -39,8 +39,8 @@ class Status(str):
     depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``: it contradicts the
     images, and the depth is what follows from it all the same.
 
-    A file of another version may hold a code that is not in this list. It is kept, and counts as
-    doubt.
+    A file of another version may hold a code that is not in this list. It is kept: treat it as
+    doubtful.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Status(str):
     Raises
     ------
     TypeError
-        If the code or the message is no text.
+        If the code or the message is not a string.
     ValueError
         If the code has any other character.
     """

@@ -36,8 +36,8 @@ UNCOUNTED = Status(
 )
 RELIABLE = ("converged", "iteration_limit")  # statuses of a flow that the next pair may rely on
 MOST_LEAVING = 0.5  # of the pixels: benchmarks have at most 0.08
-# The same of frames far apart, whose motion matched points, a pose or the images vouch for: near
-# things pass the whole image, and where the camera turned by 20° two thirds left it.
+# The same for frames far apart whose motion is confirmed by matched points, a pose or the images:
+# near objects cross the whole image, and after a turn by 20° two thirds of the pixels had left it.
 RUNAWAY_VOUCHED, MOST_LEAVING_VOUCHED = 1.0, 0.8
 
 
@@ -430,8 +430,8 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, vouched: bool = False) -> 
     leaves : (H, W) bool
         Where it leaves the image.
     vouched : bool
-        Whether matched points, a pose or the images (`tisfm.motion.agreement.borne_out`) vouch for
-        a large motion: what leaves the image then may go far.
+        Whether matched points, a pose or the images (`tisfm.motion.agreement.borne_out`) confirm a
+        large motion: pixels that leave the image may then go far.
     """
     furthest, most = RUNAWAY, MOST_LEAVING
     if vouched:

@@ -36,7 +36,7 @@ _NEEDS = {
 
 
 class SoftwareVulkanWarning(UserWarning):
-    """Vulkan offers no GPU, but software on the CPU."""
+    """Vulkan runs on software on the CPU, not on a GPU."""
 
 
 def start(
@@ -64,8 +64,8 @@ def start(
     Warns
     -----
     UserWarning
-        If Vulkan offers no GPU but software on the CPU, which is slow, and may give wrong answers;
-        also where an application started Taichi on it.
+        If Vulkan runs on software on the CPU, not on a GPU: it is slow, and answers may be wrong.
+        An application may have started Taichi on it.
         If an application started Taichi on the CPU without ``real_matrix_scalarize=False``: our
         kernels may then take minutes to compile.
 
@@ -189,9 +189,9 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
 
 
 def software_said(device: str) -> str:
-    """Return what to know of a Vulkan device that is software, by its name."""
+    """Return the warning for a Vulkan device of this name that is software."""
     return (
-        f"vulkan runs on {device}, software on the CPU and no GPU: it is slow, and answers may "
+        f"vulkan runs on {device}, software on the CPU, not a GPU: it is slow, and answers may "
         'be wrong; take arch="cpu" (--arch cpu)'
     )
 
@@ -284,9 +284,9 @@ def _check_running(arch: str | None, threads: int | None) -> None:
 
 
 def _warn_of_application() -> None:
-    """Warn, once for each ``ti.init``, where an application started Taichi in a way that is slow.
+    """Warn, once for each ``ti.init``, if an application started Taichi in a way that is slow.
 
-    It let Taichi take vectors apart, or Vulkan is software.
+    Either Taichi takes vectors apart, or Vulkan runs on software.
     """
     global _warned_of
     from tisfm.kernels.layout import internals
@@ -295,7 +295,7 @@ def _warn_of_application() -> None:
     if _warned_of == program:
         return
     if arch == "vulkan":
-        _warned_of = program  # before the drivers are asked, which takes its time
+        _warned_of = program  # first: asking the drivers takes time
         if device := software_vulkan():
             warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=4)
     if arch == "cpu" and internals.configuration().real_matrix_scalarize:

@@ -84,7 +84,7 @@ def interpret_sequence(
     Warns
     -----
     UserWarning
-        Of every frame that is skipped, and of what should be known of how the source is read.
+        For each frame that is skipped, and each note on how the source is read.
 
     Raises
     ------

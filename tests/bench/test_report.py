@@ -128,7 +128,7 @@ def test_the_gpu_is_named():
         ({"xdist"}, "needs pytest-xdist, not installed"),
     ],
 )
-def test_what_benchmarks_are_run_by_is_missed_at_once(monkeypatch, capsys, gone, told):
+def test_missing_packages_are_named_before_any_benchmark(monkeypatch, capsys, gone, told):
     def found(module):
         return None if module in gone else module
 
@@ -142,6 +142,6 @@ def test_what_benchmarks_are_run_by_is_missed_at_once(monkeypatch, capsys, gone,
     assert out == "" and told in err and "pip install -e '.[test]'" in err and err.count("\n") == 1
 
 
-def test_only_a_test_that_failed_is_an_answer_that_disagreed():
+def test_only_a_failed_test_counts_as_a_wrong_answer():
     assert fault_of(0) == "" and fault_of(1) == DISAGREED
     assert "exit code 4" in fault_of(4) and "disagreed" not in fault_of(4)

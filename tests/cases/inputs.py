@@ -1,4 +1,4 @@
-"""Small inputs of kinds that went wrong: a film of a room, in folders and videos of many kinds.
+"""Small inputs like those that failed: a film of a room, in folders and videos of many kinds.
 
 Everything is rendered when a test asks for it. Unless another size is asked for, frames of the room
 are 240 × 320 px, grey, with a focal length of 192 px.
@@ -20,7 +20,7 @@ HEIGHT, WIDTH, FOCAL, RATE = 240, 320, 192.0, 25
 
 
 def walk(count, velocity=(0.06, 0.01, 0.02), turn=(0.0, 0.008, 0.0), wobble=0.01):
-    """Return a path that goes evenly and shakes a little, (count, 4, 4), camera to world.
+    """Return a path of even speed that shakes a little, (count, 4, 4), camera to world.
 
     `velocity` is in m/frame, `turn` in rad/frame; `wobble`, rad/frame, is how far it shakes.
     """
@@ -46,9 +46,9 @@ def room(count=16, height=HEIGHT, width=WIDTH, samples=1):
 
 @cache
 def sliding(count=6, height=48, width=64):
-    """Return frames that a texture slides through by 2 px each, (count, height, width) uint8.
+    """Return frames of a texture that moves by 2 px/frame, (count, height, width) uint8.
 
-    They cost nothing to make: for tests of what is read, where no path is needed.
+    They are quick to make: for tests of readers, which need no path.
     """
     rng = np.random.default_rng(0)
     wide = cv2.GaussianBlur(rng.normal(size=(height, width + 2 * count)), (0, 0), 1.5)
@@ -73,8 +73,8 @@ def write_film(
     """Write a film with PyAV, each of `streams` a sequence of (H, W) uint8 frames.
 
     `times` are those of the frames, in 1/rate s, by default 0, 1, 2, …; `aspect` is the width of a
-    pixel over its height; `default` is the number of the stream that is marked as such; `rotation`
-    is what a camera writes of how it was held, in degrees.
+    pixel over its height; `default` is the number of the stream that is marked as default;
+    `rotation` is the rotation that a camera writes into the file, degrees.
     """
     import av
 

@@ -1,4 +1,4 @@
-"""Commands: what they say of a source, and what they refuse before their work."""
+"""Commands: their notes on a source, and errors before their work."""
 
 import pytest
 
@@ -9,7 +9,7 @@ FRAMES = sliding()
 
 
 def test_names_are_printed_as_they_are(tisfm_run, place):  # noqa: F811
-    """Rich would make a sign of :v: and of :smile:."""
+    """Rich would print an emoji for :v: and :smile:."""
     write_folder(place / "a", FRAMES[:2], ["take:v:1.png", "take:v:2.png"])
     (place / "a" / "clip:smile:.heic").write_bytes(b"no matter")
     code, _, err = tisfm_run("run", "a", "-o", "out", "--preset", "fast", "--outputs", "npz")
@@ -21,7 +21,7 @@ def test_names_are_printed_as_they_are(tisfm_run, place):  # noqa: F811
 @pytest.mark.parametrize(
     ("scale", "why"), [("0 99 1", "6 frames are taken"), ("0 0 1", "two frames")], ids=str
 )
-def test_a_scale_of_frames_that_are_not_there(tisfm_run, place, scale, why):  # noqa: F811
+def test_a_scale_of_missing_frames_is_refused(tisfm_run, place, scale, why):  # noqa: F811
     write_folder(place / "a", FRAMES)
     code, out, err = tisfm_run("reconstruct", "a", "-o", "out", "--scale", *scale.split())
     assert (code, out) == (1, "") and why in err and err.count("\n") == 1
@@ -30,7 +30,7 @@ def test_a_scale_of_frames_that_are_not_there(tisfm_run, place, scale, why):  # 
 
 @pytest.mark.parametrize("command", ["run", "reconstruct"])
 @pytest.mark.parametrize("source", ["a/f%03d.png", "rtsp://camera/1", "above"])
-def test_what_to_write_instead(tisfm_run, place, command, source):  # noqa: F811
+def test_errors_say_what_to_write_instead(tisfm_run, place, command, source):  # noqa: F811
     write_folder(place / "a", FRAMES)
     write_folder(place / "above" / "rgb", FRAMES)
     code, out, err = tisfm_run(command, source, "-o", "out")

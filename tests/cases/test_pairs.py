@@ -1,4 +1,4 @@
-"""Pairs that were given a status that says something else than what they show."""
+"""Pairs that were given a wrong status."""
 
 import cv2
 import numpy as np
@@ -9,14 +9,14 @@ from tests.cases.inputs import FOCAL, HEIGHT, WIDTH, room
 
 
 def grain(seed, height=HEIGHT, width=WIDTH):
-    """Return a picture of grains of some px, (height, width) float64."""
+    """Return a picture of grains of a few px, (height, width) float64."""
     noise = np.random.default_rng(seed).normal(size=(height, width))
     grains = cv2.GaussianBlur(noise, (0, 0), 2)
     return 128 + 45 * grains / grains.std()
 
 
 def layout(seed, margin):
-    """Return a picture whose margin, px, is that of every other and whose middle is its own."""
+    """Return a picture with the same margin, px, as all others and a middle of its own."""
     picture = grain(99)
     inner = np.s_[margin:-margin, margin:-margin]
     picture[inner] = grain(seed, *picture[inner].shape)
@@ -33,19 +33,19 @@ def interpreted(frame0, frame1, motion):
 @pytest.mark.parametrize("margin", [50, 60, 70])
 def test_a_cut_between_pictures_of_one_layout(motion, margin):
     status = interpreted(layout(0, margin), layout(1, margin), motion).status
-    assert status == "unrelated" and "something else in the second" in status.message
+    assert status == "unrelated" and "differs in the second" in status.message
 
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])
 @pytest.mark.parametrize("noise", [0, 3, 8])
-def test_a_camera_at_rest_is_no_cut(motion, noise):
+def test_a_camera_at_rest_is_not_a_cut(motion, noise):
     rng = np.random.default_rng(0)
     frames = [room(1)[0] + rng.normal(0, noise, (HEIGHT, WIDTH)) for _ in range(2)]
     assert interpreted(*frames, motion).status == "no_motion"
 
 
 def with_thing(height, width, move):
-    """Return two frames of a room at rest with a thing that moves to the right, float64."""
+    """Return two frames of a room at rest with an object that moves to the right, float64."""
     top, left = (HEIGHT - height) // 2, (WIDTH - width - move) // 2
     frames = []
     for moved in (0, move):
@@ -57,13 +57,13 @@ def with_thing(height, width, move):
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])
 @pytest.mark.parametrize(("height", "width", "move"), [(60, 140, 8), (120, 160, 60)])
-def test_a_thing_that_moves_before_a_camera_at_rest_is_no_cut(height, width, move, motion):
+def test_an_object_that_moves_before_a_camera_at_rest_is_not_a_cut(height, width, move, motion):
     assert interpreted(*with_thing(height, width, move), motion).status != "unrelated"
 
 
 @pytest.mark.parametrize("move", [20, 30, 45, 90])
 @pytest.mark.parametrize(("height", "width"), [(90, 130), (120, 160), (150, 200)])
-def test_a_large_fast_thing_is_no_cut_even_if_no_flow_finds_it(height, width, move):
+def test_a_large_fast_object_is_not_a_cut_even_if_flow_misses_it(height, width, move):
     from tisfm.motion.agreement import replaced
 
     frames = (frame.astype(np.float32) for frame in with_thing(height, width, move))

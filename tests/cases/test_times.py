@@ -1,4 +1,4 @@
-"""Times of frames that are not those of a path: nothing is lost, and it is said once."""
+"""Times of frames that cannot serve a path: results are complete, and one note says so."""
 
 import json
 import warnings
@@ -37,19 +37,19 @@ def doubled(path):
 
 
 def noted(err):
-    """Return the notes that a command printed, without what they begin with."""
+    """Return the notes that a command printed, without "note: "."""
     return [line.removeprefix("note: ") for line in err.splitlines() if line.startswith("note: ")]
 
 
 @pytest.mark.parametrize("film", ["repeated_times.mkv", "doubled.ts"])
-def test_a_result_is_whole(tisfm_run, tmp_path, film):  # noqa: F811
+def test_a_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
     path = (repeated if film.endswith("mkv") else doubled)(tmp_path / film)
     code, out, err = tisfm_run("reconstruct", str(path), "-o", "out", "--preset", "fast",
                                "--depth-of", "none", "--focal", str(FOCAL), "--report")  # fmt: skip
     assert (code, out) == (0, ""), err
     (note,) = noted(err)
     assert ("repeat" if film.endswith("mkv") else "go back") in note and "numbers of frames" in note
-    assert err.startswith("note: "), "it is said before the result is told"
+    assert err.startswith("note: "), "the note comes before the result"
     result = tisfm.Reconstruction.load("out")
     assert result.notes == (note,)
     assert (result.piece == 0).sum() >= COUNT - 1
@@ -66,7 +66,7 @@ def test_a_result_is_whole(tisfm_run, tmp_path, film):  # noqa: F811
     assert code == 0 and "frames have no times that rise" in err
 
 
-def test_chunks_say_it_before_their_work(tisfm_run, tmp_path):  # noqa: F811
+def test_chunks_print_the_note_before_their_work(tisfm_run, tmp_path):  # noqa: F811
     path = doubled(tmp_path / "doubled.ts")
     code, _, err = tisfm_run("reconstruct", str(path), "-o", "out", "--preset", "fast", "--chunk",
                              "20", "--depth-of", "none", "--focal", str(FOCAL))  # fmt: skip
@@ -81,7 +81,7 @@ def test_chunks_say_it_before_their_work(tisfm_run, tmp_path):  # noqa: F811
 
 @pytest.mark.parametrize("missing", [[4], range(COUNT)], ids=["one", "all"])
 def test_frames_without_times(tmp_path, monkeypatch, missing):
-    """Without any times there is nothing to say: nobody expects them."""
+    """If no frame has a time, there is no note."""
     path = write_film(tmp_path / "a.mkv", sliding(COUNT))
     number = iter(range(10**6))
 
@@ -100,7 +100,7 @@ def test_frames_without_times(tmp_path, monkeypatch, missing):
     assert len(notes) == (len(missing) == 1) and all("frame 4 has no time" in one for one in notes)
 
 
-def test_a_stream_says_it_once(tmp_path):
+def test_a_stream_warns_once(tmp_path):
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -112,7 +112,7 @@ def test_a_stream_says_it_once(tmp_path):
     assert "frame a_000000 and frame a_000001 are both at 0 s" in str(note.message)
 
 
-def test_a_run_and_a_batch_say_it(tisfm_run, tmp_path):  # noqa: F811
+def test_a_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
     options = ("--preset", "fast", "--outputs", "npz")
     code, _, err = tisfm_run("run", str(path), "-o", "out", *options)
@@ -145,15 +145,15 @@ def test_a_run_and_a_batch_say_it(tisfm_run, tmp_path):  # noqa: F811
     ],
     ids=str,
 )  # fmt: skip
-def test_which_times_a_path_may_have(times, fault):
+def test_times_that_can_serve_a_path(times, fault):
     assert fault in times_note(times) and bool(times_note(times)) == bool(fault)
     numbers = [float(k) for k in range(len(times))]
     expected = times if do_rise(times) else numbers
     assert times_or_numbers(times).tolist() == list(expected)
 
 
-def test_poses_are_found_to_be_of_other_times_before_all_work(tmp_path):
-    """Names of files tell the times of frames at once."""
+def test_poses_with_other_times_are_refused_before_all_work(tmp_path):
+    """Names of files give the times of frames at once."""
     from tests.cases.inputs import write_folder
 
     names = [f"{k}.500000.png" for k in range(4)]

@@ -13,7 +13,7 @@ from tisfm.formats import write_flo, write_png
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """An empty working folder, and the width of a terminal, which standard error is not."""
+    """An empty working folder, and the width of a terminal; standard error is not a terminal."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):  # rich takes a pipe for one
@@ -23,13 +23,13 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_time_passes_for_forecasts(monkeypatch):
-    """On a busy machine a run of a few pairs would say how long it is going to take."""
+    """On a busy machine a run of a few pairs would print an estimate of its time."""
     monkeypatch.setattr(foretelling, "time", SimpleNamespace(monotonic=lambda: 0.0))
 
 
 @pytest.fixture
 def without_vulkan(monkeypatch):
-    """A machine without a Vulkan driver: commands announce the device of others."""
+    """A machine without a Vulkan driver: with one, commands print its device."""
     monkeypatch.setattr(kernels_start, "vulkan_device", lambda: None)
 
 

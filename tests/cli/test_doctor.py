@@ -55,7 +55,7 @@ def test_a_library_that_cannot_be_imported(tmp_path, module):
 
 @pytest.mark.slow
 def test_the_module_answers_as_the_command_does(tmp_path):
-    """Where `import tisfm` fails as well."""
+    """Also if `import tisfm` fails."""
     (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1 is not there')")
     done = subprocess.run(
         [sys.executable, "-m", "tisfm", "doctor"],

@@ -57,7 +57,7 @@ def test_a_sequence_is_reconstructed_and_compared(tisfm_run, wall, reconstruct):
 
 def test_a_motion_of_pairs_is_refused(tisfm_run, wall, reconstruct):
     code, _, err = tisfm_run("eval", "wall", "--sequence", "--motion", "field")
-    assert_one_line(code, err, "--motion field is of pairs", "camera or objects")
+    assert_one_line(code, err, "--motion field works on pairs", "camera or objects")
     assert not reconstruct
 
 

@@ -35,7 +35,8 @@ def test_report(tisfm_run, place, outside):
 
 
 @pytest.mark.parametrize(
-    ("form", "is_refused"),  # a form with a folder of its own finds other files in it, by the link
+    # A form with a folder of its own refuses the other files that it finds behind the link.
+    ("form", "is_refused"),
     [
         ("tum", False),
         ("depth-tiff", False),
@@ -45,7 +46,7 @@ def test_report(tisfm_run, place, outside):
     ],
 )
 def test_export(tisfm_run, place, outside, form, is_refused):
-    """First it is seen what is written, then all of that is replaced by links."""
+    """All files of a first export are replaced by links before the second."""
     made(place / "r", count=6)
     code, _, err = tisfm_run("export", "r", "--to", form, "-o", "o")
     assert code == 0, err
@@ -123,7 +124,7 @@ def test_run(tisfm_run, place, outside):
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [[], ["--chunk", "100"]])
 def test_reconstruct_that_fails_leaves_the_earlier_result(tisfm_run, place, outside, more):
-    """Of a folder with links where runs have folders of their own."""
+    """The folder has links in place of the folders that runs make."""
     made(place / "r", count=3)
     for name in ("cache", ".tisfm-chunks"):
         (place / "r" / name).symlink_to(outside)

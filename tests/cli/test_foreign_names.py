@@ -103,7 +103,7 @@ def test_exported_files_of_evil_names(tisfm_run, place):
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "＝1", "'a"])
-def test_a_name_is_no_formula(name):
+def test_a_name_does_not_become_a_formula(name):
     text = csv_table(("pair", "status", "x"), [(name, "converged", -1.5)])
     (row,) = csv.DictReader(io.StringIO(text, newline=""))
     assert row["pair"] == f"'{name}" and row["x"] == "-1.5"
@@ -133,8 +133,8 @@ def test_the_table_of_a_run_quotes_names_and_messages(place):
 
 
 @pytest.mark.slow
-def test_a_run_of_frames_called_as_formulas_goes_on(tisfm_run, place):
-    """The record, and not the table, says which file is which."""
+def test_a_run_of_frames_named_like_formulas_goes_on(tisfm_run, place):
+    """The record has the names of files, not the table."""
     (place / "frames").mkdir()
     for k in range(3):
         write_png(place / "frames" / f"={k}.png", FRAMES[k])

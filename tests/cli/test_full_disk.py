@@ -1,4 +1,4 @@
-"""A disk that is full, or a limit on the size of files: the file and the reason, and nothing half.
+"""A full disk, or a limit on the size of files: errors name file and reason; no file is partial.
 
 The limit (``ulimit -f``) is set in a process of its own.
 """

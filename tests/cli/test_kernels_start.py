@@ -1,4 +1,4 @@
-"""What a command says of the device that ``--arch vulkan`` runs on."""
+"""The line of a command on the device that ``--arch vulkan`` runs on."""
 
 import pytest
 
@@ -14,12 +14,12 @@ CARD = VulkanDevice(name="A card", is_software=False, score=1400)
 @pytest.mark.parametrize(
     ("device", "said"),
     [
-        (LAVAPIPE, "vulkan runs on llvmpipe (LLVM 15), software on the CPU and no GPU: it is slow"),
+        (LAVAPIPE, "vulkan runs on llvmpipe (LLVM 15), software on the CPU, not a GPU: it is slow"),
         (CARD, "vulkan runs on A card\n"),
         (None, ""),
     ],
 )
-def test_the_device_is_told_once(monkeypatch, capsys, device, said):
+def test_the_device_is_printed_once(monkeypatch, capsys, device, said):
     started = []
     monkeypatch.setattr(kernels_start, "vulkan_device", lambda: device)
     monkeypatch.setattr(runtime, "start", lambda arch, threads: started.append((arch, threads)))
@@ -29,7 +29,7 @@ def test_the_device_is_told_once(monkeypatch, capsys, device, said):
     assert started == [("vulkan", 3)]
 
 
-def test_other_archs_are_not_told_of(monkeypatch, capsys):
+def test_other_archs_are_not_printed(monkeypatch, capsys):
     monkeypatch.setattr(kernels_start, "vulkan_device", lambda: LAVAPIPE)
     monkeypatch.setenv("TI_ARCH", "vulkan")
     tell_device("cpu")

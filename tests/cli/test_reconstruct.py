@@ -250,7 +250,7 @@ def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film, place):
     assert not (place / "out").exists()
 
 
-def test_nothing_is_lost_where_only_reading_tells_how_many_there_are(
+def test_a_wrong_scale_of_a_source_of_unknown_length_loses_nothing(
     tisfm_run, film, place, monkeypatch
 ):
     monkeypatch.setattr("tisfm.cli.reconstruct_command._count", lambda source, frames: None)

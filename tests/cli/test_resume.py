@@ -91,7 +91,7 @@ def test_resume_refuses_another_kind_of_processor(tisfm_run, frames, monkeypatch
 
 
 def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
-    """Only a run without --resume takes it, and removes the files that it names."""
+    """Only a run without --resume accepts it, and removes the files that it names."""
     assert tisfm_run(*PLAIN, "--flo")[0] == 0
     path = Path("out", "run.json")
     about = json.loads(path.read_text())

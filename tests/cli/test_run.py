@@ -294,8 +294,8 @@ def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, place):
     assert load("out", "clip_000000").camera.focal == pytest.approx(1.2 * 64)
 
 
-def test_the_focal_length_that_is_told_is_of_the_frames_of_the_source(tisfm_run, frames):
-    """Copied back, it gives the same, although frames are shrunk; so does that of the report."""
+def test_the_printed_focal_length_is_that_of_the_source_frames(tisfm_run, frames):
+    """Given as --focal, it gives the same result although frames are shrunk; the report's too."""
     options = ["--no-figures", "--size", "32"]
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--focal", "guess", *options)
     assert code == 0 and err.startswith(f"focal length guessed: {1.2 * W:.0f} px (at {W}×{H}), ")

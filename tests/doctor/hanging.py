@@ -1,4 +1,4 @@
-"""Modules that hang when they are imported, and a trial that sees so at once."""
+"""Modules that hang when they are imported, and a trial that notices it at once."""
 
 import os
 import subprocess
@@ -16,12 +16,12 @@ time.sleep(1000)
 
 
 def write_module_that_hangs(folder, name):
-    """Write a module that never finishes its import, and says where it hangs."""
+    """Write a module that never finishes its import, and leaves a mark when it hangs."""
     (folder / f"{name}.py").write_text(_HANGS.format(folder=os.fspath(folder)))
 
 
 def hasty_trial(folder):
-    """Return a kind of `Trial` that gives up on processes that hang, and on no other."""
+    """Return a kind of `Trial` that gives up only on processes that hang."""
 
     class HastyTrial(Trial):
         def __init__(self, names, *, limit=0.0):

@@ -43,7 +43,7 @@ def test_what_hangs_is_not_waited_for(tmp_path, monkeypatch):
     assert tried["hangs"]["error"].startswith("it did not end within")
     assert "error" not in tried["json"] and "error" not in tried["csv"]
     clock = SimpleNamespace(monotonic=itertools.count(0.0, 10.0).__next__)
-    monkeypatch.setattr(trying, "time", clock)  # each look takes 10 s of it, and no time
+    monkeypatch.setattr(trying, "time", clock)  # each look counts 10 s, and takes no time
     for limit, in_all in ((35.0, 10 * PATIENCE), (10 * PATIENCE, 35.0)):
         monkeypatch.setattr(trying, "IN_ALL", in_all)
         assert "did not end within" in try_out(["hangs"], limit=limit)["hangs"]["error"]
@@ -273,11 +273,11 @@ def test_kernels_and_gpus():
     assert found.verdict == "absent" and "no device" in found.text
 
 
-def test_software_vulkan_is_no_gpu():
+def test_software_vulkan_is_not_a_gpu():
     tried = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": "llvmpipe (LLVM 15)"}}
     found = machine.about_gpus(tried, {})
     assert found.verdict == "absent" and "none that Taichi can use" in found.text
-    assert "llvmpipe (LLVM 15), software on the CPU and no GPU" in found.text
+    assert "llvmpipe (LLVM 15), software on the CPU, not a GPU" in found.text
     assert "leave out --arch vulkan" in found.advice
     beside = {"archs": {"archs": ["cuda", "vulkan"]}, "software_vulkan": {"device": "llvmpipe"}}
     found = machine.about_gpus(beside, {"kernel:cuda": {"arch": "cuda"}})

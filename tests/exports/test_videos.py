@@ -242,14 +242,14 @@ def test_videos_need_their_package(tmp_path, monkeypatch):
         write_video(frames, tmp_path / "a.mp4", "depth")
 
 
-def test_depth_of_a_status_that_is_not_known_is_told(tmp_path, capsys):
+def test_a_note_tells_of_depth_with_an_unknown_status(tmp_path, capsys):
     folder = run_of(tmp_path / "run")
     record = json.loads((folder / "run.json").read_text())
     record["pairs"]["p1"]["status"] = "brand_new"
     (folder / "run.json").write_text(json.dumps(record))
     assert main(["export", str(folder), "--to", "depth-tiff", "-o", str(tmp_path / "o")]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "1 frame with a status that this version does not know (brand_new): take" in said
+    assert "1 frame with a status that this version does not know (brand_new): treat" in said
 
 
 def test_damaged_runs(tmp_path):
@@ -266,7 +266,7 @@ def test_damaged_runs(tmp_path):
     for pairs, message in (
         ({}, "no pair that is complete"),
         ([], "damaged or of another kind"),
-        (out, "is no name of a pair"),
+        (out, "is not the name of a pair"),
     ):
         (folder / "run.json").write_text(json.dumps({**record, "pairs": pairs}))
         with pytest.raises(ValueError, match=message):

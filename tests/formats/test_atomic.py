@@ -85,7 +85,7 @@ def test_atomic_write_honours_the_umask(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
 @pytest.mark.parametrize("is_there", [True, False])
-def test_atomic_write_replaces_a_link_and_not_what_it_leads_to(tmp_path, is_there):
+def test_atomic_write_replaces_a_link_and_not_its_target(tmp_path, is_there):
     target, link = tmp_path / "target", tmp_path / "link"
     if is_there:
         target.write_bytes(b"kept")

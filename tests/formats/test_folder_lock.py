@@ -27,8 +27,8 @@ def test_the_file_of_a_killed_run_says_nothing(tmp_path):
         assert is_written_to(tmp_path)
 
 
-def test_who_looks_keeps_no_run_from_its_folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder_lock, "_PATIENCE", PATIENCE)  # a busy machine may stop who looks
+def test_a_reader_does_not_keep_a_run_from_its_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(folder_lock, "_PATIENCE", PATIENCE)  # a busy machine may stop the reader
     ended = threading.Event()
 
     def look():

@@ -55,7 +55,7 @@ def test_colours_are_amounts_of_light_and_unlit(data):
 
 @pytest.mark.parametrize("kind", ["points", "surface"])
 def test_trimesh_loads_the_colours(kind):
-    """As amounts of light, in 8 bits; of a surface, if it is told to leave the material out."""
+    """As linear light in 8 bits; for a surface, with the option to leave the material out."""
     if kind == "points":
         (loaded,) = trimesh.load(BytesIO(glb_points(CORNERS, COLORS)), "glb").geometry.values()
         found = loaded.colors
@@ -64,7 +64,7 @@ def test_trimesh_loads_the_colours(kind):
         options = {"file_type": "glb", "skip_materials": True}
         (loaded,) = trimesh.load(BytesIO(data), **options).geometry.values()
         found = loaded.visual.vertex_colors
-        # With its material, they are beside it as they are in the file.
+        # With its material, they are a vertex attribute, as in the file.
         (unlit,) = trimesh.load(BytesIO(data), "glb").geometry.values()
         kept = colors_of(unlit.visual.vertex_attributes["color"])
         np.testing.assert_array_equal(kept, COLORS)

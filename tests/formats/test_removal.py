@@ -1,4 +1,4 @@
-"""What is removed from a folder for results, and made in it: links are not followed."""
+"""Removing and making entries of a folder for results: links are not followed."""
 
 import os
 
@@ -30,7 +30,7 @@ def test_remove(tmp_path, outside, function):
         assert not is_there(tmp_path / name)
 
 
-def test_an_inner_folder_is_no_link(tmp_path, outside):
+def test_an_inner_folder_replaces_a_link(tmp_path, outside):
     (tmp_path / "link").symlink_to(outside)
     for _ in range(2):
         made = make_inner_folder(tmp_path / "link")
@@ -45,7 +45,7 @@ def test_only_links_are_removed(tmp_path, outside):
     assert not is_there(tmp_path / "link")
 
 
-def test_a_lock_and_temporaries_that_lead_elsewhere(tmp_path, outside):
+def test_a_lock_and_temporaries_that_are_links(tmp_path, outside):
     folder = tmp_path / "out"
     (folder / ".tisfm-2.tmp").mkdir(parents=True)  # of a process that was killed
     (folder / ".tisfm-2.tmp" / "half").write_text("x")

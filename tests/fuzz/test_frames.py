@@ -140,7 +140,7 @@ sys.exit(frames.main(sys.argv[1:]))
 
 
 @pytest.mark.slow
-def test_a_case_that_takes_too_long_is_ended_and_told(capfd, monkeypatch):
+def test_a_case_that_takes_too_long_is_ended_and_reported(capfd, monkeypatch):
     """The first case has twice the limit: no second one begins within the seconds of the run."""
     monkeypatch.setattr(frames, "PROGRAM", (sys.executable, "-c", HANGING))
     assert frames.main(["--seconds", "2", "--limit", "1"]) == 1

@@ -75,8 +75,8 @@ def test_no_more_is_kept_than_allowed():
     assert buffers.kept == 0
 
 
-def test_a_large_array_lets_go_of_what_is_kept(buffers):
-    """Of large frames, memory counts for more than the time to get it again."""
+def test_a_large_array_releases_the_kept_memory(buffers):
+    """For large frames, memory counts more than the time to get it again."""
     array = buffers.floats(COUNT)
     del array
     assert buffers.kept

@@ -37,7 +37,7 @@ CASES = {
 # As on a GPU, whose vectors the compiler takes apart. Only the device is the CPU.
 EMULATED = """
 import os, warnings
-warnings.simplefilter("ignore")  # kernels for vectors would compile slowly: here are none
+warnings.simplefilter("ignore")  # of slow kernels for vectors: none are compiled here
 os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
 import taichi as ti
 ti.init(ti.cpu, fast_math=False, log_level=ti.WARN)

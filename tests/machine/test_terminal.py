@@ -1,4 +1,4 @@
-"""Texts for a terminal hold nothing that it obeys."""
+"""Texts for a terminal hold no commands for it."""
 
 import pytest
 from hypothesis import given, settings
@@ -18,7 +18,7 @@ from tisfm.machine.terminal import printable
         ("\udcff", "?"),
     ],
 )
-def test_it_is_shown_and_not_obeyed(text, shown):
+def test_a_command_becomes_text(text, shown):
     assert printable(text) == shown
 
 

@@ -1,4 +1,4 @@
-"""The device of Vulkan: found, ranked as Taichi ranks, and known for software."""
+"""The device of Vulkan: found, ranked as Taichi ranks, and recognised as software."""
 
 import re
 import shutil

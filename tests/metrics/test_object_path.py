@@ -69,7 +69,7 @@ def test_errors_are_those_that_were_made():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_nearest_rotation_is_none_of_a_mirror(sign):
+def test_the_nearest_rotation_does_not_mirror(sign):
     random = np.random.default_rng(7)
     others = Rotation.random(200, random_state=8).as_matrix()
     for _ in range(20):

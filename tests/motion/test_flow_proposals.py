@@ -219,7 +219,7 @@ def test_a_smooth_corner_stays_near(shared_data, preset, crop):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.55])
-def test_a_shift_by_half_the_image_is_no_divergence(share):
+def test_a_shift_by_half_the_image_does_not_count_as_diverged(share):
     shift = round(share * 320)
     surface = np.clip(np.rint(texture(240, 320 + shift, 0)), 0, 255).astype(np.uint8)
     result = tisfm.interpret(surface[:, :320], surface[:, shift:])
@@ -228,7 +228,7 @@ def test_a_shift_by_half_the_image_is_no_divergence(share):
 
 
 @pytest.mark.parametrize("kind", ["shifted", "unrelated", "repeating", "periods", "folded", "near"])
-def test_images_bear_out_a_shift_by_half_the_image_only_where_they_agree(kind):
+def test_images_confirm_a_shift_by_half_the_image_only_where_they_agree(kind):
     from tisfm.motion.agreement import borne_out
     from tisfm.motion.problems import pyramid_of
     from tisfm.visibility.occlusion import leaves_image
@@ -251,8 +251,8 @@ def test_images_bear_out_a_shift_by_half_the_image_only_where_they_agree(kind):
     assert borne_out(pyramid, flow, leaves_image(flow)) == (kind == "shifted")
 
 
-def test_a_false_shift_of_a_texture_that_repeats_is_a_divergence():
-    """It moves by 18 px, and flow finds that and four periods."""
+def test_a_false_shift_of_a_texture_that_repeats_is_diverged():
+    """It moves by 18 px, and flow finds 18 px and four periods."""
     surface = np.clip(np.rint(np.tile(texture(240, 480, 0)[:, :40], 9)), 0, 255).astype(np.uint8)
     result = tisfm.interpret(surface[:, :320], surface[:, 18:338])
     assert np.median(result.flow[..., 0]) < -160

@@ -436,5 +436,5 @@ def test_the_least_effort_is_that_of_the_documentation(monkeypatch):
             tisfm.interpret(*frames, settings=settings)
         assert begun.value.args == taken
     text = (Path(__file__).parents[2] / "docs/settings.md").read_text(encoding="utf-8")
-    for words in ("takes 2 for 1", "takes 10 for fewer", "takes 8 for fewer"):
+    for words in ("takes at least 2", "takes at least 10", "takes at least 8"):
         assert f"`objects` {words}." in text

@@ -1,4 +1,4 @@
-"""Scores of models by all matches: half lines by explicit points, and right against wrong paths."""
+"""Scores of models by all matches: half lines from explicit points, and right and wrong paths."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_without_translation_a_point_stays_at_infinity():
     assert found[0] == pytest.approx(0.02, rel=1e-9)
 
 
-def test_what_a_turn_brings_behind_the_camera_is_infinitely_far():
+def test_a_point_that_a_turn_brings_behind_the_camera_is_infinitely_far():
     turned = np.diag([1.0, -1.0, -1.0]) @ REST  # by half a turn
     found = half_line_distances(REST, turned, STRAIGHT_ON, unit(0.02, 0, 1))
     assert found[0] == np.inf

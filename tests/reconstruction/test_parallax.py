@@ -1,4 +1,4 @@
-"""Parallax beyond a homography and beyond a rotation, against directions made by formula."""
+"""Parallax beyond a homography and beyond a rotation, with directions made by formula."""
 
 import numpy as np
 import pytest
@@ -47,8 +47,8 @@ def test_a_rotation_leaves_noise_alone_whatever_the_focal_length(focal, rotation
         assert np.median(left[:30]) > 50 * NOISE  # outliers do not bend the fit
 
 
-def test_a_focal_length_beyond_the_limits_is_no_excuse():
-    """Three times the stated focal length is not believed: what is left counts as parallax."""
+def test_a_focal_length_beyond_the_limits_leaves_parallax():
+    """Three times the stated focal length is not tried: the remaining angles count as parallax."""
     pair = matches(far_and_near, np.zeros(3), (0.1, 0.3, 0), focal=3.0, noise=0)
     assert np.median(beyond_rotation(*pair)) > 10 * NOISE
 
@@ -57,7 +57,11 @@ def test_a_focal_length_beyond_the_limits_is_no_excuse():
 @pytest.mark.parametrize("translation", [(0.4, 0, 0), (0, -0.4, 0.05), (0.05, 0.05, -0.2)])
 def test_a_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(depth, translation):
     if translation[2] < 0 and depth is not tilted:
-        translation = (0.4, 0.3, 0)  # straight at a plane is a zoom, which a rotation may have
+        translation = (
+            0.4,
+            0.3,
+            0,
+        )  # straight at a plane, it would look like a zoom
     pair = matches(depth, np.array(translation), (0.01, 0.02, 0.0))
     assert np.median(beyond_homography(*pair)) < 3 * NOISE
     assert np.median(beyond_rotation(*pair)) > 6 * NOISE

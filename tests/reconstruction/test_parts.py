@@ -95,7 +95,7 @@ def shifted(x):
     return place
 
 
-def test_one_pose_goes_over_into_the_other():
+def test_one_pose_changes_gradually_into_the_other():
     """Views count by how far they are from an end of a part, and between the middles of groups."""
     first, second = a_part((0, 10), [list(range(10))]), a_part((6, 16), [list(range(6, 16))])
     found = parts._merged([first, second], [[shifted(0.0)], [shifted(1.0)]])

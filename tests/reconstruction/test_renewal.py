@@ -62,7 +62,7 @@ def test_links_are_not_followed_and_the_earlier_result_comes_back(earlier, tmp_p
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "note.txt").write_text("mine")
-    # In place of files: a link to a file that there is not.
+    # In place of files: a link to a missing file.
     is_folder = name in ("cache", "masks") or name.startswith(".tisfm-")
     (earlier / name).symlink_to(outside if is_folder else outside / "nothing")
     ends = pytest.raises(ValueError, match="again") if fails else contextlib.nullcontext()

@@ -111,7 +111,7 @@ def test_it_is_kept_and_written(found, tmp_path):
     assert about["focal"] == found.calibration.focal and found.calibration.shape == SIZE
 
 
-def test_a_record_may_say_more_of_the_calibration_but_not_nothing(found, tmp_path):
+def test_a_record_may_have_unknown_fields_but_needs_a_calibration(found, tmp_path):
     found.save(tmp_path)
     record = json.loads((tmp_path / "reconstruction.json").read_text())
     record["calibration"]["later"] = "something"
@@ -146,7 +146,7 @@ def test_the_file_is_of_the_frames_of_the_source(tmp_path):
 
 
 def test_a_focal_length_that_is_printed_can_be_copied_back(tmp_path, capsys):
-    """It is that of the frames of the source, whatever these are shrunk to."""
+    """It is that of the source's frames, also if they are shrunk."""
     film, command = arc(), ["reconstruct", str(tmp_path / "film"), "--preset", "fast"]
     command += ["--size", "192", "--depth-of", "none", "-o"]
     (tmp_path / "film").mkdir()
@@ -381,7 +381,7 @@ GUESS = FocalGuess(focal=200.0, origin="size", reason="by its size", shape=(300,
     ],
 )
 def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
-    """Of frames that were shrunk to half of those of the source, whose px count."""
+    """Frames are shrunk to half; lengths are px of the source's frames."""
     estimate = FocalEstimate(focal=50.0, deviation=deviation)
     camera = estimate.taken(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)

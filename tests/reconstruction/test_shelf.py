@@ -41,7 +41,7 @@ def test_what_is_read_may_be_changed_and_the_shelf_stays():
     assert_same(shelf[0], seen_of(4))
 
 
-def test_a_full_disk_is_told_with_what_to_do(monkeypatch):
+def test_the_error_of_a_full_disk_has_advice(monkeypatch):
     class Full(io.BytesIO):
         def write(self, data):
             raise OSError(errno.ENOSPC, "No space left on device")

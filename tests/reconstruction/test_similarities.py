@@ -92,7 +92,10 @@ def test_what_most_points_agree_on_is_found():
 
 
 def near_and_far():
-    """Return 30 points near and 30 far, off by 0.02 and 2 % of their distances, and these."""
+    """Return 30 near and 30 far points with errors, the true ones, and their distances.
+
+    The errors are 0.02 % of the distance for near points, and 2 % for far ones.
+    """
     random = np.random.default_rng(5)
     near, far = random.uniform(-1, 1, (30, 3)), 100 * random.uniform(-1, 1, (30, 3))
     others = np.concatenate([near, far]) + np.array([0, 0, 2])
@@ -102,7 +105,7 @@ def near_and_far():
     return moved(TRUE, others) + off, others, distances
 
 
-def test_what_is_far_counts_less_by_the_square_of_its_distance():
+def test_points_count_less_by_the_square_of_their_distance():
     points, others, distances = near_and_far()
     found, agree = agreed(points, others, distances, fewest=20, share=0.5)
     assert agree.all()
@@ -110,7 +113,7 @@ def test_what_is_far_counts_less_by_the_square_of_its_distance():
     assert np.abs(moved(found, others[:30]) - moved(TRUE, others[:30])).max() < 0.002
 
 
-def test_what_is_far_counts_less_beside_poses_as_well():
+def test_points_count_less_by_their_distance_also_beside_poses():
     points, others, distances = near_and_far()
     poses = np.array([moved_pose(TRUE, pose) for pose in path()])
     random = np.random.default_rng(6)
@@ -147,7 +150,7 @@ def test_the_mean_of_poses_is_weighted():
 
 
 def test_surer_edges_count_more():
-    """Of two edges that differ in scale: by what they stand for over deviation squared."""
+    """Two edges that differ in scale count by their precision."""
     points = cloud()
     centre = points.mean(axis=0)
     scales, worths, deviations = (0.01, -0.02), (60.0, 120.0), (0.01, 0.03)

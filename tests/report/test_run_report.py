@@ -146,7 +146,7 @@ def a_run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_same_results_give_the_same_bytes(tisfm_run, frames, place):  # noqa: F811
-    """In other processes and folders."""
+    """Other processes and folders give the same bytes."""
     pages = []
     for parent in ("one", "two"):
         call = ["run", "frames", "-o", f"{parent}/out", "--report", "--preset", "fast"]

@@ -21,7 +21,7 @@ def test_every_status_has_a_meaning_and_a_colour():
     assert all(re.fullmatch("#[0-9a-f]{6}", color_of(code)) for code in (*codes, "another"))
 
 
-def test_a_status_of_another_version_counts_as_doubt():
+def test_a_status_of_another_version_is_doubtful():
     (found,) = counted([Status("brand_new", "do so")], ["f0"])
     assert found.code == "brand_new" and found.advice == "do so"
     assert "doubt" in found.meaning

@@ -73,7 +73,7 @@ def solved(name, model, folder):
 
 
 def off(result, exact):
-    """Return by how much ρ̂ and inverse depth (eq. 24) are off, relative to their norms."""
+    """Return the errors of ρ̂ and inverse depth (eq. 24), relative to their norms."""
     found = result.rho[: len(exact)].astype(np.float64)
     depths = [np.linalg.norm(rho[:3], axis=0) for rho in (found, exact)]
     return (
@@ -84,7 +84,7 @@ def off(result, exact):
 
 @pytest.fixture(params=["rendered", "flowergarden"])
 def pair(request):
-    """Return the name of a pair, and the folder of real sequences if it lies there."""
+    """Return the name of a pair, and the folder of real sequences for a real one."""
     real = request.param != "rendered"
     return request.param, request.getfixturevalue("shared_data") if real else None
 
@@ -95,7 +95,7 @@ def pair(request):
     [{}, {"tolerance": 1e-3}, {"cycles": 0, "outer_iterations": 1000}],
     ids=["cycles", "closer", "sweeps"],
 )
-def test_what_has_converged_is_at_the_minimum(pair, model, changes):
+def test_a_converged_solution_is_at_the_minimum(pair, model, changes):
     name, folder = pair
     frames, exact = solved(name, model, folder)
     settings = paper(model=model, **changes)
@@ -113,7 +113,7 @@ def test_what_has_converged_is_at_the_minimum(pair, model, changes):
         ({"cycles": 0, "outer_iterations": 11}, "set cycles to 1"),
     ],
 )
-def test_what_has_not_says_so(changes, advice):
+def test_a_solution_that_has_not_converged_says_so(changes, advice):
     frames, exact = solved("rendered", "rigid", None)
     result = tisfm.interpret(*frames, camera=CAMERA, settings=paper(**changes))
     assert max(off(result, exact)) > paper().tolerance
@@ -125,7 +125,7 @@ def test_what_has_not_says_so(changes, advice):
     [("translation", False, 0.059), ("rigid", False, 1.0), ("rigid", True, 0.0195)],
 )
 def test_the_last_change_says_too_little(shared_data, model, thorough, expected):
-    """The reference stops by it, with and without a solve for what moves no pixel."""
+    """The reference stops by it, with and without a solve for motions without image motion."""
     frames, exact = solved("flowergarden", model, shared_data)
     settings = paper(model=model)
     rho = np.zeros_like(exact)
@@ -151,7 +151,7 @@ def test_the_last_change_says_too_little(shared_data, model, thorough, expected)
     [(1, 2, "iteration_limit"), (1, 3, "converged"), (0, 3, "iteration_limit")],
 )
 def test_the_fewest_iterations_that_can_converge(cycles, limit, status):
-    """Any error is tolerated, so that only the rule itself asks for more."""
+    """Any error is tolerated, so only the rule itself asks for more iterations."""
     pair = static_scene("sideways", 30, 42)
     settings = paper(cycles=cycles, outer_iterations=limit, tolerance=1e6)
     result = tisfm.interpret(pair.frame0, pair.frame1, camera=CAMERA, settings=settings)

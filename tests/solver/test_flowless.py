@@ -1,4 +1,6 @@
-"""Rigid motions without image motion: the kernel's side of them against the reference."""
+"""Rigid motions without image motion: the solver against the reference."""
+
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -45,6 +47,21 @@ def test_the_least_energy_is_that_of_the_reference(
     FlowlessFields(problem.unknowns).minimise(problem.system(b, alpha=ALPHA, stiffness=stiffness))
     found = problem.from_lanes(problem.unknowns.rho)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_it_takes_little_memory(make_problem):
+    """Arrays of float64 cover a band of rows, not the image."""
+    from tisfm.solver.flowless import FlowlessFields
+
+    height, width = size = 512, 256
+    problem = make_problem(*size, 6, 8)
+    fields = FlowlessFields(problem.unknowns)
+    system = problem.system(np.ones((12, *size)))
+    tracemalloc.start()
+    fields.minimise(system)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak <= 8 * 4 * height * width  # 8 float32 a pixel
 
 
 def test_no_share_of_a_field_lowers_the_energy_further():

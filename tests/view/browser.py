@@ -26,3 +26,10 @@ def launched(playwright):
         )
     except Error as error:
         pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+
+
+def tab_of(browser, **options):
+    """Return a tab in a new context with these options."""
+    tab = browser.new_context(**options).new_page()
+    tab.set_default_timeout(1000 * PATIENCE)
+    return tab

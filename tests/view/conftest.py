@@ -1,7 +1,8 @@
-"""Pages that tests open."""
+"""Pages that tests open, and a browser that shows them."""
 
 import pytest
 
+from tests.view.browser import launched
 from tisfm.view.opening import open_result
 
 
@@ -19,3 +20,13 @@ def opened():
     yield page_of
     for page in pages:
         page.stop()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Return a real browser."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as playwright:
+        found = launched(playwright)
+        yield found
+        found.close()

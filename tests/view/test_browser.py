@@ -9,40 +9,27 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.browser import launched
+from tests.view.browser import tab_of
 from tests.view.pages import is_drawn
 from tests.view.results import write_reconstruction, write_record_of, write_run
 from tests.waiting import PATIENCE
-from tisfm.view.opening import open_result
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
-api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-from tisfm.view.page import Page  # noqa: E402, after what is skipped without viser
-from tisfm.view.scene import quaternion  # noqa: E402
+from tisfm.view.scene import quaternion
 
 SIZE = {"width": 1200, "height": 800}
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with api.sync_playwright() as playwright:
-        found = launched(playwright)
-        yield found
-        found.close()
-
-
 @pytest.fixture
-def look(browser, tmp_path):
+def look(browser, opened):
     """Open a result in a tab; return the page and the tab."""
-    opened = []
+    contexts = []
 
     def looked(folder, **options):
-        page = Page(open_result(folder), port=0, **options)
-        opened.append(page)
-        tab = browser.new_context(viewport=SIZE, accept_downloads=True).new_page()
-        opened.append(tab.context)
-        tab.set_default_timeout(1000 * PATIENCE)
+        page = opened(folder, **options)
+        tab = tab_of(browser, viewport=SIZE, accept_downloads=True)
+        contexts.append(tab.context)
         tab.asked = []
         tab.on("request", lambda request: tab.asked.append(request.url))
         tab.goto(page.url)
@@ -51,8 +38,8 @@ def look(browser, tmp_path):
         return page, tab
 
     yield looked
-    for thing in reversed(opened):
-        (thing.close if hasattr(thing, "close") else thing.stop)()
+    for context in contexts:
+        context.close()
 
 
 def picture(tab):

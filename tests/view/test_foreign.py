@@ -1,13 +1,13 @@
-"""A folder that came from elsewhere: none of its texts runs as script, whatever shows it."""
+"""Folders from elsewhere: no page runs their texts as script."""
 
 import json
 from dataclasses import replace
 
 import pytest
 
-from tests.view.browser import launched
-from tests.view.pages import wait_for
+from tests.view.browser import tab_of
 from tests.view.results import thing, write_reconstruction
+from tests.waiting import wait_for
 from tisfm.formats import FormatError
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN
@@ -15,16 +15,13 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.report import write_reconstruction_report
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
-api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-from tisfm.view.cloud import Choice  # noqa: E402, after what is skipped without viser
-from tisfm.view.opening import open_result  # noqa: E402
-from tisfm.view.page import Page  # noqa: E402
-from tisfm.view.ranges import ranges_of, sampled  # noqa: E402
-from tisfm.view.static import static_page  # noqa: E402
+from tisfm.view.cloud import Choice
+from tisfm.view.opening import open_result
+from tisfm.view.ranges import ranges_of, sampled
+from tisfm.view.static import static_page
 
-PATIENCE = 120_000  # ms
-# Each sets a mark if a browser takes it for a part of the page.
+# Each sets a mark if a browser runs it.
 EVIL = (
     '"\'></title></style></script><img src=x onerror="window.hacked=1">'
     "<svg onload=window.hacked=2><script>window.hacked=3</script>"
@@ -33,7 +30,7 @@ EVIL = (
 
 
 def evil_folder(folder):
-    """Write a reconstruction all of whose texts are evil; the last frame but one is damaged."""
+    """Write a reconstruction with an attack in every text; the third of four frames is missing."""
     count = 4
     one = replace(thing(count), message=EVIL)
     status = (Status("brand_new", EVIL), *(Status("converged", EVIL),) * (count - 1))
@@ -51,69 +48,53 @@ def evil_folder(folder):
     return folder
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with api.sync_playwright() as playwright:
-        found = launched(playwright)
-        yield found
-        found.close()
-
-
-def tab_of(browser):
-    tab = browser.new_context().new_page()
-    tab.set_default_timeout(PATIENCE)
+@pytest.fixture
+def tab(browser):
+    """Return a tab that fails the test if a page opens a dialog."""
+    tab = tab_of(browser)
     tab.on("dialog", lambda dialog: pytest.fail(f"a script said {dialog.message}"))
-    return tab
+    yield tab
+    tab.context.close()
 
 
 def hacked(tab):
-    tab.wait_for_timeout(100)  # for a picture that there is not to be looked for
+    tab.wait_for_timeout(100)  # time to look for a picture that does not exist
     return tab.evaluate("window.hacked")
 
 
-def test_an_evil_status_runs_no_script(browser, tmp_path):
-    """It is refused; if it were not, it would be shown as text."""
+def test_an_evil_status_runs_no_script(opened, tab, tmp_path):
+    """It is refused, or else shown as text."""
     write_reconstruction(tmp_path / "r")
     path = tmp_path / "r" / "reconstruction.json"
     about = json.loads(path.read_text())
     about["status"][0][0] = "<img src=x onerror=window.hacked=1>"
     path.write_text(json.dumps(about))
     try:
-        page = Page(open_result(tmp_path / "r"), port=0)
+        page = opened(tmp_path / "r")
     except FormatError as error:
         assert "status is '<img" in str(error) and "small letters" in str(error)
         return
-    tab = tab_of(browser)
-    try:
-        tab.goto(page.url)
-        tab.get_by_test_id("status").wait_for()
-        assert hacked(tab) is None
-    finally:
-        tab.context.close()
-        page.stop()
+    tab.goto(page.url)
+    tab.get_by_test_id("status").wait_for()
+    assert hacked(tab) is None
 
 
-def test_the_page_runs_no_script_of_a_folder(browser, tmp_path):
-    page = Page(open_result(evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>")), port=0)
-    tab = tab_of(browser)
+def test_the_page_runs_no_script_of_a_folder(opened, tab, tmp_path):
+    page = opened(evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>"))
     shown = tab.get_by_test_id("status")
-    try:
-        tab.goto(page.url)
-        shown.wait_for()
-        text = shown.inner_text()
-        assert "<img src=x" in text and "brand_new" in text and "take it as doubt" in text
-        page.controls.frame.value = 2
-        wait_for(lambda: "is not complete" in page.controls.status.content)
-        tab.wait_for_function("document.body.innerText.includes('is not complete')")
-        assert "3 of 4" in shown.inner_text()
-        assert hacked(tab) is None
-    finally:
-        tab.context.close()
-        page.stop()
+    tab.goto(page.url)
+    shown.wait_for()
+    text = shown.inner_text()
+    assert "<img src=x" in text and "brand_new" in text and "treat it as doubtful" in text
+    page.controls.frame.value = 2
+    wait_for(lambda: "is not complete" in page.controls.status.content)
+    tab.wait_for_function("document.body.innerText.includes('is not complete')")
+    assert "3 of 4" in shown.inner_text()
+    assert hacked(tab) is None
 
 
 @pytest.mark.parametrize("kind", ["static", "report"])
-def test_no_page_for_others_runs_script_of_a_folder(browser, tmp_path, kind):
+def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
     folder = evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>")
     if kind == "static":
         result = open_result(folder)
@@ -134,10 +115,6 @@ def test_no_page_for_others_runs_script_of_a_folder(browser, tmp_path, kind):
         whole = Reconstruction.load(folder)
         result = replace(whole, folder=tmp_path / "whole", objects=())
         path = write_reconstruction_report(result, tmp_path, source=EVIL)
-    tab = tab_of(browser)
-    try:
-        tab.goto(path.as_uri())
-        assert "<img src=x" in tab.inner_text("body")
-        assert hacked(tab) is None
-    finally:
-        tab.context.close()
+    tab.goto(path.as_uri())
+    assert "<img src=x" in tab.inner_text("body")
+    assert hacked(tab) is None

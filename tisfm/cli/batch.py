@@ -192,7 +192,7 @@ class _Processes:
     def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str, list[str]]:
         """Run a command in a process of its own.
 
-        Returns its exit code, what it said last, and its notes.
+        Returns its exit code, its last message, and its notes.
         """
         code, said, call = 1, "", list(arguments)
         notes: list[str] = []

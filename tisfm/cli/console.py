@@ -1,6 +1,6 @@
-"""What commands print: lines and progress on standard error, tables on standard output.
+"""Output of commands: lines and progress on standard error, tables on standard output.
 
-Texts that a file supplies go through `printable` here, and Rich takes nothing in them as markup.
+Texts from files go through `printable` here. Rich does not read markup in them.
 """
 
 import sys
@@ -78,7 +78,7 @@ def progress_bar() -> Progress:
 
 
 class _Description(ProgressColumn):
-    """What is done, or the name of the item that is done last."""
+    """The task of a progress bar, or its last finished item, made printable."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(task.description))

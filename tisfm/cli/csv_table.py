@@ -11,10 +11,10 @@ _QUOTE = "'"  # it makes a cell text, as in spreadsheets
 
 
 def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return rows as CSV, whose texts a spreadsheet does not take as formulas.
+    """Return rows as CSV in which a spreadsheet reads no text as a formula.
 
-    A text that would be one, or that begins with ``'``, gets a ``'`` in front: remove the ``'``
-    to get the original text. Numbers stay as they are.
+    A text that begins like a formula, or with ``'``, gets a ``'`` in front: remove this ``'`` to
+    get the original text. Numbers stay as they are.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _line(cells: Sequence[Any]) -> str:
-    """Return a line that ends in a line feed; cells that hold either kind of end are quoted."""
+    """Return a line that ends in a line feed; cells with a line feed or a return are quoted."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\r\n").writerow(cells)
     return text.getvalue().removesuffix("\r\n") + "\n"

@@ -91,7 +91,7 @@ class Eval:
         if self.sequence:
             if self.settings.motion == "field":
                 raise ValueError(
-                    "--motion field is of pairs, and --sequence is given: take camera or objects"
+                    "--motion field works on pairs, but --sequence is given: use camera or objects"
                 )
             return evaluate_sequences(
                 self.folders,

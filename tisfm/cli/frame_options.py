@@ -19,8 +19,8 @@ class FrameOptions:
     stop: int | None = None
     """Number of the first frame that is not taken any more. By default all are."""
     size: int | None = None
-    """Longer side of the frames, px: larger ones are shrunk. The camera, --focal included, is that
-    of the frames before."""
+    """Longer side of the frames, px: larger frames are shrunk. Give the camera and --focal for the
+    frames before shrinking."""
     crop: Annotated[tuple[int, int, int, int] | None, arg(metavar="LEFT TOP WIDTH HEIGHT")] = None
     """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
     bad_frames: BadFrames = "raise"

@@ -1,4 +1,4 @@
-"""Starting Taichi for a command, which says what the kernels run on where that is no CPU."""
+"""Starting Taichi for a command, with a line on the device that Vulkan runs on."""
 
 import os
 import warnings
@@ -13,12 +13,12 @@ def start_kernels(arch: Arch | None, *, threads: int | None) -> None:
     """Start Taichi as `tisfm.runtime.start` does, and say which device Vulkan runs on."""
     tell_device(arch)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", runtime.SoftwareVulkanWarning)  # it was told
+        warnings.simplefilter("ignore", runtime.SoftwareVulkanWarning)  # tell_device printed it
         runtime.start(arch, threads=threads)
 
 
 def tell_device(arch: Arch | None) -> None:
-    """Say which device Vulkan runs on, if kernels are to run there; nothing of other archs."""
+    """Print which device Vulkan runs on, if kernels run on Vulkan."""
     if (arch or os.environ.get("TI_ARCH")) != "vulkan":
         return
     device = vulkan_device()

@@ -45,8 +45,8 @@ class PairWriter:
         Of the frames as they are interpreted.
     settings : Settings
     source : (Camera, (int, int)), optional
-        The camera of the frames of the source, before they are cropped and shrunk, and their height
-        and width, px.
+        The camera of the source's frames, before they are cropped and shrunk, and their height and
+        width, px.
     window : int
         How many frames an interpretation sees.
     outputs : collection of str
@@ -218,7 +218,7 @@ class PairWriter:
 
     @property
     def times_note(self) -> str:
-        """Why the times of frames cannot be those of a path; "" if they can, or are none."""
+        """Why the times of frames cannot serve a path; "" if they can, or no time is known."""
         return self._record.times_note()
 
     @property
@@ -259,5 +259,5 @@ class PairWriter:
 
 
 def _about_source(camera: Camera, shape: tuple[int, int]) -> dict[str, float]:
-    """Return what the record says of the frames of the source: their size and focal length, px."""
+    """Return the size and the focal length of the source's frames, px, for the record."""
     return {"focal": camera.focal, "width": shape[1], "height": shape[0]}

@@ -239,7 +239,7 @@ def _refuse_inside(file: Path, output: Path) -> None:
 
 
 def _count(source: Source, frames: FrameOptions) -> int | None:
-    """Return how many frames are taken at most, None where only reading tells."""
+    """Return the largest possible number of frames, None if it is not known before reading."""
     if isinstance(source, str) and webcam_number(source) is not None:
         return frames.stop
     opened = frames.open(source)
@@ -293,7 +293,10 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
-    """Write how long the stages took, which no other file says: they stay the same each time."""
+    """Write how long each stage took.
+
+    No other file has timings, so the others are the same each time.
+    """
     with atomic_write(folder / TIMINGS) as file:
         file.write(csv_table(("stage", "seconds"), seconds.items()).encode())
 

@@ -54,7 +54,7 @@ class RunRecord:
     asked : mapping
         What `ASKED` names.
     notes : sequence of str
-        What should be known of how the source is read.
+        On how the source is read.
 
     Attributes
     ----------
@@ -147,12 +147,12 @@ class RunRecord:
         self._seconds[name] = seconds
 
     def times_note(self) -> str:
-        """Return why the times of frames cannot be those of a path; "" if they can, or are none."""
+        """Return why the times of frames cannot serve a path; "" if they can, or none is known."""
         pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
         for name, pair in pairs:
             before, after = pair.get("times") or (None, None)
             if fault := fault_between(before, after, f"frame {name}", "the next"):
-                return f"{fault}; numbers of frames stand in place of times where a path is needed"
+                return f"{fault}: paths use the numbers of frames instead of times"
         return ""
 
     def write(self) -> None:
@@ -223,7 +223,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def _of_any_format(folder: Path) -> dict[str, Any] | None:
-    """Return the record of a run in a folder, None if there is none, ValueError if damaged."""
+    """Return the record of a run, of any format, None without one; ValueError if damaged."""
     path = folder / RECORD
     if not path.is_file():
         return None
@@ -233,8 +233,8 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
             raise ValueError("it is of no run")
         for name, pair in about["pairs"].items():
             if os.path.basename(name) != name:
-                raise ValueError(f"{name!r} is no name of a pair")
-            Status(pair["status"], pair["message"])  # refused here if it is none
+                raise ValueError(f"{name!r} is not the name of a pair")
+            Status(pair["status"], pair["message"])  # raises if it is not a status
             if not set(pair["files"]) <= set(ENDINGS.values()):
                 raise ValueError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:

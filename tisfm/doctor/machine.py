@@ -186,7 +186,7 @@ def about_gpus(tried: Tried, started: Tried) -> Finding:
     gpus = [arch for arch in about["archs"] if not (arch == "vulkan" and software)]
     works = [arch for arch in gpus if "error" not in started.get(f"kernel:{arch}", {})]
     fails = [arch for arch in gpus if arch not in works]
-    emulated = f"Vulkan here is {software}, software on the CPU and no GPU"
+    emulated = f"Vulkan here is {software}, software on the CPU, not a GPU"
     if works:
         text = f"kernels run on {', '.join(works)}: --arch {works[0]}"
         if software:

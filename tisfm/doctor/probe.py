@@ -68,7 +68,7 @@ def try_archs(name: str) -> None:
 
 
 def try_software_vulkan(name: str) -> None:
-    """Ask the Vulkan drivers whether the device that Taichi would take is software, no GPU."""
+    """Ask the Vulkan drivers whether Taichi would run on software instead of a GPU."""
     from tisfm.machine.vulkan import software_vulkan
 
     tell(name, device=software_vulkan())

@@ -91,7 +91,7 @@ def of_depth(export: Export) -> list[str]:
         if codes:
             notes.append(
                 f"{_frames(len(codes))} with a status that this version does not know "
-                f"({', '.join(sorted(set(codes)))}): take their depth as doubt"
+                f"({', '.join(sorted(set(codes)))}): treat their depth as doubtful"
             )
     return notes
 

@@ -263,7 +263,7 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
 def _checked(name: str) -> str:
     """Return the name of a pair, or raise ValueError if it leads out of its folder."""
     if os.path.basename(name) != name or not name:
-        raise ValueError(f"{name!r} is no name of a pair")
+        raise ValueError(f"{name!r} is not the name of a pair")
     return name
 
 

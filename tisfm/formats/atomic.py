@@ -85,12 +85,12 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 
 
 def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
-    """Copy what a file holds to another, which is complete or not there at all.
+    """Copy a file; the copy is complete, or does not exist.
 
     Raises
     ------
     OSError
-        If one cannot be read, or the other cannot be written.
+        If the source cannot be read, or the target cannot be written.
     """
     with open(source, "rb") as given, atomic_write(target) as file:
         shutil.copyfileobj(given, file, _BUFFER)
@@ -99,7 +99,8 @@ def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) ->
 def link_or_copy(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
     """Give a file a second name by a hard link; copy it where the file system has none.
 
-    Of a symbolic link the file that it leads to is copied: the target is never one.
+    If the source is a symbolic link, the file that it leads to is copied: the target is never
+    a link.
 
     Raises
     ------

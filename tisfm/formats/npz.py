@@ -67,7 +67,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
 
 
 def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
-    """Write an array for `numpy.load`, whole or not at all.
+    """Write an array for `numpy.load`, completely or not at all.
 
     Unlike `numpy.save`, an error names the file and the reason, such as a full disk.
 
@@ -82,7 +82,7 @@ def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
 
 def _write_array(file: Any, array: NDArray[Any]) -> None:
     """Write the header and the numbers of an array to a file that is open for bytes."""
-    whole = np.ascontiguousarray(array).reshape(array.shape)  # which makes one of none
+    whole = np.ascontiguousarray(array).reshape(array.shape)  # it changes () to (1,)
     header = np.lib.format.header_data_from_array_1_0(whole)
     np.lib.format.write_array_header_1_0(file, header)
     file.write(whole.reshape(-1).view(np.uint8).data)

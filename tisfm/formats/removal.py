@@ -1,4 +1,4 @@
-"""What lies in a folder for results is removed as it lies there: links are not followed."""
+"""Removing and making entries of a folder for results, without following links."""
 
 import contextlib
 import os
@@ -7,14 +7,14 @@ from pathlib import Path
 
 
 def is_there(path: Path) -> bool:
-    """Return whether there is anything of this name, a link to nothing included."""
+    """Return whether a path exists; a link to nothing counts."""
     return os.path.lexists(path)
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link, or a folder with all that is in it; nothing if there is none.
+    """Remove a file, a link, or a folder with its contents, if it exists.
 
-    What a link leads to stays.
+    The target of a link stays.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def remove(path: Path) -> None:
 
 
 def try_to_remove(path: Path) -> None:
-    """Do what `remove` does, as far as it can be done."""
+    """Remove as `remove` does, but leave what cannot be removed."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -37,13 +37,13 @@ def try_to_remove(path: Path) -> None:
 
 
 def remove_link(path: Path) -> None:
-    """Remove a link; what is no link stays."""
+    """Remove a path if it is a link."""
     if path.is_symlink():
         path.unlink()
 
 
 def make_inner_folder(path: Path) -> Path:
-    """Make a folder within one for results, unless there is one; return its path.
+    """Make a folder within a folder for results, unless it exists; return its path.
 
     A link in its place is removed: it may lead out of the folder for results. The folder for
     results itself may be a link.

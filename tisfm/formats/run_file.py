@@ -1,4 +1,4 @@
-"""The file in which `tisfm run` keeps what it did, and the format that this version reads."""
+"""The record that `tisfm run` writes, and the format that this version reads."""
 
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ def refuse_other_format(path: Path, record: Any) -> None:
     path : Path
         Of the file, for the message.
     record : object
-        The JSON in it. If it is not a record of any version, nothing is raised here.
+        Its JSON. If that is not a record of any version, nothing is raised here.
     """
     if not isinstance(record, dict) or not {"format", "version"} & record.keys():
         return
-    found = record.get("format", 1)  # the first one was not stated
+    found = record.get("format", 1)  # files of format 1 do not state it
     if found != FORMAT:
         raise FormatError(
             f"{path} is of format {found}, written by tisfm {record.get('version')}; this version "

@@ -24,13 +24,13 @@ _NUMBER, _PREFIXED, _LETTERED = (
 _SIGN_OR_EXPONENT = re.compile("[-e]")
 _EVEN = 0.1  # mean deviation of steps from their median, as a share of it
 _MOST_NANOSECONDS = 9  # digits
-_FEWEST_NANOSECONDS = 7  # digits of some name: not all frames are within 10 ms of a full second
+_FEWEST_NANOSECONDS = 7  # digits of some name: 1 ms or more after a full second
 _SHORTEST = 1e-4  # s: frames closer than that in the median are numbers, not times
 
 
 @dataclass(frozen=True)
 class NamedTimes:
-    """What the names of some pictures state, if they are times.
+    """Times that the names of pictures state.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class NamedTimes:
     is_inferred: bool
 
     def note(self, stems: Sequence[str]) -> str:
-        """Return how inferred times were read, "" where there is nothing to say."""
+        """Return a note on how inferred times were read, "" if they were not inferred."""
         if not self.is_inferred:
             return ""
         if self.reading == "decimals":
@@ -112,7 +112,7 @@ def named_times(stems: Sequence[str]) -> NamedTimes | None:
 
 
 def unread_note(stems: Sequence[str]) -> str:
-    """Return that numbers with a point are not read as times, "" if names have none of them."""
+    """Return a note that numbers with a point are not times, "" without such numbers."""
     found = _numbers(stems)
     if found is None or len({len(_fraction(number)) for number in found[1]}) == 1:
         return ""
@@ -143,7 +143,7 @@ def times_of_names(stems: Sequence[str]) -> tuple[float, ...] | None:
     Returns
     -------
     tuple of float or None
-        None if `named_times` finds none, or they do not rise: the numbers may be those of frames.
+        None if `named_times` finds none, or they do not rise: they may be numbers of frames.
     """
     found = named_times(stems)
     if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):
@@ -175,7 +175,7 @@ def _fraction(number: str) -> str:
 
 
 def _as_decimals(numbers: Sequence[str]) -> NamedTimes | None:
-    """Return numbers as floats, unless one ends in a zero that no float is printed with."""
+    """Return numbers as floats, None if one ends in a zero: printed floats do not."""
     fractions = map(_fraction, numbers)
     if any(len(digits) > 1 and digits.endswith("0") for digits in fractions):
         return None
@@ -183,9 +183,9 @@ def _as_decimals(numbers: Sequence[str]) -> NamedTimes | None:
 
 
 def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
-    """Return numbers as seconds and nanoseconds, unless one has too many digits or a zero first.
+    """Return numbers as seconds and nanoseconds, None if one cannot be read so.
 
-    Those with a minus or an exponent are none.
+    Too many digits, a zero first, a minus and an exponent exclude it.
     """
     seconds = []
     for number in numbers:
@@ -202,7 +202,7 @@ def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
 
 
 def _plausible(found: NamedTimes) -> NamedTimes | None:
-    """Return times that frames can be taken at, None for others."""
+    """Return times if frames can be taken at them, else None."""
     known = _finite(found)
     if known is None:
         return None

@@ -1,17 +1,17 @@
-"""Text as a terminal may be given it."""
+"""Text that is safe to print on a terminal."""
 
 import re
 
-# Control characters, of which a terminal takes some as commands (ESC and those above 0x7f begin
-# them); line and paragraph separators; and those that turn the direction of writing.
+# Control characters (ESC and some above 0x7f begin commands of a terminal), separators of lines and
+# paragraphs, and characters that change the direction of writing.
 _COMMANDS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def printable(text: str) -> str:
-    r"""Return text in one line that a terminal shows and does not obey.
+    r"""Return text in one line in which a terminal finds no commands.
 
     Names of files, and texts that a file supplies, may hold any character. A character that could
-    be a command is written as in Python's literals; half characters become question marks.
+    be a command is written as in Python's literals; lone surrogates become question marks.
 
     Parameters
     ----------

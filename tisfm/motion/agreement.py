@@ -12,25 +12,25 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
 # 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
 CORRELATED = 0.5
-# Images bear out a motion of half the image and more if most of what both show moves by a quarter
-# of the longer side, and its median correlation is this.
+# The images confirm a motion of half the image or more if their common part has a median motion of
+# a quarter of the longer side or more, and this median correlation.
 BORNE_OUT, FAR = 0.9, 0.25
 # Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
 # misses much then, and under "paper" 0.17 and more between unrelated ones.
 FOLDED = 0.12
 JUDGED = 2**12  # pixels, at least, of the level that a flow field is judged on
-# Of the windows that show more than noise: those where two frames that do not move are not alike.
-# Noise, and a thing that moves before a camera at rest, make it 0.00; a picture of which the middle
-# 37 % are replaced 0.21, and 52 % 0.48.
+# Share of the windows with structure in which two frames at rest are not alike. Noise, and an
+# object that moves before a camera at rest, give 0.00; a picture with 37 % replaced in its middle
+# 0.21, and with 52 % 0.48.
 REPLACED = 0.15
-# Of squares that are not alike: those that the same displacement finds in the other frame, with
-# such a correlation. Where a thing moves that fills a sixth to a third of the frame, 0.52 and more.
-# Where the middle of a picture is replaced, 0.28 at most.
+# Share of the squares that are not alike which one displacement finds in the other frame, and the
+# least correlation there. An object that moves and fills a sixth to a third of the frame gives 0.52
+# and more; a picture whose middle is replaced gives 0.28 at most.
 MOVED, FOUND = 0.4, 0.8
 SQUARE, SQUARE_STEP = 15, 5  # px
-STRUCTURE = 16.0  # times the variance of the noise: what a window has that shows more than noise
-QUIETEST = 10  # percentile of the difference of windows: that is noise, whatever the others show
-FEWEST_SEEN = 0.05  # of all windows: if fewer show more than noise, nothing is said
+STRUCTURE = 16.0  # least variance of a window with structure, over the variance of the noise
+QUIETEST = 10  # percentile of the variances of differences that is taken for noise
+FEWEST_SEEN = 0.05  # of all windows: if fewer have structure, frames are not judged
 # Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
 # poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
 OFF = 8.0
@@ -104,18 +104,16 @@ def unrelated(
 def replaced(
     frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray, unseen: np.ndarray | None = None
 ) -> Status | None:
-    """Return the status of frames of one layout that show other things in it, None for others.
+    """Return the status of frames with one layout and different contents, None for others.
 
-    What such frames share does not move. They are told from frames of a scene at rest by the
-    windows that vary more than noise does, and are not alike. A large thing that moves far makes
-    such windows too: most of them are seen in another place of the other frame.
+    The parts that such frames share do not move. In contrast to frames of a scene at rest, many
+    windows with structure are not alike. A large object that moves far gives such windows too, but
+    most of these are found elsewhere in the other frame.
 
     Parameters
     ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    flow : (H, W, 2) float32
-        px/frame.
+    frame0, frame1, flow
+        As for `unrelated`.
     unseen : (H, W) bool, optional
         Pixels that frame 1 cannot show; they do not count. By default all do.
     """
@@ -129,7 +127,7 @@ def replaced(
                 unseen.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA
             )
             unseen = part > 0
-    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+    with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         unit = np.float32(frame0.std(dtype=float))
         moved = _moved(frame1, flow)
         difference, first, second = (
@@ -148,14 +146,14 @@ def replaced(
         return None
     return Status(
         "unrelated",
-        f"parts of the frames are alike and do not move, and {100 * share:.0f}% of what they show "
-        "is something else in the second: check that they are of one scene, or mask what is fixed "
+        f"parts of the frames are alike and do not move, but {100 * share:.0f}% of their texture "
+        "differs in the second: check that they show one scene, or mask the parts that are fixed "
         "to the image",
     )
 
 
 def _moved_together(frame0: np.ndarray, frame1: np.ndarray, lost: np.ndarray) -> float:
-    """Return the greatest share of what is lost that one displacement leads to the other frame.
+    """Return the largest share of lost squares that one displacement finds in the other frame.
 
     Squares around lost pixels are sought in all of the other frame. Some are found by chance, but
     hardly at one displacement.
@@ -241,9 +239,9 @@ def _judged_level(pyramid: ImagePyramid) -> int:
 
 
 def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
-    """Return whether the images bear out that most of what they share has moved far.
+    """Return whether the images confirm that most of their common part has moved far.
 
-    A texture that repeats bears out no motion: it looks alike at every period.
+    A texture that repeats confirms no motion: it looks alike at every period.
 
     Parameters
     ----------
@@ -251,7 +249,7 @@ def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bo
     flow : (2, H, W) float32
         px/frame of the finest level.
     unseen : (H, W) bool
-        What leaves the image or is hidden. Of these pixels nothing can be said.
+        Pixels that leave the image or are hidden; they are not judged.
     """
     if unseen.all() or not np.isfinite(flow[:, ~unseen]).all():
         return False
@@ -274,13 +272,13 @@ def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bo
 
 
 def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
-    """Return whether the middle of what is seen looks alike elsewhere in the same frame."""
+    """Return whether the middle of the visible part looks alike elsewhere in the same frame."""
     left, top, width, height = cv2.boundingRect(seen.astype(np.uint8))
     left, top = left + width // 4, top + height // 4
     width, height = max(width // 2, 1), max(height // 2, 1)
     part = frame[top : top + height, left : left + width]
     if not part.std():
-        return True  # nothing tells where it is
+        return True  # without texture it looks alike everywhere
     alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= BORNE_OUT
     _, places = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     return bool((alike & (places != places[top, left])).any())
@@ -408,7 +406,7 @@ def one_direction(frame: np.ndarray) -> Status | None:
     if min(frame.shape) < 2 * BORDER + CONFIDENCE_WINDOW:  # too few windows to tell
         return None
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+    with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         grey = (frame - frame.mean()) / frame.std()
         right, down = (
             cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[inner] for order in ((1, 0), (0, 1))

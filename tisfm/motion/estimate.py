@@ -114,19 +114,19 @@ def ended(
 
 
 def _ended_thoroughly(converged: bool, settings: Settings) -> Status:
-    """Return how iterations ended that stop by an estimate of the error left."""
+    """Return the status of iterations that stop by an estimate of the error left."""
     if converged:
         return Status(
             "converged",
-            f"the unknowns are within an estimated {settings.tolerance:g} of their norm of the "
-            "minimum",
+            "the estimated distance of the unknowns from the minimum is at most "
+            f"{settings.tolerance:g} of their norm",
         )
     faster = "" if settings.cycles else ", set cycles to 1, which takes far fewer iterations"
     return Status(
         "iteration_limit",
-        f"{settings.outer_iterations} iterations ended before the unknowns were within an "
-        f"estimated {settings.tolerance:g} of their norm of the minimum (tolerance "
-        f"{settings.tolerance:g}): raise outer_iterations{faster}, or accept a higher tolerance",
+        f"after {settings.outer_iterations} iterations the estimated distance of the unknowns from "
+        f"the minimum was still above {settings.tolerance:g} of their norm (the tolerance): raise "
+        f"outer_iterations{faster}, or accept a higher tolerance",
     )
 
 

@@ -39,7 +39,7 @@ FINEST = 0.005  # px of the level: no flow is better than that
 # rooms and between frames far apart, where directions were off by degrees, from 0.065 on.
 WANTING = 0.06
 STILL = 0.1  # px: median flow of a camera that stands still
-HARDLY = 0.3  # px: the same in frames of much noise
+HARDLY = 0.3  # px: the same in frames with much noise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,11 +44,11 @@ ELSEWHERE, BETTER = 1.0, 0.05  # px apart, and by how much less a displacement c
 BEYOND = np.float32(LONGEST)  # px: no flow has more
 EVIDENCE = 5  # px: the side of the square whose residuals decide
 VOUCHED = 0.25  # of its area: as many pixels as have to be found both ways round
-# Times the variance of the noise: the least mean square of the slope, along any direction, of an
-# area that moves on its own. Noise alone has ½; what was right had 0.97 and more.
+# Least mean square of the slope along any direction, over the variance of the noise, of an area
+# that moves on its own. Noise alone has ½; correct areas had 0.97 and more.
 STRIPED = 0.8
-# Of the longer side: the farthest such an area moves. What was right had at most 0.35, which is as
-# far as is searched (`tisfm.motion.matched_windows.LARGEST`), and what was wrong 0.5.
+# Of the longer side: the largest motion of such an area. Correct areas moved by at most 0.35, the
+# limit of the search (`tisfm.motion.matched_windows.LARGEST`), and wrong ones by 0.5.
 FARTHEST = 0.4
 MANY_TRIED = 2**15  # draws in each round, where something seems to be
 CLEARLY = 0.6  # deviations: the least by which residuals fall for a thing that moves on its own
@@ -298,10 +298,10 @@ def _vouched(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarr
 def _unmistakable(
     new: np.ndarray, there: np.ndarray, before: np.ndarray, windows: Windows
 ) -> np.ndarray:
-    """Return the areas of the new pixels whose motion is hardly found by chance.
+    """Return the areas of new pixels whose motion is unlikely to be found by chance.
 
-    An area has to vary along both directions: stripes look alike all along themselves. And it may
-    not move by too much of the image: in so large a part of it, much looks alike by chance.
+    An area has to vary along both directions: a stripe looks alike all along itself. It may not
+    move too far: a large part of the image has places that look alike by chance.
     """
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
     kept = np.zeros_like(new)

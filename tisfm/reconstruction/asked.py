@@ -93,8 +93,8 @@ def _files(path: str) -> Sequence[Path]:
 def files_below(folder: Path) -> dict[str, list[int]]:
     """Return length and CRC-32 of the files of a folder, by their names in it.
 
-    Left out are hidden files, a report, which may be made later, timings, which differ each time,
-    and the files that say that a result is begun and what was asked for.
+    Some are left out: hidden files, a report (it may be made later), timings (they differ each
+    time), and the files that mark a result as begun and record what was asked for.
     """
     found = {}
     for path in sorted(folder.rglob("*")):

@@ -36,7 +36,7 @@ class Calibration:
     seen : bool
         Whether it can be relied on: False where it was guessed, or the motion hardly shows it.
     message : str
-        That in words; empty where it was given. It says of which size of frames its px are.
+        The focal length, its origin and the size of its frames in words; empty where it was given.
     radial : float
         The coefficient k1 of the lens that was found with it, whose distortion was removed; 0 if
         none was sought.
@@ -83,7 +83,7 @@ def focal_in_words(focal: float, deviation: float, shape: tuple[int, int] | None
     """
     told = f"{focal:.4g}"
     if 0 < deviation < math.inf:
-        told += f" ± {float(f'{deviation:.1g}'):g}"  # one digit of it says enough
+        told += f" ± {float(f'{deviation:.1g}'):g}"  # one significant digit
     return f"{told} px{at_size(shape)}"
 
 
@@ -119,8 +119,9 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
     path : path
         One that `tisfm.camera_file.read_camera` reads.
     focal : float
-        Of the frames that it was read for, px, which may be larger or smaller. The returned focal
-        length and deviation are px of the same frames; the message is that of the file.
+        Of the frames that the file was read for, px: their size may differ from that in the file.
+        The returned focal length and deviation are px of the same frames; the message is that of
+        the file.
 
     Raises
     ------

@@ -82,7 +82,7 @@ def reconstruct(
         first, labelled in every frame, and left out of path and depth; each thing gets a path and
         a depth of its own, as far as its motion shows them. A readout is undone then
         if the camera states it, but not found. ``motion="field"``, the default of `Settings`, is
-        of pairs alone: ``"camera"`` is taken in its place, and `Reconstruction.settings` says so.
+        possible for pairs only: ``"camera"`` replaces it, also in `Reconstruction.settings`.
     poses : (N, 4, 4) array_like or Trajectory, optional
         Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
         alone is found then, in their unit. Where a trajectory and all frames have times, each frame
@@ -131,7 +131,7 @@ def reconstruct(
     GuessedFocalWarning
         If the focal length is a guess, or the motion hardly shows it.
     UserWarning
-        Of what should be known of how the source is read, as `Reconstruction.notes` has it.
+        For each note on how the source is read (`Reconstruction.notes`).
 
     Raises
     ------
@@ -193,7 +193,7 @@ def reconstruct(
     warn_of(frames.notes)
     if given is not None and bad_frames == "skip":
         raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
-    if given is not None and frames.times is not None:  # before what takes long
+    if given is not None and frames.times is not None:  # before the long computation
         poses_of_frames(given, frames.times)
     elif given is not None and given.times is None and frames.count is not None:
         check_count(len(given.poses), len(frames) + 1)
@@ -296,9 +296,9 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
 def checked_settings(
     settings: Settings | None, motions: Collection[str] = ("camera", "objects")
 ) -> Settings:
-    """Return settings that serve for sequences; by default the preset balanced.
+    """Return settings for sequences; by default the preset balanced.
 
-    A sequence has no motion that is free at every pixel: ``"camera"`` takes its place.
+    ``motion="field"`` is possible for pairs only: ``"camera"`` replaces it.
     """
     if settings is None:
         settings = Settings.preset("balanced")

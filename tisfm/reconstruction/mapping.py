@@ -49,7 +49,8 @@ class Model:
     points : TrackPoints
         In the world.
     score : float
-        How well it explains the matches of its views (`MatchScore`).
+        How well it explains the matches of its views (`MatchScore`). A model grown by parts, or
+        continued, keeps 0.
     """
 
     poses: dict[int, np.ndarray]

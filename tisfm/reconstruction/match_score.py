@@ -19,8 +19,8 @@ class MatchScore:
     """Scores models by all matches of views.
 
     The score of a match is 1/(1 + (d/s)²). d is the distance, px, of the point in the second view
-    from the half line of places where the point of the first view may be seen, which begins at
-    infinite depth. s is half the tolerance of first pairs.
+    from the epipolar half line of the point in the first view, which begins at infinite depth. s is
+    half the tolerance of first pairs.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class MatchScore:
 def half_line_distances(
     pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Return how far points are from the half lines where they may lie.
+    """Return the distances of points from their epipolar half lines.
 
     A half line goes from the point at infinite depth towards the epipole, where the first camera
     is seen. It ends there if the first camera is in front of the second.
@@ -128,7 +128,7 @@ def half_line_distances(
 
 
 def _distance_to(direction: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the distances of points with z = 1 from directions, infinite for those behind."""
+    """Return the distances of points with z = 1 from directions, infinite for any behind."""
     z = np.where(direction[:, 2] > 1e-9, direction[:, 2], np.nan)
     away = np.hypot(*(seen - direction / z[:, None])[:, :2].T)
     return np.nan_to_num(away, nan=np.inf)

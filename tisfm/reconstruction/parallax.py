@@ -55,15 +55,8 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     The focal length is the same in both views, and from half to twice the one that the directions
     were computed with: a rotation seen with a wrong focal length then shows no parallax.
 
-    Parameters
-    ----------
-    before, after : (N, 3) float64
-        Unit directions to the same points in two views.
-
-    Returns
-    -------
-    (N,) float64
-        Angles, rad, as the stated focal length has them.
+    Parameters and return value are those of `beyond_homography`. The angles are computed with the
+    stated focal length.
     """
     seen = (before[:, 2] > IN_FRONT) & (after[:, 2] > IN_FRONT)
     start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))
@@ -105,7 +98,7 @@ def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         step = np.linalg.solve(matrix, vector)
         wanted = log_focal + step[3]
         limited = float(np.clip(wanted, np.log(SHORTEST), np.log(LONGEST)))
-        if limited != wanted:  # the rotation that suits the limit
+        if limited != wanted:  # the best rotation at the limit
             vector = vector - matrix[:, 3] * (limited - log_focal)
             step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), limited - log_focal]
         rotation = _rotation(step[:3]) @ rotation

@@ -65,7 +65,7 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     with locked_folder(path):
         with renewed(path):
             yield path
-        try_to_remove(path / CHUNKS)  # of another run, which did not end
+        try_to_remove(path / CHUNKS)  # left by a run that did not end
 
 
 @contextmanager
@@ -158,6 +158,6 @@ def _move(source: Path, target: Path) -> None:
 
 def _remove(path: Path) -> None:
     """Remove the parts of a result, but for what says whose folder it is."""
-    remove(path / RECORD)  # first: from here on it is not complete
+    remove(path / RECORD)  # first: without it the result is not complete
     for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
         remove(path / name)

@@ -57,8 +57,8 @@ class Reconstruction:
     skipped : tuple of (int, str)
         Frames of the source that could not be read, and why; they are not counted.
     notes : tuple of str
-        What should be known of how the source was read: what was left out or resampled, and why
-        paths have numbers of frames in place of times.
+        On how the source was read: frames that were left out or resampled, and why paths use the
+        numbers of frames instead of times.
     shape : (int, int)
         Height and width of the frames, px.
     folder : Path

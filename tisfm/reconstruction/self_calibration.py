@@ -24,7 +24,7 @@ from tisfm.reconstruction.mapping import Model, Shared, models_of
 from tisfm.reconstruction.tracks import Seen
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
-WELL = 0.5  # score per match, from 0 to 1: what explains as much is not bent
+WELL = 0.5  # score per match, from 0 to 1: models with such a score are not bent
 WINDOW = 16  # views: of each of the two windows that beginnings are compared on
 ENOUGH = 6000  # observations that parts are made of
 STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it

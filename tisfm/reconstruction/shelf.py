@@ -53,7 +53,7 @@ class Shelf(Sequence[T], Generic[T]):
             for array in arrays:
                 self._file.write(array.tobytes())
             self._file.flush()
-        except OSError as error:  # the disk is full, for one
+        except OSError as error:  # for example, the disk is full
             # Another folder does not help against a limit on the size of files (ulimit -f).
             advice = "; set TMPDIR to another folder" if error.errno in _FULL else ""
             raise OSError(
@@ -82,6 +82,6 @@ class Shelf(Sequence[T], Generic[T]):
 
 
 def _close(file: IO[bytes]) -> None:
-    """Close a temporary file, of which a full disk may have left something unwritten."""
+    """Close a temporary file; the last write may fail on a full disk."""
     with contextlib.suppress(OSError):
         file.close()

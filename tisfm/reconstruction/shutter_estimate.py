@@ -1,8 +1,8 @@
 """How long a camera takes to read a frame, found from what views have in common.
 
 Poses of views, points, the readout and the focal length are adjusted together. Where the camera's
-motion changes, no pose explains what a readout does. Where it is even, poses and the focal length
-may explain the same, and the deviation of the readout says so.
+motion changes, poses cannot explain the effect of a readout. Where it is even, poses and the focal
+length may explain the same effect, and the deviation of the readout is large.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ FEWEST_VIEWS = 3  # that see a point
 VIEWS, OBSERVATIONS = 60, 8000  # at most: those at which the camera turns most
 OUTLYING = (3.0, 1.0)  # px: residuals beyond count less and less; the first is to begin with
 STEPS = 4  # of Gauss–Newton, with each
-DAMPING = 1e-4  # of the diagonal: of the steps
-# Of the diagonal: of the deviation. More would be a prior, and hide that the focal length or poses
-# explain the same.
+DAMPING = 1e-4  # of the steps, as a share of the diagonal
+# Of the deviation, as a share of the diagonal. A larger one would act as a prior, and hide that the
+# focal length or poses explain the same.
 LEAST_DAMPING = 1e-10
 BEHIND = 1e-6  # of the usual depth: nearer points are not seen
 # Times the deviation that independent residuals would leave: films whose rows are read at once are
@@ -270,10 +270,10 @@ class _Problem:
         return step, moves, float(deviation)
 
     def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
-        """Return what holds the first view, and the distance of the farthest view from it.
+        """Return the term that fixes the first view, and the distance of the farthest view from it.
 
-        Poses and points may move, turn and grow together without a change of the images. But the
-        rates keep their unit: without this, any readout would suit a camera that does not turn.
+        Poses and points may move, turn and grow together without a change of the images. The rates
+        keep their unit: without this term, any readout would suit a camera that does not turn.
         """
         held = np.zeros((7, len(diagonal)))
         held[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())

@@ -71,7 +71,7 @@ class Stream:
         self._keys: dict[int, tuple[int, WindowDepth]] = {}  # the last of each piece
         self._begun: set[int] = set()  # pieces
         self._told = 0
-        self._notes: list[str] = list(source.notes)  # that are not told yet
+        self._notes: list[str] = list(source.notes)  # not yet given as warnings
         self._have_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
@@ -152,7 +152,7 @@ class Stream:
         fault = fault_between(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
         if fault:
             self._have_times_fault = True
-            self._notes.append(f"{fault}: take the numbers of frames in place of their times")
+            self._notes.append(f"{fault}: use the numbers of frames instead of times")
 
     def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
         """Yield the frames up to one, and forget what later ones do not need."""

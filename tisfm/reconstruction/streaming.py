@@ -43,10 +43,10 @@ def reconstruct_stream(
     ----------
     source, camera, calibrate, settings, mask, step, start, stop, size, crop
         As for `tisfm.reconstruct`, but for ``motion="objects"``; or ``"webcam"``, ``"webcam:1"``, …
-        for a camera, whose frames are dropped while others are worked on. A focal length and a
-        readout that are not known are found with the first path, and stay: the guess, and 0, where
-        that does not show them, whatever later frames show, since what was said of earlier ones
-        stays. That readout is found after the focal length, and undone from the first frame on.
+        for a camera, whose frames are dropped while others are worked on. An unknown focal length
+        and an unknown readout are found with the first path; if it does not show them, they are
+        the guess and 0. Later frames do not change them, since earlier results are final. The
+        readout is found after the focal length, and undone from the first frame on.
     delay : int
         A frame is given out before more than so many later frames are read, 6 at least. The more,
         the better: a path needs views from places that are apart.
@@ -62,7 +62,7 @@ def reconstruct_stream(
     Warns
     -----
     UserWarning
-        Of every frame that is skipped, and of what should be known of how the source is read.
+        For each frame that is skipped, and each note on how the source is read.
     GuessedFocalWarning
         If the focal length is a guess, or the motion hardly shows it.
 

@@ -47,7 +47,8 @@ class Way:
     focal : FocalEstimate or None
         If it was to be found, and was.
     score : float
-        How well the models explain the matches of views.
+        How well the models explain the matches of views: the sum of `Model.score`. Models grown by
+        parts, or continued, keep 0.
     """
 
     pieces: list[Piece]

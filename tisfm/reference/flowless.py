@@ -1,4 +1,4 @@
-"""The rigid motions that move no pixel: fields of ρ̂ with Gρ̂ = 0, and how much of each is best."""
+"""Rigid motions without image motion: fields of ρ̂ with Gρ̂ = 0, and the best multiple of each."""
 
 import numpy as np
 
@@ -8,7 +8,8 @@ from tisfm.reference.smoothness import differences
 def flowless_fields(motion: np.ndarray) -> np.ndarray:
     """Return the smooth fields without image motion, (4, 6, H, W), or (1, 3, H, W).
 
-    They are τ along the line of sight, and each component of ω with the τ that undoes it.
+    They are τ along the line of sight, and each component of ω with the τ that cancels its image
+    motion.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def minimise_over_flowless(
 ) -> None:
     """Add to ρ̂ the multiple of each field that minimises the energy; `rho` is modified in place.
 
-    The data do not see them: only α Σ b Δρ̂² counts, with `weights` b, (2n, H, W).
+    The data terms do not depend on them: only α Σ b Δρ̂² does, with `weights` b, (2n, H, W).
     """
     fields = flowless_fields(motion)
     b = alpha * weights.reshape(2, *rho.shape)

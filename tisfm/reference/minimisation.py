@@ -38,10 +38,10 @@ def minimise(
 ) -> Minimisation:
     """Run the half-quadratic algorithm (Table 1); `rho` is modified in place.
 
-    `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`. `thorough` says
-    whether rigid motions without image motion are minimised over after the sweeps. Iterations stop
-    by the last change in either case: the estimate of the error left, and multigrid, are the
-    solver's alone. ρ̂ may be further from the minimum than `tolerance`.
+    `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`. With `thorough`, the
+    energy is also minimised over rigid motions without image motion after the sweeps. Iterations
+    stop by the last change in either case, so ρ̂ may be further from the minimum than `tolerance`:
+    only the solver has an estimate of the error left, and multigrid.
     """
     energies: list[float] = []
     half: list[float] = []

@@ -73,7 +73,7 @@ class _Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """What the record says; the focal length is px of frames of the size `focal_of` (H, W)."""
+    """The contents of a record; `focal` is px of frames of the size `focal_of` (H, W)."""
 
     pairs: Sequence[_Pair]
     settings: Settings

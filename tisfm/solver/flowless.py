@@ -1,16 +1,16 @@
-"""The rigid motions that move no pixel, which sweeps and cycles find last.
+"""Rigid motions without image motion, which sweeps and cycles find last.
 
 Four fields of ρ̂ have no image motion, Gρ̂ = 0: τ along the line of sight, and each component of ω
-with the τ that undoes it,
+with the τ that cancels its image motion,
 
     (x̂, ŷ, 1, 0, 0, 0),            (x̂ŷ, 1 + ŷ², 0, 1, 0, 0),
     (−1 − x̂², −x̂ŷ, 0, 0, 1, 0),    (ŷ, −x̂, 0, 0, 0, 1).
 
-The data do not see them, and they are so smooth that the smoothness hardly does: of all errors they
-shrink most slowly. But how much of each is best follows from 4 equations, to the end.
+The data terms do not depend on them, and they are so smooth that the smoothness term hardly does:
+of all errors they shrink most slowly. The best multiple of each follows exactly from 4 equations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
 LEAST_SHARE = 1e-12  # of a pivot, below which fields are as good as dependent
+BAND = 64  # rows that are computed at a time, in float64
 
 
 class FlowlessFields:
-    """Such fields on one level.
+    """The fields without image motion on one level.
 
     Parameters
     ----------
@@ -45,43 +46,47 @@ class FlowlessFields:
         system : LinearSystem
             With fixed weights; its tensor is not read.
         """
-        rho = self._unknowns.images()
-        matrix, vector = self._normal_equations(system, rho)
+        matrix, vector = self._normal_equations(system)
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
-            return  # ρ̂ has run away, and its status says so
+            return  # ρ̂ has diverged, and its status says so
         scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
         shares, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, LEAST_SHARE)
-        for component, field in enumerate(self._fields(shares / scale)):
-            rho[component] += field
-        self._unknowns.set_images(rho)
+        unknowns = self._unknowns
+        for component, (rows, columns) in enumerate(self._fields(shares / scale)):
+            image = unknowns.to_image(unknowns.rho, component)
+            for band in _bands(len(image)):
+                image[band] += rows[:, band].T @ columns
+            unknowns.set_image(component, image)
 
-    def _normal_equations(
-        self, system: LinearSystem, rho: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _normal_equations(self, system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrix and the right-hand side for the shares of the fields, float64.
 
         Of the differences of neighbours, only those of τ1 and τ2 are not 0.
         """
-        n, to_image = self._count, self._unknowns.to_image
+        n, unknowns = self._count, self._unknowns
         matrix, vector = np.zeros((n, n)), np.zeros(n)
         for component, steps in enumerate(self._steps()):
             k = min(component, system.sets - 1)
             alpha = float(system.alphas[component])
-            for side, axis in enumerate((1, 0)):
-                weight = to_image(system.weights, k + side * system.sets)
-                weight = weight[:, :-1] if axis == 1 else weight[:-1]
-                slope = weight * np.diff(rho[component], axis=axis)
+            rho = unknowns.to_image(unknowns.rho, component)
+            for side, step in enumerate(steps):
                 # Every step is a function of the row times one of the column.
-                rows, columns = (np.stack(parts) for parts in zip(*steps[side][:n], strict=True))
-                vector -= alpha * _weighted(slope, rows, columns)
-                products = rows[:, None] * rows, columns[:, None] * columns
-                matrix += alpha * _weighted(weight, *products)
+                rows, columns = (np.stack(parts) for parts in zip(*step[:n], strict=True))
+                products, slopes = _sums(
+                    unknowns.to_image(system.weights, k + side * system.sets),
+                    rho,
+                    rows,
+                    columns,
+                    axis=1 - side,
+                )
+                matrix += alpha * products
+                vector -= alpha * slopes
         return matrix, vector
 
     def _steps(self) -> Sequence[Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]]:
         """Return the differences of τ1 and τ2, to the east and to the south, of every field.
 
-        Each as a function of the row and one of the column, whose product it is.
+        Each is the product of a function of the row and a function of the column.
         """
         x, y, pitch = self._x, self._y, 1 / self._unknowns.camera.focal
         one_x, one_y = np.full(x.shape, pitch), np.ones(y.shape)
@@ -95,16 +100,47 @@ class FlowlessFields:
             ([(r, c[:-1]) for r, c in east2], [(r[:-1], c) for r, c in south2]),
         )
 
-    def _fields(self, shares: np.ndarray) -> list[np.ndarray]:
-        """Return a sum of the fields, an array or a number for each component."""
-        x, y = self._x, self._y[:, None]
+    def _fields(self, shares: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return a sum of the fields: functions of the row and of the column for each component.
+
+        The component is the sum of their products.
+        """
+        x, y = self._x, self._y
+        one_x, one_y = np.ones(x.shape), np.ones(y.shape)
         a, b, c, d = np.concatenate([shares, np.zeros(4 - len(shares))])
-        tau = [
-            a * x + b * x * y - c * (1 + x * x) + d * y,
-            a * y + b * (1 + y * y) - c * x * y - d * x,
-            a,
-        ]
-        return [*tau, b, c, d][: self._unknowns.components]
+        tau1 = np.stack([one_y, y]), np.stack([a * x - c * (1 + x * x), b * x + d])
+        tau2 = np.stack([a * y + b * (1 + y * y), -c * y - d]), np.stack([one_x, x])
+        constants = [(one_y[None], value * one_x[None]) for value in (a, b, c, d)]
+        return [tau1, tau2, *constants][: self._unknowns.components]
+
+
+def _bands(height: int) -> Iterator[slice]:
+    """Yield the rows of an image in bands."""
+    return (slice(first, min(first + BAND, height)) for first in range(0, height, BAND))
+
+
+def _sums(
+    weights: np.ndarray, rho: np.ndarray, rows: np.ndarray, columns: np.ndarray, *, axis: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Σ b·step·step for every pair of fields, and Σ b·Δρ̂·step for every field.
+
+    Parameters
+    ----------
+    weights, rho : (H, W) array
+        b of the edges along an axis, and a component of ρ̂.
+    rows, columns : (n, H'), (n, W') array
+        Functions of the row and of the column, whose product is the step of each field from a pixel
+        to the next along the axis.
+    axis : {1, 0}
+    """
+    n = len(rows)
+    products, slopes = np.zeros((n, n)), np.zeros(n)
+    for band in _bands(rows.shape[1]):
+        row, weight = rows[:, band], weights[band, : columns.shape[1]]
+        reach = slice(band.start, band.stop + (axis == 0))
+        slopes += _weighted(weight * np.diff(rho[reach], axis=axis), row, columns)
+        products += _weighted(weight, row[:, None] * row, columns[:, None] * columns)
+    return products, slopes
 
 
 def _weighted(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
 FEWEST_ITERATIONS = 2  # if so many are allowed: the first alone brings nothing from afar
-TRANSLATION = 3  # unknowns of the least model that has motions without image motion
+TRANSLATION = 3  # unknowns of the smallest model that has motions without image motion
 CONFIRMED = 2  # iterations in a row whose estimate of the error left has to be small
-LEAST_CONTRACTION = 2 / 3  # errors are taken to shrink by no more: changes may fall faster at first
+LEAST_CONTRACTION = 2 / 3  # least factor assumed for errors: at first, changes may shrink faster
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +37,8 @@ class Effort:
         Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖; where `thorough`, when ‖error of ρ̂‖
         is estimated to be no more than that.
     thorough : bool
-        Whether ρ̂ has to come near the minimum. It has to where no other linearisation follows.
-        That takes three iterations, or four with sweeps.
+        Whether ρ̂ has to come near the minimum: needed if no other linearisation follows. It takes
+        three iterations, or four with sweeps.
     solver : {"cholesky", "closed_form"}
     """
 
@@ -157,8 +157,8 @@ class HalfQuadratic:
     def _minimise_thoroughly(self) -> tuple[list[Iteration], bool]:
         """Iterate until little error is left.
 
-        Sweeps hardly change errors that are as large as the image. Where sweeps seem to have
-        converged, one iteration of multigrid takes their place, and has to find little as well.
+        Sweeps hardly reduce errors of low frequency. Where sweeps seem to have converged, one
+        iteration of multigrid replaces them, and it has to change little as well.
         """
         tolerance, sweeping = self._effort.tolerance, self._effort.cycles == 0
         iterations: list[Iteration] = []
@@ -230,8 +230,8 @@ class HalfQuadratic:
 def error_left(changes: Sequence[float]) -> float:
     """Return an estimate of the error of ρ̂ from its last relative changes, one an iteration.
 
-    If every change is q times the one before, what is still to come adds up to q/(1 − q) times the
-    last. q is the greater of the last two ratios, and ⅔ at least; infinite if changes grow.
+    If every change is q times the one before, the changes to come add up to q/(1 − q) times the
+    last. q is the greater of the last two ratios, and ⅔ at least. Infinite if changes grow.
     """
     if not changes or changes[-1] == 0:
         return 0.0 if changes else math.inf

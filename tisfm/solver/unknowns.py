@@ -77,7 +77,11 @@ class Unknowns:
     def set_images(self, rho: np.ndarray) -> None:
         """Set ρ̂ from (components, H, W) float32, px/frame of this level."""
         for component, values in enumerate(rho):
-            image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
+            self.set_image(component, values)
+
+    def set_image(self, component: int, values: np.ndarray) -> None:
+        """Set a component of ρ̂ from (H, W) float32, px/frame of this level."""
+        image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
     def move(self, step: Sequence[np.ndarray]) -> None:
         """Add to the first two unknowns, which move the image alike everywhere.
@@ -88,8 +92,7 @@ class Unknowns:
             px/frame of this level.
         """
         for component, values in enumerate(step):
-            moved = self.to_image(self.rho, component) + values
-            image_to_lanes(self.grid, moved, self.rho, component=component)
+            self.set_image(component, self.to_image(self.rho, component) + values)
 
     def bind_flow(self, out: LaneData) -> Callable[[], None]:
         """Return what writes the image motion (eq. 25) to a lane array of 2 components."""

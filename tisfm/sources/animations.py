@@ -16,17 +16,17 @@ def frames_in_picture(file: Path) -> int:
     try:
         with Image.open(file, formats=_FORMATS) as picture:
             return int(getattr(picture, "n_frames", 1))
-    except Exception:  # Pillow's decoders raise whatever a damaged file leads them to
+    except Exception:  # Pillow's decoders raise many kinds for damaged files
         return 1
 
 
 def animations_note(files: Sequence[Path]) -> str:
-    """Return that only the first frame of a picture is read, "" if the pictures have one each."""
+    """Return a note that only first frames are read, "" if all pictures have one frame."""
     for file in files[:_LOOKED_AT]:
         count = frames_in_picture(file)
         if count > 1:
             return (
-                f"only the first of the {count} frames of {file.name} is read, and so of other "
-                "pictures with several frames: save the frames as files of their own to have all"
+                f"of pictures with several frames, such as {file.name} ({count}), only the first "
+                "frame is read: save the frames as separate files to read all"
             )
     return ""

@@ -147,8 +147,8 @@ def _chosen(container: InputContainer) -> VideoStream:
 
 
 def _videos(container: InputContainer) -> list[VideoStream]:
-    """Return the video streams that can be decoded, but for pictures such as a cover."""
-    # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+    """Return the video streams that can be decoded, except pictures such as a cover."""
+    # Codecs that FFmpeg does not know have no codec_context, although PyAV's types promise one.
     known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
     return [one for one in known if not one.disposition & _NO_VIDEO] or known
 
@@ -158,7 +158,7 @@ def _pixels_of(stream: VideoStream) -> int:
 
 
 def _streams_note(path: str, container: InputContainer, taken: VideoStream) -> str:
-    """Return which stream is read and which are not, "" if there is one."""
+    """Return a note on which stream is read and which are not, "" if there is one."""
     streams = _videos(container)
     if len(streams) < 2:
         return ""

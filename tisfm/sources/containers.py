@@ -1,4 +1,4 @@
-"""What is read of the files of videos without a decoder: their table of frames, their streams."""
+"""Reading the containers of videos without a decoder: their table of frames, their streams."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,13 +8,13 @@ from tisfm.formats.reading import open_file
 
 _MP4 = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")  # boxes that may come first
 _EBML, _SEGMENT, _TRACKS, _ENTRY, _TYPE = 0x1A45DFA3, 0x18538067, 0x1654AE6B, 0xAE, 0x83
-_CLUSTER = 0x1F43B675  # frames, after what is said of streams
+_CLUSTER = 0x1F43B675  # frames, after the descriptions of streams
 _MOST_BOXES = 100_000
 _VIDEO = 1  # type of a Matroska track
 
 
 def why_without_frames(path: str) -> str | None:
-    """Return why an MP4 or QuickTime file has no frame that can be found, None if not known.
+    """Return why no frame of an MP4 or QuickTime file can be found, None if not known.
 
     Such a file ends with the moov box, the table of its frames, unless it was made for streaming.
     It is missing where a recording or a copy did not end.
@@ -62,7 +62,7 @@ def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, i
 
 
 def _mp4_videos(file: BinaryIO, end: int) -> int:
-    """Return how many tracks of an MP4 file are of pictures."""
+    """Return how many tracks of an MP4 file are video tracks."""
     return sum(
         _handler(file, media, stop) == b"vide"
         for media, stop in _inside(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
@@ -72,7 +72,7 @@ def _mp4_videos(file: BinaryIO, end: int) -> int:
 def _inside(
     file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
 ) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of the boxes that lie in boxes of these kinds, each in the one before."""
+    """Yield begin and end of the boxes of the last kind, each kind within the one before."""
     for kind, content, stop in _boxes(file, begin, end):
         if kind != kinds[0] or stop > end:
             continue
@@ -88,7 +88,7 @@ def _handler(file: BinaryIO, begin: int, end: int) -> bytes:
 
 
 def _matroska_videos(file: BinaryIO, end: int) -> int:
-    """Return how many tracks of a Matroska or WebM file are of pictures."""
+    """Return how many tracks of a Matroska or WebM file are video tracks."""
     count = 0
     for kind, begin, stop in _elements(file, 0, end):
         if kind != _SEGMENT:
@@ -102,7 +102,7 @@ def _matroska_videos(file: BinaryIO, end: int) -> int:
 
 
 def _is_video(file: BinaryIO, begin: int, end: int) -> bool:
-    """Return whether a track of a Matroska file is of pictures."""
+    """Return whether a track of a Matroska file is a video track."""
     for kind, content, stop in _elements(file, begin, end):
         if kind == _TYPE:
             file.seek(content)

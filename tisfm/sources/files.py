@@ -19,7 +19,7 @@ class ImageFiles:
     title : str
         What errors call them all.
     notes : sequence of str
-        What is to be said of how they were found.
+        On how they were found.
 
     Raises
     ------

@@ -13,8 +13,8 @@ from tisfm.formats.images import natural_order
 from tisfm.formats.time_names import in_order
 from tisfm.sources.urls import refuse_url
 
-# Suffixes of pictures that no reader here knows, and of those that are read, but that a folder is
-# not searched for.
+# Suffixes of pictures that cannot be read, and of pictures that only a pattern finds: folders are
+# not searched for them.
 _UNREADABLE = (
     ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".heic", ".heif", ".jxl", ".nef",
     ".orf", ".psd", ".raf", ".raw", ".rw2",
@@ -32,7 +32,7 @@ _PRINTF = re.compile(
 
 @dataclass(frozen=True)
 class Found:
-    """Pictures that were found, in order, and what is to be said of the search."""
+    """Pictures that were found, in order, and notes on the search."""
 
     files: list[Path]
     notes: tuple[str, ...] = ()
@@ -50,8 +50,8 @@ def pictures_of(folder: str) -> Found:
 def matching_files(pattern: str) -> Found:
     """Return the files that match a glob pattern; FileNotFoundError if there is none.
 
-    Brackets that match nothing as a pattern are taken as they are: of ``set [1]/*.png`` the folder
-    ``set [1]`` counts, unless there is a ``set 1``.
+    Brackets that match nothing as a pattern are taken literally: ``set [1]/*.png`` is the folder
+    ``set [1]``, unless there is a ``set 1``.
     """
     matches = {written: files for written in _ways_of(pattern) if (files := _files_of(written))}
     if not matches:
@@ -72,7 +72,7 @@ def files_matching(pattern: str) -> list[Path]:
 
 
 def _ways_of(pattern: str) -> list[str]:
-    """Return a pattern, and the same with brackets that stand for themselves."""
+    """Return a pattern, and the same with literal brackets."""
     if "[" not in pattern:
         return [pattern]
     folder = os.path.dirname(pattern)
@@ -103,9 +103,9 @@ def several_pictures(path: str, name: str) -> list[Path]:
 
 
 def order_notes(files: Sequence[Path]) -> list[str]:
-    """Tell of files that are given in the order of their letters, where their names have another.
+    """Return a note if files are given in alphabetical order, but their names state another.
 
-    A shell puts them so for a pattern that is not quoted.
+    A shell sorts so for a pattern that is not quoted.
     """
     if list(files) != sorted(files, key=str):
         return []  # somebody has chosen the order
@@ -143,7 +143,7 @@ def _files_of(pattern: str) -> list[Path]:
 
 
 def _advice(pattern: str) -> str:
-    """Return what to do where a pattern matches nothing."""
+    """Return advice for a pattern that matches nothing."""
     folder = os.path.dirname(pattern)
     if folder and not glob.has_magic(folder) and not os.path.isdir(folder):
         return f"there is no folder {folder}"
@@ -153,7 +153,7 @@ def _advice(pattern: str) -> str:
 
 
 def _instead(folder: str, there: Sequence[Path]) -> str:
-    """Return what a folder without pictures has in their place, and what to do."""
+    """Return what a folder without pictures has instead, with advice."""
     videos = [file for file in there if file.suffix.lower() in _VIDEOS]
     if left_out := _left_out(folder, there, is_all=True):
         return ", but " + "; ".join(left_out)
@@ -182,7 +182,7 @@ def _folders_with_pictures(folder: Path) -> Iterator[Path]:
 
 
 def _left_out(folder: str, there: Sequence[Path], *, is_all: bool = False) -> list[str]:
-    """Tell of files that are pictures by their suffix, but are not read."""
+    """Return notes on files that are pictures by their suffix, but are not read."""
     notes = []
     for suffixes, advice in (
         (_UNREADABLE, "tisfm cannot read them; convert them to PNG or JPEG"),
@@ -207,7 +207,7 @@ def _left_out(folder: str, there: Sequence[Path], *, is_all: bool = False) -> li
 
 
 def _of_kinds(folder: str, files: Sequence[Path]) -> list[str]:
-    """Tell of pictures of several kinds, which may be the same frames twice."""
+    """Return a note on pictures of several kinds: they may be the same frames twice."""
     kinds = Counter(_SAME_KIND.get(one, one) for one in (file.suffix.lower() for file in files))
     if len(kinds) == 1:
         return []

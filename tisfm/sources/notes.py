@@ -1,4 +1,4 @@
-"""What a user should know of how a source is read, as warnings."""
+"""Notes on how a source is read, as warnings."""
 
 import warnings
 from collections.abc import Iterable

@@ -80,7 +80,7 @@ class OpenCvVideo:
                         image=with_square_pixels(image, self._aspect),
                         time=time,
                     )
-                    del frame, image  # or it would be held while the next one is decoded
+                    del frame, image  # to free it before the next one is decoded
                 index += 1
         finally:
             capture.release()
@@ -105,7 +105,7 @@ def _aspect(capture: cv2.VideoCapture) -> float:
 
 
 def _streams_note(path: str) -> str:
-    """Return that only the first video stream is read, "" if no more are known."""
+    """Return a note that only the first video stream is read, "" if no more are known."""
     count = video_streams(path) or 1
     if count < 2:
         return ""

@@ -84,9 +84,9 @@ class Reader(Protocol):
     announced : int or None
         Number of frames that the source states, where it may be wrong by a few.
     times : tuple of float or None
-        Of all frames, s, where they are known beforehand.
+        Of all frames, s, if they are known before reading.
     notes : tuple of str
-        What a user should know of how the source is read.
+        On how the source is read.
     ahead : bool
         Whether frames may be read in another thread, before they are asked for.
     """

@@ -82,10 +82,10 @@ class FrameSource:
     bad_frames : {"raise", "skip"}
         As given.
     times : tuple of float or None
-        When the frames that are taken were, s, where that is known before they are read.
+        Of the frames that are taken, s, if they are known before reading.
     notes : tuple of str
-        What a user should know of how the source is read: files or streams that are left out, what
-        the names of files were taken for, frames that are resampled.
+        On how the source is read: files or streams that are left out, the meaning of names of
+        files, frames that are resampled.
     skipped : list of (int, str)
         Numbers of the frames that were skipped, and why, as far as it was read.
 
@@ -335,7 +335,7 @@ class FrameSource:
 
 
 def _refuse_animation(file: Path) -> None:
-    """Raise ValueError if a picture has several frames, of which the first alone would be read."""
+    """Raise ValueError if a picture has several frames: only the first one would be read."""
     count = frames_in_picture(file)
     if count > 1 and file.suffix.lower() == ".gif":
         raise ValueError(

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-_LARGEST_ASPECT = 8.0  # what states more, or less than the inverse, is damaged
+_LARGEST_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
 
 
 def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
@@ -14,7 +14,7 @@ def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
     width, height : int
         Of the frame, px.
     aspect : float
-        Width of a pixel over its height. What is not between 1/8 and 8 is taken for 1.
+        Width of a pixel over its height. Values outside 1/8 to 8 are taken for 1.
     """
     if not 1 / _LARGEST_ASPECT <= aspect <= _LARGEST_ASPECT:
         return width, height
@@ -31,12 +31,12 @@ def with_square_pixels(image: np.ndarray, aspect: float) -> np.ndarray:
 
 
 def resampling_note(path: str, width: int, height: int, aspect: float) -> str:
-    """Return what is to be said of a video with frames of this size, "" if pixels are square."""
+    """Return a note on a video with frames of this size, "" if its pixels are square."""
     size = square_size(width, height, aspect)
     if size == (width, height):
         return ""
     return (
         f"the pixels of {path} are not square ({aspect:.4g} times as wide as high): frames are "
-        f"resampled from {width} × {height} to {size[0]} × {size[1]} px, as players show them; a "
-        "camera, crop, mask or labels that are given are those of the resampled frames"
+        f"resampled from {width} × {height} to {size[0]} × {size[1]} px, as players show them; "
+        "give the camera, crop, masks and labels for the resampled frames"
     )

@@ -1,4 +1,4 @@
-"""Addresses in place of paths: they are refused, with what to do."""
+"""URLs instead of paths: they are refused, with advice."""
 
 import re
 from urllib.parse import urlsplit
@@ -10,7 +10,7 @@ _STREAMS = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp",
 
 
 def refuse_url(source: str) -> None:
-    """Raise ValueError if a source is a URL; it says what to give in its place."""
+    """Raise ValueError if a source is a URL; it says what to give instead."""
     match = _URL.match(source)
     if match is None and not _WITHOUT_SCHEME.match(source):
         return

@@ -1,4 +1,4 @@
-"""Whether the times of frames can be those of a path: known, and each after the one before."""
+"""Whether the times of frames can serve a path: known, and each after the one before."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -21,7 +21,7 @@ def times_or_numbers(times: Sequence[float | None]) -> NDArray[np.float64]:
 
 
 def times_note(times: Sequence[float | None]) -> str:
-    """Return why numbers of frames stand in place of their times in a path.
+    """Return why a path uses the numbers of frames instead of times.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def times_note(times: Sequence[float | None]) -> str:
     fault = _fault(times)
     if not fault or all(time is None for time in times):
         return ""
-    return f"{fault}: paths are written with the numbers of frames in place of their times"
+    return f"{fault}: paths use the numbers of frames instead of times"
 
 
 def _fault(times: Sequence[float | None]) -> str:
-    """Return why times are not those of a path, "" if they are."""
+    """Return why times cannot serve a path, "" if they can."""
     for number, time in enumerate(times):
         if time is None or not isfinite(time):
             return f"frame {number} has no time"
@@ -51,14 +51,14 @@ def _fault(times: Sequence[float | None]) -> str:
 
 
 def fault_between(before: float | None, after: float | None, first: str, second: str) -> str:
-    """Return why the times of two frames are not those of a path, "" if they are.
+    """Return why the times of two frames cannot serve a path, "" if they can.
 
     Parameters
     ----------
     before, after : float or None
         When the frames were taken, s.
     first, second : str
-        What the frames are called.
+        Names of the frames in the answer.
     """
     if before is None and after is None:
         return ""

@@ -108,7 +108,7 @@ class RunResult:
             raise ValueError("it has no .npz of any pair: run again with npz among --outputs")
         for name, _ in kept:
             if os.path.basename(name) != name:
-                raise ValueError(f"{name} is no name of a pair")
+                raise ValueError(f"{name} is not the name of a pair")
         motion = record["settings"]["motion"]
         self.names = [name for name, _ in kept]
         self._files = [(name, pair.get("files")) for name, pair in kept]

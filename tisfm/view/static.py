@@ -132,4 +132,4 @@ def _captioned(page: str, legend: Markup, caption: str) -> str:
     block = Markup('<div style="{}">{}{}</div>').format(_CAPTION, legend, caption)
     before, end, after = page.rpartition("</body>")
     whole = f"{before}{block}{end}{after}" if end else f"{page}{block}"
-    return whole.encode("utf-8", "replace").decode()  # names may have half characters
+    return whole.encode("utf-8", "replace").decode()  # names may have lone surrogates

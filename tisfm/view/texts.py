@@ -42,16 +42,16 @@ def legend_of(
 
 
 def set_html(control: Any, content: Markup) -> None:
-    """Show HTML in a control of viser's, which takes it as it is.
+    """Show HTML in a control of viser, which does not escape it.
 
     Raises
     ------
     TypeError
-        If it is plain text, of which nothing is escaped.
+        If it is plain text: its characters are not escaped.
     """
     if not isinstance(content, Markup):
         raise TypeError(f"content is {content!r}: expected Markup, in which texts are escaped")
-    control.content = content.encode("utf-8", "replace").decode()  # names may have half characters
+    control.content = content.encode("utf-8", "replace").decode()  # names may have lone surrogates
 
 
 def legend_html(legend: Legend | None) -> Markup:

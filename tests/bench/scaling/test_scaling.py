@@ -149,7 +149,7 @@ def test_the_stages_of_a_pair_make_up_its_time(tmp_path):
         assert min(shares.values()) >= 0
 
 
-def test_a_stage_does_not_count_those_within(monkeypatch):
+def test_a_stage_does_not_count_inner_stages(monkeypatch):
     times = iter([0.0, 1.0, 5.0, 7.0])  # s: outer and inner begin, inner and outer end
     clock = SimpleNamespace(perf_counter=lambda: next(times))
     monkeypatch.setattr(scaling_worker, "time", clock)

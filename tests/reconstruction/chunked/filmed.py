@@ -34,7 +34,7 @@ def in_turn(function, items):
 
 
 def contents(folder):
-    """Return the files below a folder, by their names, but for how long things took."""
+    """Return the files below a folder, by their names, without timings."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
