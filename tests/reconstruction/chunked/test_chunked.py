@@ -20,7 +20,9 @@ from tests.reconstruction.chunked.filmed import (
 from tests.reconstruction.films import along, path_error
 from tisfm import Reconstruction
 from tisfm.camera_file import read_camera
+from tisfm.reconstruction import run as run_module
 from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
+from tisfm.reconstruction.frames_path import FramesPath
 from tisfm.reconstruction.run import NEW_PIECE
 from tisfm.scenes import room_film
 
@@ -89,11 +91,30 @@ def test_depth_of_keyframes_or_none(frames, tmp_path):
         assert path_error(one.poses, film().poses) < 0.02
 
 
-def test_a_focal_length_is_found_once(frames, tmp_path):
+def test_a_focal_length_is_found_once_and_chunks_know_that_it_is_a_guess(
+    frames, tmp_path, monkeypatch
+):
+    """Or a chunk before a plane would get a path that the guess has made."""
+    stated, chunks = [], []
+
+    def path_of(*arguments, **options):
+        stated.append(options["focal_known"])
+        return FramesPath(*arguments, **options)
+
+    def looked_at(function, items):
+        yield from in_turn(function, items)
+        chunks.extend(Reconstruction.load(item.folder) for item in items)
+
+    monkeypatch.setattr(run_module, "FramesPath", path_of)
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
-        found = in_chunks(frames, tmp_path / "out", camera=None, depth_of="none")
-    assert found.calibration.origin in ("estimated", "guessed")
+        found = in_chunks(
+            frames, tmp_path / "out", camera=None, depth_of="none", finished=looked_at
+        )
+    assert found.calibration.origin in ("estimated", "guessed") and not found.calibration.seen
     assert read_camera(found.folder).focal == found.camera.focal
+    assert stated == [False] * len(chunks)
+    assert [one.calibration for one in chunks[-3:]] == [found.calibration] * 3
+    assert [one.camera.focal for one in chunks[-3:]] == [found.camera.focal] * 3
 
 
 def test_one_chunk_is_the_same_as_at_once(frames, at_once, tmp_path):
@@ -127,11 +148,11 @@ def test_a_camera_is_guessed_once(tmp_path):
         with PIL.Image.open(source / f"f{k:02d}.png") as picture:
             picture.save(source / f"f{k:02d}.jpg", exif=exif, quality=95)
         (source / f"f{k:02d}.png").unlink()
-    cameras = []
+    chunks = []
 
     def looked_at(function, items):
         yield from in_turn(function, items)
-        cameras.extend(read_camera(item.folder).focal for item in items)
+        chunks.extend(Reconstruction.load(item.folder) for item in items)
 
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = in_chunks(
@@ -146,7 +167,8 @@ def test_a_camera_is_guessed_once(tmp_path):
     guess = tisfm.focal_guess.guess_focal(source / "f00.jpg").focal
     assert guess != tisfm.focal_guess.guess_focal(source / "f08.jpg").focal
     assert found.camera.focal == read_camera(found.folder).focal == guess
-    assert cameras == [guess] * 3
+    assert [one.camera.focal for one in chunks] == [guess] * 3
+    assert [one.calibration for one in chunks] == [found.calibration] * 3
 
 
 def test_other_frames_of_the_source(frames, tmp_path):

@@ -14,6 +14,7 @@ from filelock import FileLock
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.camera_file import record_in
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.removal import remove, remove_link
@@ -98,7 +99,7 @@ class Chunk:
         about = [
             self.asked,
             asdict(self.span),
-            asdict(camera) if isinstance(camera, Camera) else None,
+            record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
             self.calibrate,
             self.depth_of,
         ]
@@ -114,8 +115,11 @@ class Chunk:
         except (FormatError, OSError, LookupError, TypeError):
             return False
 
-    def with_camera(self, camera: Camera) -> "Chunk":
-        """Return the chunk with a camera that is known."""
+    def with_camera(self, camera: Path) -> "Chunk":
+        """Return the chunk with a camera from a file, of which nothing is found anew.
+
+        The file says as well whether its focal length is a guess.
+        """
         return replace(self, camera=camera, calibrate="nothing")
 
 

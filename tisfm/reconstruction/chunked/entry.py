@@ -11,7 +11,7 @@ from typing import Any
 import numpy.typing as npt
 
 from tisfm.camera import Camera
-from tisfm.camera_file import file_of, read_camera
+from tisfm.camera_file import file_of
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.folder_lock import alive_in, locked_folder, remove_temporaries
 from tisfm.formats.outputs import make_folder
@@ -227,7 +227,7 @@ class ChunkedRun:
                 chunks = [one.with_camera(shared.camera) for one in chunks]
             elif len(chunks) > 1 and self._stated is None:  # it is guessed, by the first file
                 list(made(chunks[:1], finished))
-                guessed = read_camera(chunks[0].folder)
+                guessed = file_of(chunks[0].folder)
                 chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
             done = 0
             for number in made(chunks, finished):

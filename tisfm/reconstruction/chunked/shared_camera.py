@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import read_camera
+from tisfm.camera_file import NAME, read_camera, record_in, write_camera
 from tisfm.reconstruction.chunked.chunk import Chunk, make_chunk
 from tisfm.reconstruction.result import Reconstruction
 
@@ -24,13 +24,14 @@ class SharedCamera:
 
     Attributes
     ----------
-    camera : Camera
-        Of the frames as they come. Its readout is known.
+    camera : Path
+        Its file, of the frames as they come. Its readout is known; the file says whether the focal
+        length is a guess.
     found : Reconstruction
         A path without depth.
     """
 
-    camera: Camera
+    camera: Path
     found: Reconstruction
 
 
@@ -50,7 +51,7 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
         All of them, as they are to be made.
     finished : callable
     folder : Path
-        That the folders of paths are made in.
+        The folders of paths and the file of the camera are made in it.
 
     Raises
     ------
@@ -69,10 +70,12 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
     best = next((one for one in found if one.calibration.seen), None)
     if best is None:
         best = min(found, key=_relative_deviation)
-    camera = read_camera(best.folder)
+    camera, record = read_camera(best.folder), record_in(best.folder)
     if camera.readout is None:  # the motion shows none, and no chunk is to look for one
         camera = replace(camera, readout=0.0)
-    return SharedCamera(camera=camera, found=best)
+    shape = record["height"], record["width"]
+    write_camera(folder / NAME, camera, shape, about=record)
+    return SharedCamera(camera=folder / NAME, found=best)
 
 
 def _relative_deviation(result: Reconstruction) -> float:
