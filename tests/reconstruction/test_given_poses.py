@@ -40,7 +40,7 @@ def test_poses_without_times_go_by_their_order():
 def test_as_many_poses_as_frames_are_needed_where_times_are_not_known():
     with pytest.raises(ValueError, match="poses are 6, but there are 5 frames"):
         poses_of_frames(Trajectory(poses=PATH), [None] * 5)
-    with pytest.raises(ValueError, match="poses are 6, with times, but the 5 frames have no"):
+    with pytest.raises(ValueError, match="poses are 6 with times, but the 5 frames have no"):
         poses_of_frames(Trajectory(poses=PATH, times=TIMES), [None] * 5)
 
 

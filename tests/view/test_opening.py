@@ -152,5 +152,5 @@ def test_names_lead_to_no_other_folder(tmp_path):
     write_record_of(tmp_path, shot, [0], "camera")
     text = (tmp_path / "run.json").read_text().replace('"f0"', '"../f0"')
     (tmp_path / "run.json").write_text(text)
-    with pytest.raises(FormatError, match="no name of a pair"):
+    with pytest.raises(FormatError, match="not the name of a pair"):
         open_result(tmp_path)

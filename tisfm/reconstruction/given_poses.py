@@ -64,7 +64,7 @@ def check_poses_count(given: Trajectory, count: int) -> None:
     """Raise ValueError unless there are as many poses as frames."""
     if given.times is not None and len(given.poses) != count:
         raise ValueError(
-            f"there are {len(given.poses)} poses with times, but the {count} frames have no times "
+            f"poses are {len(given.poses)} with times, but the {count} frames have no times "
             "that rise: expected one pose for each frame, or times for all frames"
         )
     check_count(len(given.poses), count)
