@@ -19,8 +19,8 @@ _CODE = re.compile(r"[a-z_]+")
 class Status(str):
     """A short code that says how the interpretation ended, with a message on what to try.
 
-    Codes: ``"converged"``; ``"iteration_limit"``, the unknowns still evolved when the iterations
-    ran out; ``"no_motion"``, the frames do not differ, or move by no more than noise;
+    Codes: ``"converged"``; ``"iteration_limit"``, the iterations ran out before the result
+    was exact; ``"no_motion"``, the frames do not differ, or move by no more than noise;
     ``"no_texture"``, frame 0 shows no gradient that motion could be seen by, or too few pixels are
     trusted to fit a motion to them; ``"diverged"``, the numbers are of no use: somewhere the image
     motion grew beyond half of the image's longer side, or more than half of the pixels leave the

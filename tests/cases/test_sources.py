@@ -1,5 +1,6 @@
 """Files that were read wrongly without a note, or refused with the wrong advice."""
 
+import os
 import random
 import shutil
 from pathlib import Path
@@ -114,6 +115,8 @@ def test_masks_are_in_the_same_order(tmp_path):
         ([str(1e-05), "0.05", "0.1", "0.15"], "decimals"),
         ([f"s01e{k:02d}" for k in range(8, 12)], None),
         ([f"take2.{k}" for k in range(8, 12)], None),
+        ([f"1.{k}" for k in range(1, 17, 2)], None),
+        ([f"take_2.{k}" for k in (*range(1, 10), 11, 12)], None),
         ([f"take2.{k}" for k in (8, 9, 11, 12)], None),
         ([f"take_2.{k:04d}" for k in range(8, 12)], None),
         ([f"{k}.{k * k}" for k in range(8, 12)], None),
@@ -248,6 +251,32 @@ def test_patterns_of_other_programs(tmp_path, name):
     assert f"'{folder}/f*.png'" in text
     np.testing.assert_array_equal(read(f"{folder}/f*.png")[0], FRAMES[:3])
     assert "no file matches it" in refused(tmp_path / name, FileNotFoundError)
+
+
+def test_a_folder_that_looks_like_an_address(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_folder(tmp_path / "www.site.org", FRAMES[:3])
+    assert len(list(FrameSource("www.site.org/*.png").frames())) == 3
+
+
+def test_an_encoded_space_is_no_number(tmp_path):
+    assert "check the path" in refused(f"{tmp_path}/my%20dir/x.png", FileNotFoundError)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_a_pipe_in_a_folder_is_not_waited_for(tmp_path):
+    write_folder(tmp_path / "a", FRAMES[:3])
+    os.mkfifo(tmp_path / "a" / "pipe.png")
+    assert FrameSource(tmp_path / "a").names is not None
+
+
+def test_further_pictures_in_a_jpeg_are_not_frames(tmp_path):
+    """Phones put gain maps and previews there."""
+    for k, frame in enumerate(FRAMES[:3]):
+        further = [Image.fromarray(255 - frame)]
+        path = tmp_path / f"f{k}.jpg"
+        Image.fromarray(frame).save(path, format="MPO", save_all=True, append_images=further)
+    assert read(tmp_path)[-1].notes == ()
 
 
 def test_numbered_patterns_of_folders(tmp_path):
@@ -425,6 +454,14 @@ def test_a_recording_that_was_not_finished(tmp_path, decoder, share):
     assert ("not finished" in text) == (share == 0.5)
     path.write_bytes(b"")
     assert "is empty" in refused(path)
+
+
+@pytest.mark.parametrize("brand", [b"heic", b"avif"])
+def test_a_picture_in_such_a_container_is_no_unfinished_recording(tmp_path, brand):
+    boxes = [(b"ftyp", brand + bytes(4)), (b"meta", bytes(20)), (b"mdat", bytes(90))]
+    path = tmp_path / "picture.heic"
+    path.write_bytes(b"".join((8 + len(b)).to_bytes(4, "big") + kind + b for kind, b in boxes))
+    assert "recording" not in refused(path)
 
 
 def test_other_videos_keep_their_message(tmp_path, decoder):

@@ -69,6 +69,7 @@ EVEN, BENT = 0.9, 0.5  # scores of the worst view, over the median
         ([(0.55, EVEN), (0.551, EVEN), (0.9, EVEN)], 1, 2),  # noise: two lead to the same
         ([(0.83, BENT), (0.55, EVEN), (0.83, BENT)], 0, 3),
         ([(0.3, BENT), (0.83, BENT), (0.5, EVEN), (0.99, EVEN)], 1, 3),  # three are grown at most
+        ([(0.83, BENT), (0.7, EVEN), (0.99, EVEN)], 1, 2),  # the even one is right
         ([(0.83, BENT)], 0, 1),
         ([], None, 0),
     ],

@@ -235,8 +235,25 @@ def test_models_grown_again_have_to_explain_half_as_much(monkeypatch, scores, ke
 
     A turn of the camera leads to no model at all.
     """
-    shared = SimpleNamespace(models=lambda *_: ["before"], score=lambda _: 0.5, matches=lambda: 200)
     again = [SimpleNamespace(score=score) for score in scores]
+    models, _ = models_where_the_focal_is_hardly_seen(monkeypatch, again, shows_parallax=True)
+    assert models == (["before"] if kept else again)
+
+
+def test_no_path_if_few_pairs_show_parallax_with_the_focal_length_found(monkeypatch):
+    again = [SimpleNamespace(score=100)]
+    found = models_where_the_focal_is_hardly_seen(monkeypatch, again, shows_parallax=False)
+    assert found == ([], None)
+
+
+def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax):
+    """Return models and focal length; `again` are models grown again with it."""
+    shared = SimpleNamespace(
+        models=lambda *_: ["before"],
+        score=lambda _: 0.5,
+        matches=lambda: 200,
+        shows_parallax=lambda _: shows_parallax,
+    )
     hardly = FocalEstimate(focal=100.0, deviation=10.0)
     for name, answer in (
         ("Shared", SimpleNamespace(of=lambda *_, **__: shared)),
@@ -247,8 +264,7 @@ def test_models_grown_again_have_to_explain_half_as_much(monkeypatch, scores, ke
         ("models_of", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
-    models, _ = self_calibration.models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
-    assert models == (["before"] if kept else again)
+    return self_calibration.models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
 
 
 def test_a_guess_is_told_before_depth_is_found():

@@ -241,7 +241,8 @@ def _refuse_inside(file: Path, output: Path) -> None:
 def _count(source: Source, frames: FrameOptions) -> int | None:
     """Return the largest possible number of frames, None if it is not known before reading."""
     if isinstance(source, str) and webcam_number(source) is not None:
-        return frames.stop
+        chosen = slice(frames.start, frames.stop, frames.step)
+        return None if frames.stop is None else len(range(frames.stop)[chosen])
     opened = frames.open(source)
     return None if opened.names is None else len(opened.names)
 

@@ -227,6 +227,7 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
     path = folder / RECORD
     if not path.is_file():
         return None
+    about = None
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(about, dict) or "version" not in about:
@@ -238,6 +239,7 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
             if not set(pair["files"]) <= set(ENDINGS.values()):
                 raise ValueError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        refuse_other_format(path, about)
         raise _damaged(path, error) from error
     return about
 

@@ -86,13 +86,12 @@ def of_depth(export: Export) -> list[str]:
     shown = frames_with_depth(export.frames, export.chosen)
     without = len(export.chosen) - len(shown)
     notes = [f"{_frames(without)} without depth left out"] if without else []
-    if isinstance(export.frames, PairFrames):
-        codes = [code for frame in shown if (code := export.frames.unknown_status(frame))]
-        if codes:
-            notes.append(
-                f"{_frames(len(codes))} with a status that this version does not know "
-                f"({', '.join(sorted(set(codes)))}): treat their depth as doubtful"
-            )
+    codes = [code for frame in shown if (code := export.frames.unknown_status(frame))]
+    if codes:
+        notes.append(
+            f"{_frames(len(codes))} with a status that this version does not know "
+            f"({', '.join(sorted(set(codes)))}): treat their depth as doubtful"
+        )
     return notes
 
 

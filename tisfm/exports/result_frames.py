@@ -57,6 +57,9 @@ class ResultFrames(Protocol):
     def has_depth(self, frame: int) -> bool:
         """Return whether there is depth of a frame."""
 
+    def unknown_status(self, frame: int) -> str:
+        """Return the status code of a frame if this version does not know it, else ""."""
+
     def picture(self, frame: int) -> np.ndarray:
         """Return a frame, (H, W) or (H, W, 3) RGB uint8."""
 
@@ -104,6 +107,11 @@ class SequenceFrames:
     def has_depth(self, frame: int) -> bool:
         """Return whether there is depth of a frame, in a scale that is known."""
         return bool(self._result.piece[frame] >= 0) and depth_path(self.folder, frame).exists()
+
+    def unknown_status(self, frame: int) -> str:
+        """Return the status code of a frame if this version does not know it, else ""."""
+        status = self._result.status[frame]
+        return "" if status in STATUSES else str(status)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return a frame without distortion, (H, W) or (H, W, 3) RGB uint8."""

@@ -8,6 +8,8 @@ import shutil
 from collections.abc import Iterator
 from typing import BinaryIO
 
+from tisfm.formats.reading import open_file
+
 BEGINNING, ENDING = ".tisfm-", ".tmp"
 # What a disk says that is full, or fails, while a file is written.
 _OF_THE_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
@@ -92,7 +94,7 @@ def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) ->
     OSError
         If the source cannot be read, or the target cannot be written.
     """
-    with open(source, "rb") as given, atomic_write(target) as file:
+    with open_file(source) as given, atomic_write(target) as file:
         shutil.copyfileobj(given, file, _BUFFER)
 
 

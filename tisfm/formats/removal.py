@@ -54,5 +54,10 @@ def make_inner_folder(path: Path) -> Path:
         If it cannot be made.
     """
     remove_link(path)
-    path.mkdir(exist_ok=True)
+    try:
+        path.mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise FileExistsError(
+            f"{path} is a file, but a folder with this name is needed: move or delete the file"
+        ) from error
     return path

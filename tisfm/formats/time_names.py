@@ -24,6 +24,7 @@ _NUMBER, _PREFIXED, _LETTERED = (
 _SIGN_OR_EXPONENT = re.compile("[-e]")
 _EVEN = 0.1  # mean deviation of steps from their median, as a share of it
 _MOST_NANOSECONDS = 9  # digits
+_MOST_COUNTER_DIGITS = 4  # of the number of a picture behind the number of its take
 _FEWEST_NANOSECONDS = 7  # digits of some name: 1 ms or more after a full second
 _SHORTEST = 1e-4  # s: frames closer than that in the median are numbers, not times
 
@@ -70,10 +71,11 @@ def named_times(stems: Sequence[str]) -> NamedTimes | None:
     Names that are 19 digits are nanoseconds, as in EuRoC's. Names with the same number of digits
     after a point are seconds with decimals, as in TUM's. Where that number differs, a name such as
     ``12.5`` may be 12.5 s (a float that was printed), 12 s and 5 ns (ROS, printed without leading
-    zeros), or the fifth picture of the twelfth kind. A zero at the beginning of the digits excludes
-    nanoseconds, one at the end excludes a float, and frames less than 0.1 ms apart are no times. If
-    two readings are left, the one with the more even steps is taken. Numbers right behind a letter,
-    as in ``t0.05``, are times only if their steps are even. Floats may have a minus or an exponent.
+    zeros), or the fifth picture of the twelfth take. A zero at the beginning of the digits excludes
+    nanoseconds and takes, one at the end excludes a float, and frames less than 0.1 ms apart are no
+    times. Of the readings that are left, the one with the most even steps is taken. Numbers right
+    behind a letter, as in ``t0.05``, are times only if their steps are even. Floats may have a
+    minus or an exponent.
 
     Parameters
     ----------
@@ -107,6 +109,8 @@ def named_times(stems: Sequence[str]) -> NamedTimes | None:
             return nanoseconds
         return decimals
     times = decimals or nanoseconds
+    if times and _unevenness_of_counters(numbers) < _unevenness(times.seconds):
+        return None
     follows_letter = beginning[-1:].isalpha()
     return None if times and follows_letter and _unevenness(times.seconds) > _EVEN else times
 
@@ -214,8 +218,28 @@ def _finite(found: NamedTimes) -> NamedTimes | None:
     return found if all(map(math.isfinite, found.seconds)) else None
 
 
+def _unevenness_of_counters(numbers: Sequence[str]) -> float:
+    """Return the unevenness of the steps between the pictures of a take, if names are take.picture.
+
+    Infinite if they cannot be, or if a take has one picture.
+    """
+    takes: dict[str, list[int]] = {}
+    for number in numbers:
+        digits = _fraction(number)
+        if not 0 < len(digits) <= _MOST_COUNTER_DIGITS or _SIGN_OR_EXPONENT.search(number):
+            return math.inf
+        if digits.startswith("0") and digits != "0":
+            return math.inf
+        takes.setdefault(number.partition(".")[0], []).append(int(digits))
+    steps = np.concatenate([np.diff(sorted(take)) for take in takes.values()])
+    return _unevenness_of(steps) if len(steps) > 1 and (steps > 0).all() else math.inf
+
+
 def _unevenness(seconds: Sequence[float]) -> float:
     """Return the mean distance of steps from their median, as a share of it."""
-    steps = np.diff(np.sort(seconds))
+    return _unevenness_of(np.diff(np.sort(seconds)))
+
+
+def _unevenness_of(steps: np.ndarray) -> float:
     usual = float(np.median(steps))
     return float(np.mean(np.abs(steps - usual))) / usual

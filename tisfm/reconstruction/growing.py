@@ -38,16 +38,18 @@ BETTER_IF_GUESSED = 2.5
 BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
 QUANTILE = 0.75  # of the parallax of two views
 # Share of the best pairs that show parallax with a focal length that was found, at least. Where the
-# camera hardly moved but turned it was 0.12, in noise 0, in 14 other sequences 0.71 to 1.
+# camera hardly moved but turned it was 0.12, in noise 0, in 14 other sequences 0.67 to 1.
 WITH_PARALLAX = 0.4
-# A model is right if it explains as much of each match, and all views nearly as well as the median.
-# Worst views of right models had 0.84 to 1 of the median (0.67 in blurred images), a bent one 0.53.
+# A model is right if its mean score per match is above EXPLAINED, and its worst view has EVENLY of
+# the median view's. Worst views of right models had 0.84 to 1 of it (blurred: 0.67),
+# one of a bent model had 0.53.
 EXPLAINED, EVENLY = 0.65, 0.8
-# Any other model is right if one from another first pair gets nearly the same score. Few views are
-# always grown again, as it costs little.
+# Otherwise a model is right if another first pair leads to nearly the same score. Models of few
+# views are always grown twice: it costs little.
 SAME_SCORE, FEW_VIEWS = 0.02, 8
 STARTS = 3  # models that are grown, at most
-# Views from one beginning to another: a share of those that are left, and a number that is enough.
+# Least distance, in views, between first pairs: a share of the views that are left, and at most
+# FAR_ENOUGH.
 ELSEWHERE, FAR_ENOUGH = 0.25, 4
 NARROWEST = 0.5  # degrees: of the directions that a point is seen in
 
@@ -229,12 +231,11 @@ class _FirstPairs:
     def usable_share(self, mapper: Any, options: Any) -> float:
         """Return the share of the best pairs, from 0 to 1, that a path may begin with."""
         options.mapper.init_min_tri_angle = ANGLES[-1]
-        usable = []
-        for first, second in self._ranked[:TRIED]:
-            motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
-            if motion is not None:
-                usable.append(self._is_needed(motion.matrix(), first, second))
-        return float(np.mean(usable)) if usable else 0.0
+        best, usable = self._ranked[:TRIED], 0
+        for pair in best:
+            motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
+            usable += motion is not None and self._is_needed(motion.matrix(), *pair)
+        return usable / max(len(best), 1)
 
     def _rank(self) -> list[tuple[int, int]]:
         """Return pairs that share many points with parallax, the best first."""
@@ -288,12 +289,13 @@ def _one(
         mapper.end_reconstruction(False)
         if reconstruction.num_reg_images() >= SMALLEST:
             explained = score.score(reconstruction)
-            is_right = abs(explained - most) < SAME_SCORE * most or (
+            is_even = (
                 reconstruction.num_reg_images() > FEW_VIEWS
                 and explained > enough
                 and score.least_view(reconstruction) > EVENLY
             )
-            if explained > most:
+            is_right = is_even or abs(explained - most) < SAME_SCORE * most
+            if is_even or explained > most:
                 best, most = reconstruction, explained
         if is_right or len(begun) >= 2 * STARTS:
             break

@@ -219,6 +219,8 @@ class PathFinder:
                 focal = focal_from_parts(
                     views, matches, camera, shape, calibrate, limit=self._limit
                 )
+                if focal is None:  # no part has a path
+                    return self._complete([], views, tracks, camera)
             lens = camera if focal is None else focal.taken(camera)
             seen = _straight(tracks, lens, shape)
             straight_views = _straight_views(views, lens, shape)

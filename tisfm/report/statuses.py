@@ -11,14 +11,14 @@ from itertools import pairwise
 from tisfm.outcome import UNKNOWN, Status
 
 MEANINGS = {
-    "converged": "The unknowns ceased to evolve.",
-    "iteration_limit": "They still evolved when the iterations ran out: depth is less exact.",
+    "converged": "The iterations converged.",
+    "iteration_limit": "The iterations ran out before the result was exact: depth is less exact.",
     "no_motion": "Frames are alike, or move no more than noise: there is no depth.",
     "no_texture": "Too little is to be seen by which motion could be told: there is no depth.",
     "little_parallax": "The camera hardly changed its place: there is no depth.",
     "pure_rotation": "The camera only turned: there is no depth.",
     "aperture": "The frame varies along one direction only, such as stripes do.",
-    "unrelated": "Frames have nothing in common, such as at a cut, or the motion was missed.",
+    "unrelated": "Frames show different scenes, such as at a cut, or the motion was missed.",
     "two_motions": "Two motions explain the frames alike; depth follows from one of them.",
     "behind_camera": "Much of the scene would lie behind the camera: depth is wrong in part.",
     "unexplained": "Motion and depth do not make the frames alike: depth is wrong in part.",

@@ -37,8 +37,8 @@ class Effort:
         Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖; where `thorough`, when ‖error of ρ̂‖
         is estimated to be no more than that.
     thorough : bool
-        Whether ρ̂ has to come near the minimum: needed if no other linearisation follows. It takes
-        three iterations, or four with sweeps.
+        Whether ρ̂ has to come near the minimum, as with one pyramid level, where no coarser level
+        brings it near. It takes three iterations at least, or four with sweeps.
     solver : {"cholesky", "closed_form"}
     """
 

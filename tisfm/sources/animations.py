@@ -1,21 +1,29 @@
 """Pictures of several frames: animated PNG, WebP, GIF and AVIF, and TIFF of several pages."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
 
 from tisfm.formats.picture_size import PILLOW_FORMATS
+from tisfm.formats.reading import open_file
 
 _FORMATS = (*PILLOW_FORMATS, "GIF", "AVIF")
 _LOOKED_AT = 100  # pictures of a folder, at most: each is opened
 
 
 def frames_in_picture(file: Path) -> int:
-    """Return how many frames a picture has; 1 if that is not known."""
+    """Return how many frames a picture has; 1 if that is not known.
+
+    Further pictures in a JPEG (MPO) are previews, depth or gain maps, or the view of a second lens:
+    they are not counted.
+    """
     try:
-        with Image.open(file, formats=_FORMATS) as picture:
-            return int(getattr(picture, "n_frames", 1))
+        with warnings.catch_warnings(), open_file(file) as opened:
+            warnings.simplefilter("ignore")  # of large pictures
+            with Image.open(opened, formats=_FORMATS) as picture:
+                return 1 if picture.format == "MPO" else int(getattr(picture, "n_frames", 1))
     except Exception:  # Pillow's decoders raise many kinds for damaged files
         return 1
 

@@ -7,6 +7,8 @@ from typing import BinaryIO
 from tisfm.formats.reading import open_file
 
 _MP4 = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")  # boxes that may come first
+# First box and brand of pictures in such a container: HEIC and AVIF.
+_PICTURES = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"avif"))
 _EBML, _SEGMENT, _TRACKS, _ENTRY, _TYPE = 0x1A45DFA3, 0x18538067, 0x1654AE6B, 0xAE, 0x83
 _CLUSTER = 0x1F43B675  # frames, after the descriptions of streams
 _MOST_BOXES = 100_000
@@ -16,11 +18,15 @@ _VIDEO = 1  # type of a Matroska track
 def why_without_frames(path: str) -> str | None:
     """Return why no frame of an MP4 or QuickTime file can be found, None if not known.
 
+    None for pictures in such a container too, as HEIC and AVIF are.
+
     Such a file ends with the moov box, the table of its frames, unless it was made for streaming.
     It is missing where a recording or a copy did not end.
     """
     end = Path(path).stat().st_size
     with open_file(path) as file:
+        if file.read(12)[4:] in _PICTURES:
+            return None
         boxes = list(_boxes(file, 0, end))
     if not boxes or boxes[0][0] not in _MP4:
         return None

@@ -24,9 +24,10 @@ _VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts
 _SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
 _NAMED = 3  # files or folders that a message lists, at most
 _LOOKED_AT = 200  # folders, for one that has pictures
-# The number of a frame, as FFmpeg and renderers write it; a single # only before a suffix.
+# The number of a frame, as FFmpeg and renderers write it; a single # only before a suffix. In %20d,
+# %20 is an encoded space.
 _PRINTF = re.compile(
-    r"%0?\d*d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
+    r"%(0\d*|\d?)d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
 )
 
 
@@ -125,7 +126,7 @@ def refuse_numbered(path: str) -> None:
     It says which glob pattern to write. Not if the path matches files as it is.
     """
     folder = os.path.dirname(path)
-    while folder and not os.path.isdir(folder):
+    while folder and not os.path.isdir(folder) and os.path.dirname(folder) != folder:
         folder = os.path.dirname(folder)
     rest = path[len(folder) :]
     if not _PRINTF.search(rest) or os.path.exists(path) or files_matching(path):

@@ -1,5 +1,6 @@
 """URLs instead of paths: they are refused, with advice."""
 
+import os
 import re
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
@@ -12,7 +13,8 @@ _STREAMS = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp",
 def refuse_url(source: str) -> None:
     """Raise ValueError if a source is a URL; it says what to give instead."""
     match = _URL.match(source)
-    if match is None and not _WITHOUT_SCHEME.match(source):
+    is_without_scheme = _WITHOUT_SCHEME.match(source) and not os.path.exists(source.split("/")[0])
+    if match is None and not is_without_scheme:
         return
     scheme = match[1].lower() if match else "https"
     if scheme == "file":
