@@ -11,8 +11,8 @@ NOISE = 5e-4  # rad: matching noise; smaller angles get no larger weight in the 
 HOMOGRAPHY_ROUNDS = 5  # reweightings of the linear fit
 # Gauss–Newton steps of the fit of a rotation and a focal length, and the relative step that ends it
 ROTATION_STEPS, SMALLEST_STEP = 12, 1e-5
-# Focal lengths that a rotation may have, relative to the stated one. With the stated one alone, 7
-# of 8 rendered pure rotations whose focal length was 20 % off passed for parallax.
+# Focal lengths that a rotation may have, relative to the stated one. With the stated one alone,
+# 20 % off, 7 of 8 rendered pure rotations passed for parallax.
 SHORTEST, LONGEST = 0.5, 2.0
 IN_FRONT = 1e-3  # smallest z of a unit direction that is projected
 
