@@ -226,7 +226,7 @@ def test_poses_with_times_of_frames_without_go_by_their_order(tisfm_run, film):
     )
     write_tum("fewer.txt", film.poses[:4], np.arange(4.0))
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "fewer.txt"))
-    assert_one_line(code, err, "poses are 4, with times, but the 9 frames have no times")
+    assert_one_line(code, err, "poses are 4 with times, but the 9 frames have no times")
 
 
 def test_the_unit_is_chosen(tisfm_run, film):
