@@ -1,4 +1,4 @@
-"""Small inputs like those that failed: a film of a room, in folders and videos of many kinds.
+"""Small inputs of the kinds that failed once: a film of a room, in folders and in videos.
 
 Everything is rendered when a test asks for it. Unless another size is asked for, frames of the room
 are 240 × 320 px, grey, with a focal length of 192 px.

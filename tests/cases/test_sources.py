@@ -401,7 +401,7 @@ def test_both_decoders_say_the_same_of_a_rotated_video(tmp_path, monkeypatch, ro
 
 
 def test_the_focal_length_is_that_of_the_square_pixels(tmp_path):
-    """Given and guessed cameras are those of frames as players show them."""
+    """Given and guessed cameras belong to frames as players show them."""
     pytest.importorskip("av")
     path = write_film(tmp_path / "a.mp4", [frame[:, ::2] for frame in FRAMES], aspect="2/1")
     settings = tisfm.Settings(motion="camera", warps=1, outer_iterations=1, sweeps=2)

@@ -147,7 +147,7 @@ class RunRecord:
         self._seconds[name] = seconds
 
     def times_note(self) -> str:
-        """Return why the times of frames cannot serve a path; "" if they can, or none is known."""
+        """Return a note if a path cannot use the times of frames, else ""."""
         pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
         for name, pair in pairs:
             before, after = pair.get("times") or (None, None)

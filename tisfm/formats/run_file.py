@@ -16,7 +16,7 @@ def refuse_other_format(path: Path, record: Any) -> None:
     path : Path
         Of the file, for the message.
     record : object
-        Its JSON. If that is not a record of any version, nothing is raised here.
+        Its JSON. JSON that is not a record of any version raises nothing here.
     """
     if not isinstance(record, dict) or not {"format", "version"} & record.keys():
         return

@@ -154,9 +154,9 @@ def grown_from(
 
 
 def shows_parallax(database: Any, pairs: Pairs) -> bool:
-    """Return whether most of the best first pairs show parallax beyond a rotation.
+    """Return whether enough of the best first pairs show parallax beyond a rotation.
 
-    A focal length and a path that are found from few of them are those of matching errors.
+    If few of them do, matching errors determine the focal length and the path.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ class Shared:
             )
 
     def shows_parallax(self, camera: Camera) -> bool:
-        """Return whether most pairs of views show parallax with the focal length of a camera."""
+        """Return whether enough pairs of views show parallax with the focal length of a camera."""
         directions = Directions(self.views, self.pairs, camera, self.shape)
         with database_of(self.views, self.pairs, colmap_camera(camera, self.shape)) as database:
             return shows_parallax(database, directions)

@@ -55,8 +55,8 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     The focal length is the same in both views, and from half to twice the one that the directions
     were computed with: a rotation seen with a wrong focal length then shows no parallax.
 
-    Parameters and return value are those of `beyond_homography`. The angles are computed with the
-    stated focal length.
+    Takes and returns the same as `beyond_homography`. The angles are computed with the stated focal
+    length.
     """
     seen = (before[:, 2] > IN_FRONT) & (after[:, 2] > IN_FRONT)
     start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))

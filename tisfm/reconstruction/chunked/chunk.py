@@ -116,9 +116,9 @@ class Chunk:
             return False
 
     def with_camera(self, camera: Path) -> "Chunk":
-        """Return the chunk with a camera from a file, of which nothing is found anew.
+        """Return the chunk with the camera of a file, without a search for its focal length.
 
-        The file says as well whether its focal length is a guess.
+        The file also states whether its focal length is a guess.
         """
         return replace(self, camera=camera, calibrate="nothing")
 
