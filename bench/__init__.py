@@ -6,5 +6,6 @@ and `depth` stand beside other libraries (``bench.peers``, ``bench.depth``) and 
 things that move (``bench.objects``), `sequences` whole sequences (``bench.sequences``,
 ``bench.writing``), `scaling` time and memory over size (``bench.scaling``),
 `regression` another checkout (``bench.regression``), `structure` the source itself
-(``bench.structure``). What they share is in `shared`, which imports none of them.
+(``bench.structure``). What they share is in `shared`, which imports none of them. `reference` is
+the method in plain NumPy, which the tests import as well.
 """

@@ -11,7 +11,8 @@ from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
 import tisfm
-from tisfm import reference, runtime
+from bench import reference
+from tisfm import runtime
 
 # A machine that does other work may take any time for an example.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -296,7 +296,9 @@ def test_figures_stand_in_the_files_that_are_named(path):
 
 
 def test_the_code_that_the_method_names_is_there():
-    names = re.findall(r"`(tisfm(?:\.\w+)+)`", (DOCS / "method.md").read_text(encoding="utf-8"))
+    names = re.findall(
+        r"`((?:tisfm|bench)(?:\.\w+)+)`", (DOCS / "method.md").read_text(encoding="utf-8")
+    )
     assert len(names) > 30
     for name in names:
         assert pydoc.locate(name) is not None, name

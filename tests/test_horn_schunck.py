@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
 from tests.rendered import static_scene, two_blocks
-from tisfm import reference
 from tisfm.horn_schunck import horn_schunck
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
 from tests.rendered import two_blocks
-from tisfm import reference
 
 
 def equation_18(s, it, b, neighbours, alpha, third):

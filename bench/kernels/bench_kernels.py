@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
+from bench import reference
 from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
 from bench.kernels.operations import FieldOperations
 from bench.kernels.plane_steps import PlaneOperations, PlaneReferences
@@ -16,7 +17,7 @@ from bench.kernels.traffic import TRAFFIC
 from bench.kernels.view_steps import ViewOperations, ViewReferences
 from bench.shared.agreement import check
 from bench.shared.problems import ALPHA, RELAXATION, Problem
-from tisfm import reference, runtime
+from tisfm import runtime
 
 MODELS = {6: "rigid", 3: "translation"}
 # Kernels that share their names with others are called after these.

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import ALPHA, STEPS
-from tisfm import reference
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve import coarsening, line_search
 

@@ -4,9 +4,9 @@ from functools import cached_property
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import BORDER, Problem, single
-from tisfm import reference
 from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 
@@ -96,7 +96,7 @@ class PlaneOperations(TaichiSide):
 
 
 class PlaneReferences(NumpySide):
-    """The same by `tisfm.reference`."""
+    """The same by `bench.reference`."""
 
     @cached_property
     def planes(self) -> Planes:

@@ -1,7 +1,8 @@
-"""The NumPy side: steps of kernels by `tisfm.reference`, or in plain NumPy where it has none."""
+"""The NumPy side: steps of kernels by `bench.reference`, or in plain NumPy where it has none."""
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.sides import NumpySide, Run
 from bench.shared.problems import (
     ALPHA,
@@ -15,7 +16,6 @@ from bench.shared.problems import (
     UNIQUENESS,
     Problem,
 )
-from tisfm import reference
 from tisfm.kernels.solve.weight_update import LINE
 
 
@@ -175,7 +175,7 @@ class FieldReferences(NumpySide):
         return run
 
     def splat(self) -> Run:
-        # Not tisfm.reference.splat, which is a plain loop.
+        # Not bench.reference.splat, which is a plain loop.
         return lambda: _splatted(self.problem.flow, self.problem.residual)
 
     def defeated(self) -> Run:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import (
     AGGREGATION,
@@ -12,7 +13,6 @@ from bench.shared.problems import (
     Problem,
     single,
 )
-from tisfm import reference
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
 from tisfm.kernels.model.constants import LEAST_DIVISOR
@@ -174,7 +174,7 @@ class DepthOperations(TaichiSide):
 
 
 class DepthReferences(NumpySide):
-    """The same by `tisfm.reference`, or in plain NumPy."""
+    """The same by `bench.reference`, or in plain NumPy."""
 
     def displacement(self) -> Run:
         return lambda: displaced(self.problem)

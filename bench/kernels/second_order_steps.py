@@ -4,10 +4,10 @@ from functools import cached_property
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.multigrid_steps import children, neighbours
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import NOISE, RELAXATION, SCALES, Problem, single
-from tisfm import reference
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve.coarsening import interpolation_columns
 from tisfm.kernels.solve.second_order import coarsening, line_search
@@ -119,7 +119,7 @@ class SecondOrderOperations(TaichiSide):
 
 
 class SecondOrderReferences(NumpySide):
-    """The same by `tisfm.reference`, or in plain NumPy."""
+    """The same by `bench.reference`, or in plain NumPy."""
 
     @cached_property
     def surface(self) -> Surface:

@@ -4,6 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bench import reference
 from bench.kernels.plane_steps import (
     BOUNDS,
     DRAWS,
@@ -18,7 +19,6 @@ from bench.kernels.plane_steps import (
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.kernels.traffic import VIEWS
 from bench.shared.problems import Problem
-from tisfm import reference
 from tisfm.kernels.rigid.patch_match import STEEPEST
 from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import UNSEEN
@@ -87,7 +87,7 @@ class ViewOperations(TaichiSide):
 
 
 class ViewReferences(NumpySide):
-    """The same by `tisfm.reference`."""
+    """The same by `bench.reference`."""
 
     @cached_property
     def views(self) -> Views:

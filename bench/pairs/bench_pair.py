@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import taichi as ti
 
+from bench import reference
 from bench.shared.agreement import check_quantile
 from bench.shared.problems import Problem, problem_at
-from tisfm import reference, runtime
+from tisfm import runtime
 from tisfm.kernels.layout.lanes import LaneGrid
 from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.settings import Settings

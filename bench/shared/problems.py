@@ -5,7 +5,8 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from tisfm import reference, scenes
+from bench import reference
+from tisfm import scenes
 from tisfm.rigid import rigid_motion
 
 ALPHA = 278.0  # the paper's λ = 1e8 at f = 600

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bench.reference import fusion as reference
 from tisfm import runtime
-from tisfm.reference import fusion as reference
 from tisfm.rigid import pose_matrix
 
 SIZES = [(1, 1), (5, 1), (1, 6), (7, 9), (13, 37)]

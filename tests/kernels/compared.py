@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 
 # One pixel per lane, one lane wide, odd, non-square, exactly full strips, wider than high.
 SIZES = [(5, 1), (4, 8), (7, 9), (13, 37), (6, 64), (21, 5)]

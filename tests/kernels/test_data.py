@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.kernels.compared import (
     SIZES,
     close,
@@ -12,7 +13,6 @@ from tests.kernels.compared import (
 )
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 
 
 @each_size

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 from tests.rendered import static_scene
-from tisfm import reference
 from tisfm.rigid import rigid_motion
 from tisfm.scenes.ready import STATIC_KINDS
 

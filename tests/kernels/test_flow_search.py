@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tisfm import reference
+from bench import reference
 
 NOISE = 1.5
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tisfm import reference
+from bench import reference
 
 
 def merge(inverse_depths, deviations, alike=0.1):

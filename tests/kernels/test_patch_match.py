@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tisfm import Camera, reference
+from bench import reference
+from tisfm import Camera
 from tisfm.rigid import rigid_motion
 
 TWIST = (0.9, 0.2, 0.3, 0.004, -0.006, 0.005)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.rendered import static_scene
-from tisfm import Camera, reference
+from tisfm import Camera
 from tisfm.rigid import rigid_motion
 
 TWIST = (0.4, -0.2, 0.6, 0.02, -0.05, 0.03)

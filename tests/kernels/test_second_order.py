@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.kernels.compared import SIZES, close
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 
 ALPHA, BETA, GAMMA = 2.0, 30.0, 0.1
 CONTRASTS = (0.5, 0.2, 0.7)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.kernels.test_epipolar import SIZES
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 
 
 @pairwise(size=SIZES, lanes=LANES, count=[1, 3])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 from tisfm.camera import Camera
 from tisfm.rigid import rigid_motion
 

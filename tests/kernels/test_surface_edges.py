@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tisfm import reference
+from bench import reference
 
 
 def moved(inverse_depth, deviation, middle, frame, similar=10.0):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.kernels.test_patch_match import NOISE, drawn, texture
-from tisfm import Camera, reference
+from tisfm import Camera
 
 CAMERA = Camera(focal=40.0)
 # Without rotation and along the image, where homographies are linear.

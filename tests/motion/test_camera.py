@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench.reference import flow as flow_of
+from bench.reference import motion_matrix
 from tests.motion.one_motion import CAMERA, SIZE, errors, interpreted
 from tests.rendered import static_scene, two_blocks
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.metrics import depth_errors, endpoint_error
-from tisfm.reference import flow as flow_of
-from tisfm.reference import motion_matrix
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import STATIC_KINDS
 

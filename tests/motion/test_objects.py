@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench.reference import flow as flow_of
+from bench.reference import motion_matrix
 from tests.rendered import static_scene, three_blocks, two_blocks
 from tisfm.metrics import depth_errors, pose_errors
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.contacts import aligned
-from tisfm.reference import flow as flow_of
-from tisfm.reference import motion_matrix
 from tisfm.rigid import pose_matrix, rigid_motion
 
 OBJECTS = tisfm.Settings(motion="objects")

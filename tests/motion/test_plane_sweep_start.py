@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
 from tests.rendered import static_scene
-from tisfm import reference
 from tisfm.metrics import depth_errors
 from tisfm.rigid import rigid_motion
 from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture

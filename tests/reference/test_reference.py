@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm import reference
+from bench import reference
 
 
 def smooth_image(height, width, *, step=1.0, time=0.0, motion=(0.0, 0.0)):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
-from tisfm import reference
 from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import gaussian_pyramid, level_count, smooth

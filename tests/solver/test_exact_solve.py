@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import tisfm
+from bench import reference
 from tests.rendered import static_scene
-from tisfm import reference
 from tisfm.formats import read_image
 
 CAMERA = tisfm.Camera(focal=600.0)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
+from bench.reference.flowless import flowless_fields, minimise_over_flowless
 from tests.lanes import LANES
-from tisfm import reference
-from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
 
 ALPHA = 40.0
 STIFFNESS = (3.0, 0.5, 1.0, 10.0, 3.0, 0.5)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import reference
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
-from tisfm import reference
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64), (21, 5), (16, 35)]
 ALPHA = 40.0

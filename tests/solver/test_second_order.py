@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import reference
 from tests.lanes import LANES
 from tests.pairwise import pairwise
-from tisfm import reference
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.reference.smoothness import aubert
+from bench.reference.smoothness import aubert
 
 # The pixels at the near and at the far end of eastern edges, and of southern ones.
 _ENDS = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))
@@ -112,7 +112,7 @@ def line_tensor(
     """Return the energy, and (A, B, C), (3, H, W), of constraints p D + c = 0.
 
     `terms` are (k, 2, H, W): p and c of the k constraints of each term, with the scales of
-    `tisfm.reference.robust_tensor`.
+    `bench.reference.robust_tensor`.
     """
     energy, total = 0.0, np.zeros((3, *depth.shape))
     for term, scale in zip(terms, scales, strict=True):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from bench.reference.data import constancy_tensors, flow, motion_matrix
+from bench.reference.images import derivatives, warp
+from bench.reference.minimisation import minimise
+from bench.reference.smoothness import Smoothness, image_edges, mean_step
 from tisfm.camera import Camera
-from tisfm.reference.data import constancy_tensors, flow, motion_matrix
-from tisfm.reference.images import derivatives, warp
-from tisfm.reference.minimisation import minimise
-from tisfm.reference.smoothness import Smoothness, image_edges, mean_step
 from tisfm.settings import Settings
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tisfm.reference.smoothness import differences
+from bench.reference.smoothness import differences
 
 
 def flowless_fields(motion: np.ndarray) -> np.ndarray:
@@ -14,7 +14,7 @@ def flowless_fields(motion: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     motion : (2, n, H, W) array
-        G of 6 or 3 components (`tisfm.reference.motion_matrix`).
+        G of 6 or 3 components (`bench.reference.motion_matrix`).
     """
     x, y = -motion[0, 2], -motion[1, 2]
     one, zero = np.ones_like(x), np.zeros_like(x)

@@ -17,11 +17,9 @@ Departures from the paper, beyond that scaling:
 Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
 the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)
 has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
-
-May import: of the top level `camera` and `settings`.
 """
 
-from tisfm.reference.data import (
+from bench.reference.data import (
     brightness_tensor,
     constancy_constraints,
     constancy_tensors,
@@ -33,48 +31,48 @@ from tisfm.reference.data import (
     robust_tensor,
     tensors_of,
 )
-from tisfm.reference.energies import (
+from bench.reference.energies import (
     energy,
     half_quadratic_energy,
 )
-from tisfm.reference.epipolar import (
+from bench.reference.epipolar import (
     along,
     displacement,
     frame_equations,
     motion_jacobian,
     motion_system,
 )
-from tisfm.reference.flowless import flowless_fields, minimise_over_flowless
-from tisfm.reference.forward_splatting import defeated, splat
-from tisfm.reference.images import (
+from bench.reference.flowless import flowless_fields, minimise_over_flowless
+from bench.reference.forward_splatting import defeated, splat
+from bench.reference.images import (
     derivatives,
     warp,
 )
-from tisfm.reference.linear_system import (
+from bench.reference.linear_system import (
     local_matrices,
     local_right_sides,
     sweep_lexicographic,
     sweep_red_black,
 )
-from tisfm.reference.merging import merged
-from tisfm.reference.minimisation import (
+from bench.reference.merging import merged
+from bench.reference.minimisation import (
     Minimisation,
     minimise,
 )
-from tisfm.reference.patch_match import (
+from bench.reference.patch_match import (
     best_mean,
     improved_planes,
     plane_cost,
     plane_disagreement,
     window_cost,
 )
-from tisfm.reference.plane_sweep import aggregate, matching_cost
-from tisfm.reference.pyramid import (
+from bench.reference.plane_sweep import aggregate, matching_cost
+from bench.reference.pyramid import (
     coarse_to_fine,
     prolong,
 )
-from tisfm.reference.rendering import rendered
-from tisfm.reference.second_order import (
+from bench.reference.rendering import rendered
+from bench.reference.second_order import (
     SecondOrder,
     anchor_energy,
     anchor_tensor,
@@ -89,7 +87,7 @@ from tisfm.reference.second_order import (
     second_order_system,
     second_order_weights,
 )
-from tisfm.reference.smoothness import (
+from bench.reference.smoothness import (
     Smoothness,
     aubert,
     differences,
@@ -97,7 +95,7 @@ from tisfm.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
-from tisfm.reference.surface_edges import by_look
+from bench.reference.surface_edges import by_look
 
 __all__ = [
     "Minimisation",

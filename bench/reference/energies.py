@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tisfm.reference.data import data_energy
-from tisfm.reference.smoothness import Smoothness, smoothness_energy
+from bench.reference.data import data_energy
+from bench.reference.smoothness import Smoothness, smoothness_energy
 
 
 def energy(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bench.reference.epipolar import displacement
 from tisfm.camera import Camera
-from tisfm.reference.epipolar import displacement
 
 
 def matching_cost(

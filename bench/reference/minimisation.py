@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.reference.data import robust_energy, robust_tensor
-from tisfm.reference.energies import half_quadratic_energy
-from tisfm.reference.flowless import minimise_over_flowless
-from tisfm.reference.linear_system import sweep_red_black
-from tisfm.reference.smoothness import Smoothness, edge_weights, smoothness_energy
+from bench.reference.data import robust_energy, robust_tensor
+from bench.reference.energies import half_quadratic_energy
+from bench.reference.flowless import minimise_over_flowless
+from bench.reference.linear_system import sweep_red_black
+from bench.reference.smoothness import Smoothness, edge_weights, smoothness_energy
 
 
 @dataclass(frozen=True)
