@@ -8,23 +8,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
-from hypothesis import HealthCheck, settings
 
 import tisfm
 from bench import reference
+from tests import draws
 from tisfm import runtime
-
-# A machine that does other work may take any time for an example.
-settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("patient")
 
 # Real sequences are no part of the project: a folder of them may lie beside the checkout.
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
 SHARED_DATA = Path(os.environ.get("TISFM_DATA") or BESIDE)
 
 
+def pytest_configure(config):
+    """Choose between the short draws of properties and the long ones of -m nightly."""
+    draws.configure(config)
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Start Taichi once, before any test builds a kernel; on a GPU there is one lane."""
+    draws.mark_drawn(items)
     if items and runtime.on_gpu():
         wide = [item for item in items if _parameter(item, "lanes") not in (None, 1)]
         config.hook.pytest_deselected(items=wide)
