@@ -11,7 +11,7 @@ from tisfm.exports.result_frames import PairFrames
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 NO_CODES = ("<img src=x>", "Converged", "", "a b", "converged\n", "é", None, 3, ["converged"])
 

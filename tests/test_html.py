@@ -56,7 +56,7 @@ def test_a_control_refuses_plain_text():
 
     from markupsafe import Markup
 
-    from tisfm.view.texts import set_html
+    from tisfm.view.html_texts import set_html
 
     control = SimpleNamespace(content="")
     with pytest.raises(TypeError, match="expected Markup"):

@@ -26,7 +26,7 @@ from tisfm import interpretation_file, pair, runtime
 from tisfm.cli import pair_work
 from tisfm.cli.command_line import main
 from tisfm.formats import FormatError, write_png
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 PLAIN = ("run", "frames", "-o", "out", "--preset", "fast")
 

@@ -13,8 +13,8 @@ import tisfm
 from tests.rendered import static_scene
 from tisfm.datasets import find_pairs
 from tisfm.evaluation.files import EvaluationWriter
+from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import evaluate
-from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import write_png
 from tisfm.rigid import pose_matrix
 

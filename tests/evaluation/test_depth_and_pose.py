@@ -21,8 +21,8 @@ from tests.evaluation.evaluated import (
 )
 from tisfm.camera import Camera
 from tisfm.datasets import find_pairs
+from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import evaluate
-from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats import read_image
 from tisfm.lens import Undistortion
 from tisfm.metrics import (

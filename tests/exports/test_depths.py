@@ -11,7 +11,7 @@ from tests.exports.made import SHAPE, made, ramp
 from tests.trajectory.paths import PATIENT
 from tisfm.exports import SequenceFrames, write_depths
 from tisfm.exports.depths import SUFFIXES, depth_of
-from tisfm.exports.float_pictures import write_exr, write_pfm, write_tiff
+from tisfm.exports.float_images import write_exr, write_pfm, write_tiff
 from tisfm.formats import read_depth_png, read_dpt
 
 KINDS = sorted(SUFFIXES)

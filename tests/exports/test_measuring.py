@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.exports.exported import predicted, true_places
-from tisfm.exports.tracks_measuring import Pose, is_smooth, measured, positions_of
+from tisfm.exports.guided_matching import Pose, is_smooth, measured, positions_of
 from tisfm.reconstruction.tracks import seeds
 
 

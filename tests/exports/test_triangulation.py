@@ -5,9 +5,9 @@ import pytest
 
 from tests.exports.exported import predicted
 from tisfm.camera import Camera
-from tisfm.exports import tracks_triangulation
-from tisfm.exports.tracks_measuring import Pose
-from tisfm.exports.tracks_triangulation import consistent, triangulated
+from tisfm.exports import track_triangulation
+from tisfm.exports.guided_matching import Pose
+from tisfm.exports.track_triangulation import consistent, triangulated
 from tisfm.rigid import pose_matrix
 
 SHAPE, CAMERA = (120, 160), Camera(focal=150.0)
@@ -83,7 +83,7 @@ def test_points_are_the_same_in_lots(monkeypatch):
     places[5, 2] += 7
     places[11, 1:] = np.nan
     whole = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
-    monkeypatch.setattr(tracks_triangulation, "LOT", 21)  # four points
+    monkeypatch.setattr(track_triangulation, "LOT", 21)  # four points
     lots = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
     np.testing.assert_array_equal(lots[0], whole[0])
     np.testing.assert_array_equal(lots[1], whole[1])

@@ -11,7 +11,7 @@ from tests.report.made import EVIL, Read, assert_self_contained, reconstruction
 from tisfm.camera import Camera
 from tisfm.outcome import Status
 from tisfm.report import REPORT, is_report, write_reconstruction_report
-from tisfm.report.of_reconstruction import predicted_flow
+from tisfm.report.reconstruction_report import predicted_flow
 from tisfm.rigid import pose_matrix
 
 
@@ -88,7 +88,7 @@ def test_long_sequences_and_large_frames_stay_small(tmp_path):
 
 
 def test_a_budget_is_kept_whatever_the_pictures():
-    from tisfm.report.pictures import Pictures
+    from tisfm.report.embedded_images import Pictures
 
     noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
     for budget in (400_000, 20_000, 4_000):

@@ -15,7 +15,7 @@ from tests.reconstruction.films import walk
 from tests.report.made import Read, assert_self_contained
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
-from tisfm.report import REPORT, of_run, write_run_report
+from tisfm.report import REPORT, run_report, write_run_report
 
 
 def read(folder):
@@ -127,7 +127,7 @@ def test_a_mistake_of_ours_is_not_taken_for_one_of_the_record(a_run, monkeypatch
     def broken(curves):
         raise KeyError("a bug")
 
-    monkeypatch.setattr(of_run, "curves_drawing", broken)
+    monkeypatch.setattr(run_report, "curves_drawing", broken)
     with pytest.raises(KeyError, match="a bug"):
         write_run_report(a_run, record(a_run))
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm.outcome import Status
-from tisfm.report.pictures import chosen
+from tisfm.report.embedded_images import chosen
 from tisfm.report.statuses import MEANINGS, color_of, counted, spans
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"

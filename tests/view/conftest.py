@@ -3,7 +3,7 @@
 import pytest
 
 from tests.view.browser import launched
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 
 @pytest.fixture

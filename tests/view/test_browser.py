@@ -281,7 +281,7 @@ def test_a_run_that_goes_on_grows(look, tmp_path):
 
 @pytest.mark.slow
 def test_it_saves_pictures_films_and_pages(look, browser, tmp_path, monkeypatch):
-    monkeypatch.setattr("tisfm.view.saving.FILM_SIZE", (120, 160))
+    monkeypatch.setattr("tisfm.view.downloads.FILM_SIZE", (120, 160))
     write_reconstruction(tmp_path / "r", 3)
     _, tab = look(tmp_path / "r")
     tab.get_by_text("Save", exact=True).click()

@@ -7,12 +7,12 @@ import pytest
 
 from tests.view.test_cloud import made
 from tisfm.outcome import Status
+from tisfm.results.frame_cache import FrameCache
 from tisfm.show import label_colors
-from tisfm.view.cache import FrameCache
 from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors
+from tisfm.view.html_texts import distance_html, legend_html, reading_html, status_html
 from tisfm.view.pictures import KINDS, caption, picture_of
 from tisfm.view.ranges import ranges_of, sampled
-from tisfm.view.texts import distance_html, legend_html, reading_html, status_html
 
 RANGES = Ranges(inverse_depth=2.0, flow=3.0)
 GREY = [200, 200, 200]

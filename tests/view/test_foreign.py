@@ -16,10 +16,10 @@ from tisfm.report import write_reconstruction_report
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
-from tisfm.view.cloud import Choice
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
+from tisfm.view.frame_cloud import Choice
 from tisfm.view.ranges import ranges_of, sampled
-from tisfm.view.static import static_page
+from tisfm.view.static_page import static_page
 
 # Each sets a mark if a browser runs it.
 EVIL = (
@@ -91,7 +91,7 @@ def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
     folder = evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>")
     if kind == "static":
         result = open_result(folder)
-        from tisfm.view.cache import FrameCache
+        from tisfm.results.frame_cache import FrameCache
 
         made = static_page(
             result,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.view.results import DEVIATION, film, write_reconstruction, write_run
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.formats import FormatError
 from tisfm.formats.folder_lock import LOCK, locked_folder
-from tisfm.view.opening import NothingYetError, how_far, open_result
+from tisfm.results.opening import NothingYetError, how_far, open_result
 
 
 def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):

@@ -14,17 +14,17 @@ from tests.view.results import film, write_reconstruction, write_record_of, writ
 from tests.waiting import PATIENCE
 from tisfm.formats.folder_lock import locked_folder
 from tisfm.point_cloud import PointCloud
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
-from tisfm.view.cloud import Choice
 from tisfm.view.colors import Ranges
+from tisfm.view.frame_cloud import Choice
 from tisfm.view.page import Page
 from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server
-from tisfm.view.static import static_page
-from tisfm.view.waiting import WaitingPage
+from tisfm.view.static_page import static_page
+from tisfm.view.waiting_page import WaitingPage
 
 
 def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.view.test_cloud import RANGES, made
-from tisfm.view.cloud import Choice, cloud
+from tisfm.view.frame_cloud import Choice, cloud
 from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picked_point
 
 

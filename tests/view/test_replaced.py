@@ -23,7 +23,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[
 from tisfm.view.colors import Ranges
 from tisfm.view.ranges import differ
 from tisfm.view.server import start_server, stop_server
-from tisfm.view.waiting import WaitingPage
+from tisfm.view.waiting_page import WaitingPage
 
 LARGER = 100.0
 

@@ -9,14 +9,14 @@ from PIL import Image
 
 from tests.view.pages import wait_until_drawn
 from tests.view.results import write_reconstruction, write_run
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
-from tisfm.view.cloud import Choice
 from tisfm.view.colors import Ranges
-from tisfm.view.saving import save_film, save_screenshot, tell_browser
-from tisfm.view.static import static_page
+from tisfm.view.downloads import save_film, save_screenshot, tell_browser
+from tisfm.view.frame_cloud import Choice
+from tisfm.view.static_page import static_page
 
 
 class Browser:
@@ -69,7 +69,7 @@ def test_a_screenshot_is_exact(page, browser):
 
 def test_a_film_leaves_out_what_cannot_be_read_and_says_so(page, browser, tmp_path, monkeypatch):
     av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'tisfm[video]'")
-    monkeypatch.setattr("tisfm.view.saving.FILM_SIZE", (64, 96))
+    monkeypatch.setattr("tisfm.view.downloads.FILM_SIZE", (64, 96))
     (tmp_path / "r" / "frames" / "000002.jpg").unlink()
     page.cache.clear()
     save_film(page, browser)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.view.results import write_reconstruction
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 from tisfm.view.viewpoint import FOV, overview
 
 FRUSTUM = np.array([(0, 0, 0), (0.1, 0.1, 0.2), (-0.1, 0.1, 0.2), (0.1, -0.1, 0.2)])

@@ -13,8 +13,8 @@ from tisfm.formats.srgb import linear_from_srgb
 from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result import Reconstruction
-from tisfm.view.opening import open_result
-from tisfm.view.whole import Whole, clipped, fused_whole, stored_whole, thinned
+from tisfm.results.fused_scene import Whole, clipped, fused_whole, stored_whole, thinned
+from tisfm.results.opening import open_result
 
 
 def some_points(count=50):
@@ -148,7 +148,7 @@ def test_keyframes_of_the_piece_are_fused(tmp_path, monkeypatch):
             if z > 0 and 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
                 errors.append(abs(depth[row, column] / z - 1))
         assert min(errors) < 0.05
-    monkeypatch.setattr("tisfm.view.whole.MOST_VIEWS", 3)
+    monkeypatch.setattr("tisfm.results.fused_scene.MOST_VIEWS", 3)
     assert fused_whole(result, "points", 4).origin == "3 of 5 keyframes, fused"
 
 

@@ -13,9 +13,9 @@ from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
+from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import PairEvaluation
 from tisfm.evaluation.pairs import evaluate as evaluate_pairs
-from tisfm.evaluation.tables import evaluation_tables
 from tisfm.formats.flo import require_writable_flow
 from tisfm.formats.outputs import InputFiles
 from tisfm.interpretation import Interpretation

@@ -12,7 +12,7 @@ from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.foretelling import MUCH
 from tisfm.cli.nearest import hint
 from tisfm.exports.clock import check_rate
-from tisfm.exports.export import Export
+from tisfm.exports.export_request import Export
 from tisfm.exports.formats import FORMATS, Format
 from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
 from tisfm.formats.outputs import make_folder

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 from tisfm.cli.console import tell
 from tisfm.formats import atomic_write
-from tisfm.view.cache import FrameCache
-from tisfm.view.cloud import Choice
-from tisfm.view.opening import NothingYetError, open_result
+from tisfm.results.frame_cache import FrameCache
+from tisfm.results.opening import NothingYetError, open_result
+from tisfm.results.result import Result
+from tisfm.view.frame_cloud import Choice
 from tisfm.view.page import Page
 from tisfm.view.ranges import ranges_of, sampled
-from tisfm.view.result import Result
 from tisfm.view.server import start_server, stop_server, url_of
-from tisfm.view.static import static_page
-from tisfm.view.waiting import WaitingPage
+from tisfm.view.static_page import static_page
+from tisfm.view.waiting_page import WaitingPage
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.exports.float_pictures import check_exr, write_exr, write_pfm, write_tiff
+from tisfm.exports.float_images import check_exr, write_exr, write_pfm, write_tiff
 from tisfm.exports.pieces import chosen_frames
-from tisfm.exports.ranges import some_of, thinned
 from tisfm.exports.result_frames import ResultFrames
+from tisfm.exports.value_ranges import some_of, thinned
 from tisfm.formats import write_depth_png, write_dpt
 
 DepthKind = Literal["tum", "kitti", "exr", "tiff", "pfm", "dpt"]

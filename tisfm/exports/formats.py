@@ -16,8 +16,8 @@ from tisfm.exports.depths import (
     frames_with_depth,
     write_depths,
 )
-from tisfm.exports.export import Export, source_camera
-from tisfm.exports.float_pictures import check_exr
+from tisfm.exports.export_request import Export, source_camera
+from tisfm.exports.float_images import check_exr
 from tisfm.exports.folders import refuse_others
 from tisfm.exports.masks import write_masks
 from tisfm.exports.nerfstudio import write_nerfstudio

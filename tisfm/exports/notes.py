@@ -5,7 +5,7 @@ import numpy as np
 from tisfm.exports.camera_axes import is_centered
 from tisfm.exports.clock import FRAME_RATE
 from tisfm.exports.depths import LARGEST, VALUES_PER_UNIT, DepthKind, check_fits, frames_with_depth
-from tisfm.exports.export import Export, source_camera
+from tisfm.exports.export_request import Export, source_camera
 from tisfm.exports.pieces import pieces_of
 from tisfm.exports.result_frames import PairFrames
 from tisfm.focal_guess import at_size

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.checks import Floats
-from tisfm.exports.tracks_along_motion import along_motion
-from tisfm.exports.tracks_by_depth import DepthTracks
-from tisfm.exports.tracks_frames import PieceFrames, SeenPoints
+from tisfm.exports.depth_tracks import DepthTracks
+from tisfm.exports.flow_tracks import along_motion
+from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.reconstruction.result import Reconstruction
 
 CELLS = 80  # along the longer side: a point is begun in every cell that has none

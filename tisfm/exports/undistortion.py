@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.exports.float_pictures import check_exr, write_exr, write_tiff
+from tisfm.exports.float_images import check_exr, write_exr, write_tiff
 from tisfm.lens import Undistortion
 
 _NOWHERE = -1.0  # outside of every picture

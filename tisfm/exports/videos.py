@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tisfm.exports.clock import frame_rate
 from tisfm.exports.depths import frames_with_depth
 from tisfm.exports.pieces import chosen_frames
-from tisfm.exports.ranges import inverse_depth_ranges, speed_range
 from tisfm.exports.result_frames import ResultFrames
+from tisfm.exports.value_ranges import inverse_depth_ranges, speed_range
 from tisfm.exports.video_file import check_video, video_file
 from tisfm.show import anaglyph, depth_to_color, flow_to_color, stereo_view
 from tisfm.show.arrays import as_rgb

@@ -7,8 +7,8 @@ May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the to
 
 from tisfm.reconstruction.report_file import REPORT, is_report
 from tisfm.report.file import refuse_foreign
-from tisfm.report.of_reconstruction import write_reconstruction_report
-from tisfm.report.of_run import write_run_report
+from tisfm.report.reconstruction_report import write_reconstruction_report
+from tisfm.report.run_report import write_run_report
 
 __all__ = [
     "REPORT",

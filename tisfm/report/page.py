@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from tisfm.reconstruction.report_file import MARK
-from tisfm.report.settings_table import SettingRow
+from tisfm.report.setting_rows import SettingRow
 from tisfm.report.statuses import StatusCount, color_of
 from tisfm.report.style import SCRIPT, STYLE
 from tisfm.version import __version__

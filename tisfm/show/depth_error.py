@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.metrics import depth_error_map, depth_errors
 from tisfm.show.arrays import as_map, is_depth, require_same_size
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
-from tisfm.show.drawing import (
+from tisfm.show.error import check_error_limits, error_to_color
+from tisfm.show.legends import (
     BAR_SIZE,
     DEPTH_BAR_SIZE,
     draw_color_bar,
     draw_depth_bar,
     draw_panels,
 )
-from tisfm.show.error import check_error_limits, error_to_color
-from tisfm.show.layout import WIDE, beside_legends, beside_size
+from tisfm.show.mosaic import WIDE, beside_legends, beside_size
 from tisfm.show.palette import color_ramp
 
 if TYPE_CHECKING:

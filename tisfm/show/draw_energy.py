@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from tisfm.outcome import History
-from tisfm.show.canvas import few_ticks, name_axis, plot_axes, style_plot, write_inside
+from tisfm.show.axes import few_ticks, name_axis, plot_axes, style_plot, write_inside
 from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from tisfm.metrics import depth_error_map, endpoint_error_map
 from tisfm.metrics.calibration import error_in_deviations
 from tisfm.metrics.known import is_known
 from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
-from tisfm.show.canvas import name_axis, plot_axes, style_plot
+from tisfm.show.axes import name_axis, plot_axes, style_plot
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE
 from tisfm.show.draw_maps import with_bar
 from tisfm.show.error import ERROR_RANGE, check_error_limits, error_to_color

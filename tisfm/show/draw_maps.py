@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_flow, as_map, check_limit
-from tisfm.show.canvas import (
+from tisfm.show.axes import (
     Sizes,
     draw_bar,
     legend_room,
@@ -21,7 +21,7 @@ from tisfm.show.confidence import confidence_to_color
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
 from tisfm.show.flow import color_wheel, flow_to_color, usual_length
 from tisfm.show.labels import label_overlay
-from tisfm.show.layout import WIDE
+from tisfm.show.mosaic import WIDE
 from tisfm.show.palette import FAINT, INK, Quantity, as_hex, color_ramp, colors_of_categories
 from tisfm.show.ticks import depth_ticks, doublings
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color

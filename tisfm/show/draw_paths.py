@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.metrics import Similarity, align
-from tisfm.show.canvas import (
+from tisfm.show.axes import (
     Sizes,
     few_ticks,
     name_axis,

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.show.arrays import as_flow, as_map, check_limit, require_same_size
-from tisfm.show.drawing import (
+from tisfm.show.flow import flow_to_color, usual_length
+from tisfm.show.legends import (
     BAR_SIZE,
     WHEEL_SIZE,
     draw_color_bar,
     draw_panels,
     draw_wheel,
 )
-from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.layout import WIDE
+from tisfm.show.mosaic import WIDE
 from tisfm.show.palette import colors_of
 
 if TYPE_CHECKING:

@@ -25,7 +25,8 @@ from tisfm.show.arrays import (
     require_same_size,
 )
 from tisfm.show.depth import depth_grey, inverse_depth_limit
-from tisfm.show.drawing import (
+from tisfm.show.flow import flow_to_color, usual_length
+from tisfm.show.legends import (
     DEPTH_BAR_SIZE,
     LEGEND_SIZE,
     backdrop,
@@ -34,8 +35,7 @@ from tisfm.show.drawing import (
     draw_legend,
     draw_panels,
 )
-from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.layout import beside_legends, beside_size, panel_size
+from tisfm.show.mosaic import beside_legends, beside_size, panel_size
 from tisfm.show.palette import HIDDEN
 
 if TYPE_CHECKING:

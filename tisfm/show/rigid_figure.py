@@ -11,7 +11,11 @@ from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.confidence import confidence_to_color
 from tisfm.show.depth import depth_to_color, inverse_depth_limit
-from tisfm.show.drawing import (
+from tisfm.show.error import error_to_color
+from tisfm.show.figures import tint
+from tisfm.show.flow import flow_to_color, usual_length
+from tisfm.show.labels import label_overlay
+from tisfm.show.legends import (
     BAR_SIZE,
     DEPTH_BAR_SIZE,
     LEGEND_SIZE,
@@ -24,11 +28,7 @@ from tisfm.show.drawing import (
     draw_swatches,
     swatches_size,
 )
-from tisfm.show.error import error_to_color
-from tisfm.show.figures import tint
-from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.labels import label_overlay
-from tisfm.show.layout import WIDE, beside_legends, beside_size, stack_legends, stacked_size
+from tisfm.show.mosaic import WIDE, beside_legends, beside_size, stack_legends, stacked_size
 from tisfm.show.palette import color_ramp, colors_of_categories
 from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 

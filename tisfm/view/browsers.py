@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tisfm.view.cloud import Cloud
-from tisfm.view.frame import ViewFrame
+from tisfm.results.frame import ViewFrame
+from tisfm.view.frame_cloud import Cloud
 from tisfm.view.picking import following_fov
 from tisfm.view.scene import SceneView, quaternion
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT

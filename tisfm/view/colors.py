@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.results.frame import ViewFrame
 from tisfm.show import (
     UNCERTAINTY_RANGE,
     UNKNOWN_COLOR,
@@ -17,7 +18,6 @@ from tisfm.show import (
     label_colors,
 )
 from tisfm.show.palette import as_hex
-from tisfm.view.frame import ViewFrame
 
 Quantity = Literal["image", "depth", "confidence", "deviation", "object"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tisfm.results.fused_scene import KINDS as WHOLES
+from tisfm.results.result import Result
 from tisfm.view.colors import QUANTITIES
 from tisfm.view.pictures import KINDS
-from tisfm.view.result import Result
-from tisfm.view.whole import KINDS as WHOLES
 
 if TYPE_CHECKING:
     from viser import ViserServer

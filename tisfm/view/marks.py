@@ -4,13 +4,13 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from tisfm.view.cloud import Cloud
+from tisfm.results.frame import ViewFrame
+from tisfm.results.result import Result
 from tisfm.view.controls import Controls
-from tisfm.view.frame import ViewFrame
+from tisfm.view.frame_cloud import Cloud
+from tisfm.view.html_texts import distance_html, outside_html, reading_html, set_html
 from tisfm.view.picking import WIDE, picked_pixel, picked_point
-from tisfm.view.result import Result
 from tisfm.view.scene import SceneView
-from tisfm.view.texts import distance_html, outside_html, reading_html, set_html
 
 
 class Marks:

@@ -12,22 +12,22 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from tisfm.view.box import ClippingBox
+from tisfm.results.frame import ViewFrame
+from tisfm.results.frame_cache import MOST_BYTES, FrameCache
+from tisfm.results.result import Result
 from tisfm.view.browsers import Browsers
-from tisfm.view.cache import MOST_BYTES, FrameCache
-from tisfm.view.cloud import Choice, Cloud, cloud
+from tisfm.view.clipping_box import ClippingBox
 from tisfm.view.colors import pixel_colors
 from tisfm.view.controls import ANY_DEVIATION, build_controls, kind_of, take_settings
-from tisfm.view.frame import ViewFrame
+from tisfm.view.downloads import save_film, save_screenshot, save_static, tell_browser
+from tisfm.view.frame_cloud import Choice, Cloud, cloud
+from tisfm.view.fused_layer import WholeLayer
+from tisfm.view.html_texts import legend_html, legend_of, set_html, status_html, things_in
 from tisfm.view.marks import Marks
 from tisfm.view.pictures import caption, picture_of
 from tisfm.view.ranges import differ, ranges_of, sampled
-from tisfm.view.result import Result
-from tisfm.view.saving import save_film, save_screenshot, save_static, tell_browser
 from tisfm.view.scene import SceneView, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
-from tisfm.view.texts import legend_html, legend_of, set_html, status_html, things_in
-from tisfm.view.whole_layer import WholeLayer
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.view.frame import ViewFrame
+from tisfm.results.frame import ViewFrame
 
 WIDE = 0.012  # rad: how far beside a point a click may be
 _BEHIND = 1.03  # of the distance of the nearest: points of one surface

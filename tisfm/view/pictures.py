@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.results.frame import ViewFrame
 from tisfm.show import anaglyph, flow_to_color
 from tisfm.view.colors import Ranges, pixel_colors, unknown_picture
-from tisfm.view.frame import ViewFrame
 
 PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
 KINDS: tuple[PictureKind, ...] = get_args(PictureKind)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tisfm.results.frame import ViewFrame
+from tisfm.results.frame_cache import FrameCache
 from tisfm.show import inverse_depth_limit, usual_length
-from tisfm.view.cache import FrameCache
 from tisfm.view.colors import Ranges
-from tisfm.view.frame import ViewFrame
 
 
 def ranges_of(frames: Sequence[ViewFrame], *, with_flow: bool = True) -> Ranges:

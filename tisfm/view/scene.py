@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats.glb import glb_surface
+from tisfm.results.frame import ViewFrame
+from tisfm.results.fused_scene import Whole
+from tisfm.results.result import Result
 from tisfm.show import label_colors
-from tisfm.view.cloud import Cloud
-from tisfm.view.frame import ViewFrame
+from tisfm.view.frame_cloud import Cloud
 from tisfm.view.picking import field_of_view, frustum_scale
-from tisfm.view.result import Result
 from tisfm.view.surface import surface_file, triangles_between
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
-from tisfm.view.whole import Whole
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tisfm.formats.glb import unlit
-from tisfm.view.cloud import Cloud
+from tisfm.view.frame_cloud import Cloud
 
 _TORN = 0.05  # neighbours whose depth differs by a larger share are of different surfaces
 

@@ -7,7 +7,7 @@ from bench.view.__main__ import main
 from bench.view.long_results import lengthened_reconstruction, lengthened_run
 from bench.view.opening import Opening, browser_path
 from tests.view.results import write_reconstruction, write_run
-from tisfm.view.opening import open_result
+from tisfm.results.opening import open_result
 
 
 def opening(first, **changes):

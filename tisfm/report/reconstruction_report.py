@@ -10,11 +10,11 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.calibration import focal_in_words
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
+from tisfm.report.embedded_images import Pictures, chosen
 from tisfm.report.file import refuse_foreign, write_page
+from tisfm.report.legends import depth_legend, deviation_legend, flow_legend
 from tisfm.report.page import Page, Slide, View, html
-from tisfm.report.pictures import Pictures, chosen
-from tisfm.report.settings_table import nearest_preset, setting_rows
-from tisfm.report.shared import depth_legend, deviation_legend, flow_legend
+from tisfm.report.setting_rows import nearest_preset, setting_rows
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.show import (
     depth_to_color,

@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.checks import Floats
 from tisfm.exports.frame_files import picture_of
-from tisfm.exports.tracks_measuring import Pose
+from tisfm.exports.guided_matching import Pose
 from tisfm.reconstruction.folder import depth_path
 from tisfm.reconstruction.result import Reconstruction
 

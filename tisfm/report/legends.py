@@ -2,8 +2,8 @@
 
 from markupsafe import Markup
 
+from tisfm.report.embedded_images import png_url
 from tisfm.report.page import color_bar
-from tisfm.report.pictures import png_url
 from tisfm.show import UNCERTAINTY_RANGE, color_ramp, color_wheel
 from tisfm.show.palette import Quantity
 

@@ -5,10 +5,10 @@ from pathlib import Path
 from tisfm.formats.folder_lock import is_written_to
 from tisfm.reconstruction.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
-from tisfm.view.reconstruction_result import ReconstructionResult
-from tisfm.view.result import Result
-from tisfm.view.run_result import RECORD as RUN
-from tisfm.view.run_result import RunResult
+from tisfm.results.reconstruction_result import ReconstructionResult
+from tisfm.results.result import Result
+from tisfm.results.run_result import RECORD as RUN
+from tisfm.results.run_result import RunResult
 
 
 class NothingYetError(ValueError):

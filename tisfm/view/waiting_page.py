@@ -9,9 +9,9 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.reconstruction.folder import PICTURES, read_picture
-from tisfm.view.opening import NothingYetError, how_far, open_result
-from tisfm.view.result import Result, as_rgb
-from tisfm.view.texts import set_html, waiting_html
+from tisfm.results.opening import NothingYetError, how_far, open_result
+from tisfm.results.result import Result, as_rgb
+from tisfm.view.html_texts import set_html, waiting_html
 
 if TYPE_CHECKING:
     from viser import ViserServer

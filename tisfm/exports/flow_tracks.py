@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tisfm.exports.tracks_frames import PieceFrames, SeenPoints
-from tisfm.exports.tracks_measuring import are_held
-from tisfm.exports.tracks_triangulation import consistent
+from tisfm.exports.guided_matching import are_held
+from tisfm.exports.track_frames import PieceFrames, SeenPoints
+from tisfm.exports.track_triangulation import consistent
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Seen, Tracker

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.show.drawing import new_figure
-from tisfm.show.layout import panel_size
+from tisfm.show.legends import new_figure
+from tisfm.show.mosaic import panel_size
 from tisfm.show.palette import FAINT, INK
 from tisfm.show.ticks import with_room
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.view.cloud import Cloud
+from tisfm.results.frame import ViewFrame
 from tisfm.view.controls import Controls
-from tisfm.view.frame import ViewFrame
+from tisfm.view.frame_cloud import Cloud
 from tisfm.view.scene import SceneView
 from tisfm.view.viewpoint import in_sight
 

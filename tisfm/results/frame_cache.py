@@ -3,8 +3,8 @@
 from collections import OrderedDict
 from dataclasses import replace
 
-from tisfm.view.frame import ViewFrame
-from tisfm.view.result import Result
+from tisfm.results.frame import ViewFrame
+from tisfm.results.result import Result
 
 MOST_BYTES = 256 * 2**20
 

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from tisfm.reconstruction.folder import RECORD
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.results.frame import ViewFrame
+from tisfm.results.fused_scene import Whole, WholeKind, fused_whole, stored_whole, thinned
+from tisfm.results.result import Change, as_rgb
 from tisfm.rigid import rigid_twist
-from tisfm.view.frame import ViewFrame
-from tisfm.view.result import Change, as_rgb
-from tisfm.view.whole import Whole, WholeKind, fused_whole, stored_whole, thinned
 
 
 class ReconstructionResult:
-    """A reconstruction; see `tisfm.view.result.Result`.
+    """A reconstruction; see `tisfm.results.result.Result`.
 
     Raises
     ------

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.checks import Floats
-from tisfm.exports.tracks_measuring import Pose
+from tisfm.exports.guided_matching import Pose
 
 ROUNDS = 8  # of Gauss–Newton
 NOISE = 0.5  # px: of a measured position, and where a residual begins to count less

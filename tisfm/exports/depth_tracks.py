@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.exports.tracks_frames import PieceFrames, SeenPoints
-from tisfm.exports.tracks_measuring import is_smooth, measured, positions_of
-from tisfm.exports.tracks_triangulation import consistent
+from tisfm.exports.guided_matching import is_smooth, measured, positions_of
+from tisfm.exports.track_frames import PieceFrames, SeenPoints
+from tisfm.exports.track_triangulation import consistent
 from tisfm.reconstruction.tracks import seeds
 
 AROUND = 4  # keyframes to either side that a keyframe is compared with, and all frames to the next

@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.view.box import Box
+from tisfm.results.fused_scene import Whole, WholeKind, clipped
+from tisfm.results.result import Result
+from tisfm.view.clipping_box import Box
 from tisfm.view.controls import NO_WHOLE, Controls
-from tisfm.view.result import Result
+from tisfm.view.html_texts import note_html, set_html
 from tisfm.view.scene import SceneView
-from tisfm.view.texts import note_html, set_html
-from tisfm.view.whole import Whole, WholeKind, clipped
 
 Key = tuple[WholeKind, int]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.results.frame import ViewFrame
 from tisfm.view.colors import Quantity, Ranges, pixel_colors
-from tisfm.view.frame import ViewFrame
 
 FARTHEST_MEDIANS = 10.0  # depths, as of point clouds: farther depth is a guess
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.show.flow import color_wheel, quiver_points
-from tisfm.show.layout import HEADING_SIZE, TITLE_SIZE, Box, Layout, arrange, panel_size
+from tisfm.show.mosaic import HEADING_SIZE, TITLE_SIZE, Box, Layout, arrange, panel_size
 from tisfm.show.ticks import depth_ticks, with_room
 
 if TYPE_CHECKING:

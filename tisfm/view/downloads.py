@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.view.html_texts import progress_html, set_html
 from tisfm.view.scene import behind, quaternion
-from tisfm.view.static import static_page
-from tisfm.view.texts import progress_html, set_html
+from tisfm.view.static_page import static_page
 from tisfm.view.viewpoint import FOV
 
 if TYPE_CHECKING:

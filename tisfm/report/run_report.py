@@ -11,11 +11,11 @@ from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
+from tisfm.report.embedded_images import Pictures, chosen
 from tisfm.report.file import refuse_foreign, write_page
+from tisfm.report.legends import depth_legend, flow_legend, share_legend
 from tisfm.report.page import Page, Slide, View, html
-from tisfm.report.pictures import Pictures, chosen
-from tisfm.report.settings_table import nearest_preset, setting_rows
-from tisfm.report.shared import depth_legend, flow_legend, share_legend
+from tisfm.report.setting_rows import nearest_preset, setting_rows
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.settings import Settings
 from tisfm.show import (

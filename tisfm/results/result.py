@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.view.frame import ViewFrame
-from tisfm.view.whole import Whole, WholeKind
+from tisfm.results.frame import ViewFrame
+from tisfm.results.fused_scene import Whole, WholeKind
 
 Change = Literal["grown", "replaced"]
 

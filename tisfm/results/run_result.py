@@ -14,16 +14,16 @@ from tisfm.formats.text import read_json
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.results.frame import ViewFrame
+from tisfm.results.fused_scene import Whole, WholeKind
+from tisfm.results.result import Change, as_rgb
 from tisfm.rigid import pose_matrix
-from tisfm.view.frame import ViewFrame
-from tisfm.view.result import Change, as_rgb
-from tisfm.view.whole import Whole, WholeKind
 
 _UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
 
 
 class RunResult:
-    """The pairs that a run has finished; see `tisfm.view.result.Result`.
+    """The pairs that a run has finished; see `tisfm.results.result.Result`.
 
     Raises
     ------

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from tisfm.view.cloud import Choice, cloud
+from tisfm.results.frame import ViewFrame
+from tisfm.results.result import Result
 from tisfm.view.colors import Quantity, Ranges
-from tisfm.view.frame import ViewFrame
-from tisfm.view.result import Result
+from tisfm.view.frame_cloud import Choice, cloud
+from tisfm.view.html_texts import legend_html, legend_of, things_in
 from tisfm.view.scene import SceneView
 from tisfm.view.server import start_server, stop_server
-from tisfm.view.texts import legend_html, legend_of, things_in
 
 _CAPTION = (
     "position:fixed;left:0;bottom:44px;max-width:60%;padding:0.3em 0.7em;font:12px sans-serif;"
