@@ -18,8 +18,8 @@ def test_what_is_imported_is_found(tmp_path):
         "import numpy.linalg\n"
         "from typing import TYPE_CHECKING\n"
         "from tisfm import camera, Settings\n"
-        "from .errors import FormatError\n"
-        "from . import flo\n"
+        "from .reading import FormatError\n"
+        "from . import npz\n"
         "if TYPE_CHECKING:\n    from tisfm.pair import interpret\n"
         "else:\n    import zlib\n"
         "def late():\n    from tisfm.rigid import pose_matrix\n"
@@ -29,8 +29,8 @@ def test_what_is_imported_is_found(tmp_path):
         "typing",
         "tisfm",
         "tisfm.camera",
-        "tisfm.formats.errors",
-        "tisfm.formats.flo",
+        "tisfm.formats.reading",
+        "tisfm.formats.npz",
         "tisfm.rigid",
         "zlib",
     }

@@ -8,7 +8,7 @@ from typing import Any
 
 from tisfm.camera import Camera, check_camera
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
 
 __all__ = ["read_camera", "write_camera"]
 

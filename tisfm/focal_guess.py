@@ -199,8 +199,8 @@ def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
 
 def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, Any]]:
     """Return the size (H, W) of an image file and its EXIF data."""
+    from tisfm.formats.image_headers import PILLOW_FORMATS
     from tisfm.formats.images import read_image
-    from tisfm.formats.picture_size import PILLOW_FORMATS
     from tisfm.formats.reading import read_bytes
 
     data = read_bytes(path)

@@ -13,8 +13,8 @@ from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
+from tisfm.sources.frame_reader import warn_of
 from tisfm.sources.masks import Mask
-from tisfm.sources.notes import warn_of
 from tisfm.window import Window, WindowSize, window_of
 
 

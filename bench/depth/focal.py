@@ -24,7 +24,7 @@ from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene
-from tisfm.scenes.ready import STATIC_KINDS
+from tisfm.scenes.block_scenes import STATIC_KINDS
 from tisfm.settings import Motion, Preset, Settings
 
 FOCALS = (320.0, 600.0, 1000.0)  # px, true

@@ -13,11 +13,11 @@ from bench.shared.sequences import FlowPair
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
 from tisfm.datasets.calibration import STATED
-from tisfm.datasets.depth_maps import read_depth
+from tisfm.datasets.depth_files import read_depth
 from tisfm.lens import undistort, undistort_depth
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, room, static_scene, two_blocks
-from tisfm.scenes.ready import STATIC_KINDS
+from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)

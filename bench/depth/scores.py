@@ -9,7 +9,7 @@ from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
 from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import certain_error, depth_errors, pose_errors
-from tisfm.metrics.known import is_known
+from tisfm.metrics.valid_pixels import is_known
 
 HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
 

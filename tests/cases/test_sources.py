@@ -14,9 +14,9 @@ from PIL import Image
 
 import tisfm
 from tests.cases.inputs import sliding, write_film, write_folder
-from tisfm.formats.time_names import in_order, named_times, times_of_names
+from tisfm.formats.image_names import in_order, named_times, times_of_names
 from tisfm.sources import FrameSource
-from tisfm.sources.notes import SourceWarning
+from tisfm.sources.frame_reader import SourceWarning
 
 FRAMES = sliding()
 BEGIN = 1738133056

@@ -12,9 +12,9 @@ from tests.cases.inputs import room, sliding, write_film
 from tests.cli.conftest import place, tisfm_run  # noqa: F401
 from tisfm.exports import write_kitti_paths, write_tum_paths
 from tisfm.reconstruction.given_poses import poses_of_frames
-from tisfm.sources.notes import SourceWarning
+from tisfm.sources.frame_reader import SourceWarning
 from tisfm.trajectory import Trajectory, read_tum
-from tisfm.trajectory.clock import do_rise, times_note, times_or_numbers
+from tisfm.trajectory.times import do_rise, times_note, times_or_numbers
 
 pytest.importorskip("av")
 SETTINGS = tisfm.Settings.preset("fast", motion="camera")

@@ -14,7 +14,7 @@ from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid
 from tisfm import interpretation_file, pair
 from tisfm.cli import demo, pair_files
 from tisfm.evaluation import pairs
-from tisfm.formats import flo, write_png
+from tisfm.formats import float_maps, write_png
 
 
 def damaged(kind, place):
@@ -182,7 +182,7 @@ def test_frames_beyond_what_files_can_hold_are_one_line(tisfm_run, place, monkey
 
 def test_pairs_beyond_what_files_can_hold_are_faults(tisfm_run, benchmark_folder, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(flo, "LARGEST_SIDE", 39)
+        patched.setattr(float_maps, "LARGEST_SIDE", 39)
         patched.setattr(pairs, "interpret", forbid)
         code, _, err = tisfm_run("eval", "flows", "-o", "out", "--preset", "fast")
     assert code == 1
@@ -190,7 +190,7 @@ def test_pairs_beyond_what_files_can_hold_are_faults(tisfm_run, benchmark_folder
         line = f"tisfm: flows/{name}: frame0 is 24 × 40 px, but its flow goes into a .flo file"
         assert line in err
     assert [path.name for path in Path("out").rglob("*")] == ["eval.json"]
-    monkeypatch.setattr(flo, "LARGEST_SIDE", 39)
+    monkeypatch.setattr(float_maps, "LARGEST_SIDE", 39)
     assert tisfm_run("eval", "flows", "--preset", "fast")[0] == 0  # nothing is written
 
 

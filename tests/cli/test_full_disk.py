@@ -38,7 +38,7 @@ from tisfm.reconstruction import shelf
 from tisfm.reconstruction.folder import write_depth, write_labels
 from tisfm.reconstruction.frames import PreparedFrames
 from tisfm.reconstruction.renewal import copy_folder
-from tisfm.sources.reading import SourceFrame
+from tisfm.sources.frame_reader import SourceFrame
 
 folder = Path(sys.argv[1])
 for name in ("cache", "frames", "depth"):

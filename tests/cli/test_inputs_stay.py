@@ -13,8 +13,7 @@ from tisfm import pair
 from tisfm.cli import demo, outputs
 from tisfm.evaluation import pairs
 from tisfm.formats import write_flo, write_png
-from tisfm.formats.folder_lock import LOCK
-from tisfm.formats.outputs import InputFiles
+from tisfm.formats.result_folder import LOCK, InputFiles
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from tests.datasets.made import (
     write_tiff,
 )
 from tisfm.datasets import find_pairs
-from tisfm.datasets.disparity import read_disparity
+from tisfm.datasets.depth_files import read_disparity
 from tisfm.formats import FormatError, write_flo, write_kitti_flow, write_png
 
 POSE_ROW = "1 0 0 5 0 1 0 6 0 0 1 7"

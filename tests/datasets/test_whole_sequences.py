@@ -8,7 +8,7 @@ import pytest
 from tests.datasets.made import COLOUR, HOLE, MAKERS, POSES, H, W, put
 from tisfm.datasets import SEQUENCE_LAYOUTS, find_sequences
 from tisfm.datasets.calibration import STATED, for_width
-from tisfm.datasets.trajectories import motion_between
+from tisfm.datasets.pose_files import motion_between
 from tisfm.formats import FormatError
 from tisfm.lens import undistort_depth
 from tisfm.metrics import path_length

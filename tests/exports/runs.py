@@ -8,7 +8,7 @@ import numpy as np
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
 from tisfm.cli.motion_text import motion_rows
-from tisfm.formats.run_file import FORMAT
+from tisfm.formats.records import FORMAT
 from tisfm.outcome import History, Status
 
 TWIST = np.array([1.0, 0, 0, 0, 0.01, 0])

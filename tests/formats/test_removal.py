@@ -4,8 +4,14 @@ import os
 
 import pytest
 
-from tisfm.formats.folder_lock import locked_folder
-from tisfm.formats.removal import is_there, make_inner_folder, remove, remove_link, try_to_remove
+from tisfm.formats.result_folder import (
+    is_there,
+    locked_folder,
+    make_inner_folder,
+    remove,
+    remove_link,
+    try_to_remove,
+)
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
 

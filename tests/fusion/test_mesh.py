@@ -12,10 +12,10 @@ from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relativ
 from tests.fusion.test_points import wall, walls
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.formats.glb import colors_of
-from tisfm.fusion import Mesh, blocks, fused_mesh
-from tisfm.fusion.blocks import Field, coordinates, numbers_of
-from tisfm.fusion.surface import surface_of
-from tisfm.fusion.views import Views
+from tisfm.fusion import Mesh, fused_mesh, signed_distance
+from tisfm.fusion.depth_views import Views
+from tisfm.fusion.isosurface import surface_of
+from tisfm.fusion.signed_distance import Field, coordinates, numbers_of
 
 
 def bits():
@@ -112,10 +112,10 @@ def test_a_sphere_through_voxels_is_whole():
 
 
 def test_the_surface_in_several_batches_is_the_same(monkeypatch):
-    from tisfm.fusion import surface
+    from tisfm.fusion import isosurface
 
     expected = surface_of(sphere(), 2)
-    monkeypatch.setattr(surface, "_SIDE", 3)
+    monkeypatch.setattr(isosurface, "_SIDE", 3)
     found = surface_of(sphere(), 2)
     np.testing.assert_allclose(found[0], expected[0], atol=1e-5)
     np.testing.assert_array_equal(np.sort(found[1].ravel()), np.sort(expected[1].ravel()))
@@ -207,7 +207,7 @@ def test_the_unit_of_length_is_of_no_matter():
 
 
 def test_voxels_that_fill_too_much_are_refused(monkeypatch):
-    monkeypatch.setattr(blocks, "MOST_BLOCKS", 20)
+    monkeypatch.setattr(signed_distance, "MOST_BLOCKS", 20)
     views = walls(3, size=(30, 40))
     with pytest.raises(ValueError, match=r"voxel is 0.05: .* give at least 0\.") as error:
         fused_mesh(views, voxel=0.05)
@@ -220,19 +220,21 @@ def test_voxels_that_fill_too_much_are_refused(monkeypatch):
     # By default they are made as large as they must be.
     usual = 2 * 2 / 20  # 2 px
     assert fused_mesh(views).voxel == pytest.approx(usual)
-    monkeypatch.setattr(blocks, "MOST_BLOCKS", 8)
+    monkeypatch.setattr(signed_distance, "MOST_BLOCKS", 8)
     assert fused_mesh(views).voxel > 1.09 * usual
 
 
 def test_candidates_of_one_view_are_dropped_where_they_are_too_many(monkeypatch):
     views = [*walls(3, size=(30, 40)), wall(depth=1.0, size=(30, 40))]
     expected = fused_mesh(views, voxel=0.1)
-    count = len(blocks._blocks(Views(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1))
-    monkeypatch.setattr(blocks, "MOST_CANDIDATES", count - 1)
+    count = len(
+        signed_distance._blocks(Views(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1)
+    )
+    monkeypatch.setattr(signed_distance, "MOST_CANDIDATES", count - 1)
     found = fused_mesh(views, voxel=0.1)
     assert len(expected.faces) > 100
     np.testing.assert_array_equal(found.faces, expected.faces)
-    monkeypatch.setattr(blocks, "MOST_CANDIDATES", 5)
+    monkeypatch.setattr(signed_distance, "MOST_CANDIDATES", 5)
     with pytest.raises(ValueError, match=r"voxel is 0\.1: "):
         fused_mesh(views, voxel=0.1)
 

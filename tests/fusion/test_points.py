@@ -11,8 +11,8 @@ from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relativ
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.fusion import DepthView, fused_points
 from tisfm.fusion import points as points_module
-from tisfm.fusion.neighbours import neighbours
-from tisfm.fusion.views import Views
+from tisfm.fusion.depth_views import Views
+from tisfm.fusion.points import neighbours
 from tisfm.rigid import pose_matrix
 
 

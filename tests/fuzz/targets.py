@@ -11,8 +11,8 @@ from typing import Any
 
 from tests.fuzz import seeds
 from tisfm import camera_file, focal_guess, formats, trajectory
-from tisfm.datasets import calibration, depth_maps, trajectories
-from tisfm.datasets.disparity import read_disparity
+from tisfm.datasets import calibration, depth_files, pose_files
+from tisfm.datasets.depth_files import read_disparity
 from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction import folder as record
@@ -112,7 +112,7 @@ def _cam(path: Path) -> Any:
 
 
 def _first_row(path: Path) -> Any:
-    return trajectories.read_pose_row(path, 1)
+    return pose_files.read_pose_row(path, 1)
 
 
 def _av(path: Path) -> Any:
@@ -122,7 +122,7 @@ def _av(path: Path) -> Any:
 
 
 def _opencv(path: Path) -> Any:
-    from tisfm.sources.opencv_video import OpenCvVideo
+    from tisfm.sources.video import OpenCvVideo
 
     _frames(OpenCvVideo(str(path)))
 
@@ -144,7 +144,7 @@ TARGETS: dict[str, Target] = {
     "image": Target(read=formats.read_image, seeds=seeds.pictures, memory=512 * MIB),
     "depth_png": Target(read=formats.read_depth_png, seeds=seeds.depth_png),
     "kitti_flow": Target(read=formats.read_kitti_flow, seeds=seeds.kitti_flow),
-    "depth_map": Target(read=depth_maps.read_depth, seeds=seeds.depth_png),
+    "depth_map": Target(read=depth_files.read_depth, seeds=seeds.depth_png),
     "label_picture": Target(read=read_label_picture, seeds=seeds.labels),
     "palette": Target(read=has_palette_of_labels, seeds=seeds.labels),
     "focal": Target(
@@ -155,9 +155,9 @@ TARGETS: dict[str, Target] = {
     "cam": Target(read=_cam, seeds=seeds.cam, suffix=".cam"),
     "kitti_calibration": Target(read=_cam, seeds=seeds.kitti_calibration, suffix=".txt"),
     "calibration": Target(read=calibration.read_calibration, seeds=seeds.calibration),
-    "pose": Target(read=trajectories.read_pose, seeds=seeds.one_pose),
+    "pose": Target(read=pose_files.read_pose, seeds=seeds.one_pose),
     "pose_row": Target(read=_first_row, seeds=seeds.twelve),
-    "poses": Target(read=trajectories.read_poses, seeds=seeds.twelve),
+    "poses": Target(read=pose_files.read_poses, seeds=seeds.twelve),
     "tum": Target(read=trajectory.read_tum, seeds=seeds.tum),
     "kitti": Target(read=trajectory.read_kitti, seeds=seeds.twelve),
     "trajectory": Target(

@@ -17,16 +17,15 @@ from tests.fuzz.targets import TARGETS
 from tests.interpretation_file.stored import rewritten
 from tisfm.camera_file import read_camera
 from tisfm.datasets.calibration import read_calibration
-from tisfm.datasets.disparity import read_disparity
-from tisfm.datasets.trajectories import read_poses
+from tisfm.datasets.depth_files import read_disparity
+from tisfm.datasets.pose_files import read_poses
 from tisfm.formats import FormatError, read_depth_png, read_flo, read_image
+from tisfm.formats.image_headers import LARGEST_PICTURE
 from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
-from tisfm.formats.picture_size import LARGEST_PICTURE
 from tisfm.interpretation import Interpretation
-from tisfm.sources import frame_size
-from tisfm.sources.opencv_video import OpenCvVideo
+from tisfm.sources import video_checks
 from tisfm.sources.source import FrameSource
-from tisfm.sources.video import has_av, open_video
+from tisfm.sources.video import OpenCvVideo, has_av, open_video
 from tisfm.trajectory import read_trajectory, read_tum
 
 BOM = b"\xef\xbb\xbf"
@@ -299,7 +298,7 @@ def test_frames_that_are_too_large(data, tmp_path, monkeypatch):
             changed.setattr(av_video, "_LIMITS", {"max_pixels": "1000"})
             with pytest.raises(ValueError, match=r"film\.avi"):
                 av_video.AvVideo(path)
-    monkeypatch.setattr(frame_size, "LARGEST_FRAME", 1000)
+    monkeypatch.setattr(video_checks, "LARGEST_FRAME", 1000)
     for read in (*readers, open_video):
         with pytest.raises(FormatError, match="32 × 32 px, more than 1000 pixels"):
             read(path)

@@ -8,7 +8,7 @@ from tests.lanes import LANES
 from tests.pairwise import pairwise
 from tests.rendered import static_scene
 from tisfm.rigid import rigid_motion
-from tisfm.scenes.ready import STATIC_KINDS
+from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64)]
 TWIST = (0.4, -0.3, 0.8, 0.02, -0.05, 0.03)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from tests.rendered import static_scene
 from tests.trajectory.paths import PATIENT
 from tisfm.metrics import certain_error, depth_errors, flicker, limited_error
-from tisfm.metrics.depth_sequence import depth_ratios, known_share
-from tisfm.metrics.spread import LogMedian
+from tisfm.metrics.depth_sequence import LogMedian, depth_ratios, known_share
 from tisfm.rigid import pose_matrix
 
 RNG = np.random.default_rng(0)

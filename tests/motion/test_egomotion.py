@@ -8,7 +8,7 @@ from tests.rendered import static_scene, two_blocks
 from tisfm.motion.egomotion import camera_motion, triangulate
 from tisfm.motion.epipolar_fit import hold_scale
 from tisfm.rigid import rigid_motion
-from tisfm.scenes.ready import STATIC_KINDS
+from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SIZE = (120, 160)
 

@@ -11,7 +11,7 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.rendered import static_scene, two_blocks
 from tisfm import runtime
 from tisfm.formats import read_image
-from tisfm.formats.flo import read_flo
+from tisfm.formats.float_maps import read_flo
 from tisfm.motion import field
 from tisfm.scenes import static_scene as rendered
 

@@ -21,7 +21,7 @@ from tisfm.reconstruction.sequence_labels import SequenceLabels
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_film, bodies_path
 from tisfm.shutter import Rolling
-from tisfm.sources.reading import SourceFrame
+from tisfm.sources.frame_reader import SourceFrame
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 RADIAL, READOUT = -0.1, 0.8

@@ -16,7 +16,7 @@ from tisfm.reconstruction.tracks import Tracker
 from tisfm.reconstruction.way import Piece
 from tisfm.scenes import bodies_film, bodies_path
 from tisfm.settings import Settings
-from tisfm.sources.reading import SourceFrame
+from tisfm.sources.frame_reader import SourceFrame
 
 SETTINGS = Settings.preset("fast")
 SIZE = 181, 243

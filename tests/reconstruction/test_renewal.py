@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.formats.folder_lock import FolderInUseError, locked_folder
+from tisfm.formats.result_folder import FolderInUseError, locked_folder
 from tisfm.reconstruction import renewal
 from tisfm.reconstruction.renewal import EARLIER, renewed_folder
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.rigid import rigid_motion
-from tisfm.scenes import ready, room, static_scene
+from tisfm.scenes import block_scenes, room, static_scene
 
 FACTORS = (1, -1, 2, -2, 3, -3, 4, -4)  # of the motion of the camera
 ROOM_MOTION = np.array((0.12, 0.0, 0.08, 0.003, 0.01, 0.006))
@@ -41,8 +41,8 @@ def views(kind, height=120, width=160, count=4):
         if kind == "room":
             pairs.append(room(height, width, camera_motion=factor * ROOM_MOTION, samples=2))
         else:
-            motion = factor * np.array(ready._STATIC_MOTIONS[kind])
-            with mock.patch.dict(ready._STATIC_MOTIONS, {kind: motion}):
+            motion = factor * np.array(block_scenes._STATIC_MOTIONS[kind])
+            with mock.patch.dict(block_scenes._STATIC_MOTIONS, {kind: motion}):
                 pairs.append(static_scene(kind, height, width, samples=2))
     return Views(
         key=pairs[0].frame0.astype(np.float32),

@@ -11,7 +11,7 @@ import tisfm
 from tests.sources.made import FRAMES, QUICK, numbered
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, write_png
-from tisfm.formats.time_names import times_of_names
+from tisfm.formats.image_names import times_of_names
 from tisfm.sequence import with_poses
 from tisfm.sources import FrameSource
 

@@ -12,9 +12,8 @@ from tests.sources.made import make_video
 from tisfm.formats import FormatError
 from tisfm.sources import FrameSource
 from tisfm.sources.av_video import AvVideo
-from tisfm.sources.opencv_video import OpenCvVideo
-from tisfm.sources.reading import BadFrame, RawFrame
-from tisfm.sources.video import open_video
+from tisfm.sources.frame_reader import BadFrame, RawFrame
+from tisfm.sources.video import OpenCvVideo, open_video
 
 ALL = slice(0, None, 1)
 VARYING = [0, 0.033, 0.1, 0.15, 0.4, 0.42, 0.5, 1.0, 1.01, 1.5]

@@ -8,7 +8,7 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
-from tisfm.formats.run_file import FORMAT
+from tisfm.formats.records import FORMAT
 from tisfm.outcome import Status
 from tisfm.reconstruction.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.moving_object import MovingObject

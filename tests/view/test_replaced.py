@@ -15,7 +15,7 @@ from tests.view.results import (
     write_record_of,
     write_run,
 )
-from tisfm.formats.folder_lock import locked_folder
+from tisfm.formats.result_folder import locked_folder
 from tisfm.reconstruction.folder import write_depth
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")

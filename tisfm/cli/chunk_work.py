@@ -13,7 +13,7 @@ from tisfm import runtime
 from tisfm.cli.pair_files import Ranges, Sums
 from tisfm.cli.pair_work import PairSource, PairWork
 from tisfm.cli.run_record import is_unchanged
-from tisfm.formats.outputs import InputFiles
+from tisfm.formats.result_folder import InputFiles
 from tisfm.machine.workers import check_worker, stated
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source

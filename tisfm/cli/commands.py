@@ -16,8 +16,8 @@ from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
 from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import PairEvaluation
 from tisfm.evaluation.pairs import evaluate as evaluate_pairs
-from tisfm.formats.flo import require_writable_flow
-from tisfm.formats.outputs import InputFiles
+from tisfm.formats.float_maps import require_writable_flow
+from tisfm.formats.result_folder import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.runtime import Arch
 from tisfm.settings import Settings

@@ -40,7 +40,7 @@ def tell_error(text: str) -> None:
 @contextmanager
 def notes_as_lines() -> Iterator[None]:
     """Print each `SourceWarning` of the block as one line that begins with "note:"."""
-    from tisfm.sources.notes import SourceWarning
+    from tisfm.sources.frame_reader import SourceWarning
 
     def show(message: Warning | str, category: type[Warning], *about: Any, **more: Any) -> None:
         if issubclass(category, SourceWarning):

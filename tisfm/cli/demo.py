@@ -25,10 +25,8 @@ from tisfm.cli.demo_parts import (
 from tisfm.cli.paper_figures import PAPER_FIGURES
 from tisfm.cli.run_record import ENDINGS, read_record
 from tisfm.cores import usable_cores
-from tisfm.formats.flo import require_writable_flow
-from tisfm.formats.folder_lock import LOCK
-from tisfm.formats.outputs import make_folder
-from tisfm.formats.removal import make_inner_folder
+from tisfm.formats.float_maps import require_writable_flow
+from tisfm.formats.result_folder import LOCK, make_folder, make_inner_folder
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
 

@@ -15,7 +15,7 @@ from tisfm.exports.clock import check_rate
 from tisfm.exports.export_request import Export
 from tisfm.exports.formats import FORMATS, Format
 from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
-from tisfm.formats.outputs import make_folder
+from tisfm.formats.result_folder import make_folder
 from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction

@@ -14,7 +14,7 @@ from tisfm.evaluation.object_paths import (
     object_path_table,
 )
 from tisfm.formats import atomic_write
-from tisfm.formats.outputs import make_folder
+from tisfm.formats.result_folder import make_folder
 from tisfm.version import __version__
 
 

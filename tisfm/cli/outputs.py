@@ -12,8 +12,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.cli.pair_files import USUAL, PairFiles, Ranges, Sums, checked_outputs
 from tisfm.cli.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
-from tisfm.formats.folder_lock import locked_folder
-from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.formats.result_folder import InputFiles, locked_folder, make_folder
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.report_file import TIMINGS
 from tisfm.report import REPORT, is_report

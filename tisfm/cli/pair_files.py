@@ -17,8 +17,8 @@ from tisfm.formats import (
     write_flo,
     write_png,
 )
-from tisfm.formats.accounts import check_sum
-from tisfm.formats.outputs import InputFiles
+from tisfm.formats.records import check_sum
+from tisfm.formats.result_folder import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.machine.terminal import printable
 from tisfm.show import (

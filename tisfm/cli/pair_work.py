@@ -11,7 +11,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.pair_files import PairFiles
-from tisfm.datasets.trajectories import motion_between, read_poses
+from tisfm.datasets.pose_files import motion_between, read_poses
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
-from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.formats.result_folder import InputFiles, make_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure

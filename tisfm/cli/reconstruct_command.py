@@ -26,8 +26,8 @@ from tisfm.cli.report_command import report_reconstruction
 from tisfm.cli.stage_times import StageTimes
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import atomic_write
-from tisfm.formats.folder_lock import locked_folder
-from tisfm.fusion.meshing import check_library
+from tisfm.formats.result_folder import locked_folder
+from tisfm.fusion.mesh import check_library
 from tisfm.machine.amounts import as_size
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.chunked.spans import CHUNK
@@ -40,7 +40,7 @@ from tisfm.settings import Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import read_trajectory, write_kitti, write_tum
-from tisfm.trajectory.clock import times_or_numbers
+from tisfm.trajectory.times import times_or_numbers
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
 _PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth

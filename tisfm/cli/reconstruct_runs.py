@@ -10,7 +10,7 @@ import tisfm
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.kernels_start import start_kernels, tell_device
 from tisfm.cores import usable_cores
-from tisfm.formats.folder_lock import locked_folder
+from tisfm.formats.result_folder import locked_folder
 from tisfm.reconstruction.asked import (
     Asked,
     asked_for,

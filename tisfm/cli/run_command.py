@@ -29,9 +29,8 @@ from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.cores import usable_cores
-from tisfm.formats.flo import require_writable_flow
-from tisfm.formats.folder_lock import alive_in
-from tisfm.formats.outputs import InputFiles
+from tisfm.formats.float_maps import require_writable_flow
+from tisfm.formats.result_folder import InputFiles, alive_in
 from tisfm.interpretation import Interpretation
 from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign

@@ -11,11 +11,10 @@ from typing import Any
 
 from tisfm.cli.csv_table import csv_table
 from tisfm.formats import atomic_write
-from tisfm.formats.accounts import check_sum, differing, said
-from tisfm.formats.run_file import FORMAT, NAME, refuse_other_format
+from tisfm.formats.records import FORMAT, NAME, check_sum, differing, refuse_other_format, said
 from tisfm.outcome import Status
 from tisfm.reconstruction.report_file import TIMINGS
-from tisfm.trajectory.clock import fault_between
+from tisfm.trajectory.times import fault_between
 
 RECORD, TABLE = NAME, "run.csv"
 # What has to be the same, with the first frame that is taken and how many there are to the next.

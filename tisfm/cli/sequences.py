@@ -30,13 +30,13 @@ from tisfm.evaluation.sequences import (
 )
 from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.formats import atomic_write
-from tisfm.formats.outputs import InputFiles, make_folder
+from tisfm.formats.result_folder import InputFiles, make_folder
 from tisfm.reconstruction.progress import Progress
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.stated import is_stated
 from tisfm.trajectory import read_trajectory, write_tum
-from tisfm.trajectory.clock import times_or_numbers
+from tisfm.trajectory.times import times_or_numbers
 from tisfm.version import __version__
 
 

@@ -9,12 +9,11 @@ May import: `tisfm.formats`, `tisfm.metrics`, `tisfm.trajectory`, and of the top
 `checks` and `rigid`.
 """
 
-from tisfm.datasets.finding import find_pairs
-from tisfm.datasets.layouts import LAYOUTS, Layout
 from tisfm.datasets.pair import DatasetPair, LoadedPair
+from tisfm.datasets.pair_layouts import LAYOUTS, Layout
+from tisfm.datasets.search import DatasetSequence, find_pairs, find_sequences
 from tisfm.datasets.sequence import LoadedSequence
 from tisfm.datasets.sequence_layouts import SEQUENCE_LAYOUTS, SequenceLayout
-from tisfm.datasets.sequences import DatasetSequence, find_sequences
 
 __all__ = [
     "LAYOUTS",

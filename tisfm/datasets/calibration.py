@@ -8,9 +8,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
-from tisfm.formats.reading import read_bytes
-from tisfm.formats.tagged import TAG
-from tisfm.formats.text import read_text
+from tisfm.formats.float_maps import TAG
+from tisfm.formats.reading import read_bytes, read_text
 
 STATED_SIZE = (480, 640)
 """Height and width of the frames that `STATED` is about, px."""

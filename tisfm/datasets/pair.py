@@ -18,11 +18,10 @@ from tisfm.datasets.calibration import (
     read_calibration,
     read_camera,
 )
-from tisfm.datasets.depth_maps import MILLIMETRES, read_depth, seen_from
-from tisfm.datasets.disparity import read_disparity
-from tisfm.datasets.trajectories import motion_between, read_pose, read_pose_row
+from tisfm.datasets.depth_files import MILLIMETRES, read_depth, read_disparity, seen_from
+from tisfm.datasets.pose_files import motion_between, read_pose, read_pose_row
 from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
-from tisfm.metrics.known import UNKNOWN
+from tisfm.metrics.valid_pixels import UNKNOWN
 
 # A second view from the right moves the scene to the left; the length of the step is not known.
 _TO_THE_RIGHT_VIEW = (-1.0, 0.0, 0.0)

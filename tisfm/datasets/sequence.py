@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.datasets.depth_maps import MILLIMETRES, read_depth
+from tisfm.datasets.depth_files import MILLIMETRES, read_depth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

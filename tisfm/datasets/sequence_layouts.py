@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.datasets.calibration import STATED, TUM, for_width, read_calibration, read_camera
-from tisfm.datasets.depth_maps import MILLIMETRES
-from tisfm.datasets.layouts import TSUKUBA_POSES, numbered, sorted_files
+from tisfm.datasets.depth_files import MILLIMETRES
+from tisfm.datasets.pair_layouts import TSUKUBA_POSES, numbered, sorted_files
+from tisfm.datasets.pose_files import read_pose, read_poses
 from tisfm.datasets.sequence import LoadedSequence
-from tisfm.datasets.trajectories import read_pose, read_poses
 from tisfm.formats import IMAGE_SUFFIXES, FormatError, read_image
-from tisfm.formats.time_names import in_order
+from tisfm.formats.image_names import in_order
 from tisfm.trajectory import associate, read_kitti, read_tum
-from tisfm.trajectory.path import check_times
-from tisfm.trajectory.rows import read_lines, read_rows
+from tisfm.trajectory.poses import check_times
+from tisfm.trajectory.text_files import read_lines, read_rows
 
 SequenceLayout = Literal["new_tsukuba", "sevenscenes", "calibrated", "tum", "kitti_odometry"]
 

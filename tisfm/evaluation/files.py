@@ -15,8 +15,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
 from tisfm.formats import atomic_write, write_flo
-from tisfm.formats.outputs import InputFiles, make_folder
-from tisfm.formats.removal import make_inner_folder
+from tisfm.formats.result_folder import InputFiles, make_folder, make_inner_folder
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
 from tisfm.settings import Settings

@@ -13,8 +13,8 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.checks import whole
 from tisfm.formats import IMAGE_SUFFIXES
+from tisfm.formats.image_names import in_order
 from tisfm.formats.label_picture import read_label_picture
-from tisfm.formats.time_names import in_order
 from tisfm.lens import Undistortion
 from tisfm.metrics import LabelScores, label_scores
 

@@ -7,7 +7,7 @@ import numpy as np
 from rich.table import Table
 
 from tisfm.formats import FormatError
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
 from tisfm.metrics import ObjectPathErrors, object_path_errors
 from tisfm.reconstruction.folder import OBJECTS
 from tisfm.reconstruction.moving_object import MovingObject

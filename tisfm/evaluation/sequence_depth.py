@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence
-from tisfm.datasets.trajectories import motion_between
+from tisfm.datasets.pose_files import motion_between
 from tisfm.lens import undistort_depth
 from tisfm.metrics.depth_sequence import (
+    LogMedian,
     certain_error,
     depth_ratios,
     flicker,
     known_share,
     limited_error,
 )
-from tisfm.metrics.spread import LogMedian
 
 WITHOUT = 1.0  # what a frame without depth counts as
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.trajectory.clock import do_rise, times_or_numbers
+from tisfm.trajectory.times import do_rise, times_or_numbers
 
 FRAME_RATE = 25.0  # 1/s, where nothing says otherwise
 _SLOWEST, _FASTEST = 0.01, 1000.0

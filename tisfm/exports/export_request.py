@@ -8,7 +8,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
 from tisfm.exports.result_frames import PairFrames, SequenceFrames
-from tisfm.formats.removal import make_inner_folder
+from tisfm.formats.result_folder import make_inner_folder
 from tisfm.reconstruction.result import Reconstruction
 
 

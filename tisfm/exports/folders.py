@@ -10,9 +10,7 @@ from typing import Any
 
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import is_temporary
-from tisfm.formats.folder_lock import LOCK, locked_folder
-from tisfm.formats.outputs import make_folder
-from tisfm.formats.removal import is_there, remove
+from tisfm.formats.result_folder import LOCK, is_there, locked_folder, make_folder, remove
 
 FORMAT = 1
 RECORD = "export.json"  # written last, removed first

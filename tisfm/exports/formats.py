@@ -28,7 +28,7 @@ from tisfm.exports.trajectories import write_kitti_paths, write_tum_paths
 from tisfm.exports.undistortion import check_distorts, write_undistortion
 from tisfm.exports.video_file import check_video
 from tisfm.exports.videos import VideoKind, write_video
-from tisfm.fusion.meshing import check_library
+from tisfm.fusion.mesh import check_library
 
 Progress = Callable[[int, int], None]
 Files = list[Path]

@@ -9,7 +9,7 @@ from tisfm.exports.export_request import Export, source_camera
 from tisfm.exports.pieces import pieces_of
 from tisfm.exports.result_frames import PairFrames
 from tisfm.focal_guess import at_size
-from tisfm.trajectory.clock import do_rise
+from tisfm.trajectory.times import do_rise
 
 
 def of_poses(export: Export) -> list[str]:

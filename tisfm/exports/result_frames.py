@@ -10,9 +10,9 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.formats import FormatError
-from tisfm.formats.run_file import NAME as RUN
-from tisfm.formats.run_file import refuse_other_format
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
+from tisfm.formats.records import NAME as RUN
+from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import STATUSES, Status
 from tisfm.reconstruction.folder import DEPTH, depth_path

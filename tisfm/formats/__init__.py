@@ -8,11 +8,10 @@ May import: of the top level `checks`.
 
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.depth_png import choose_depth_scale, read_depth_png, write_depth_png
-from tisfm.formats.dpt import read_dpt, write_dpt
-from tisfm.formats.errors import FormatError
-from tisfm.formats.flo import read_flo, write_flo
+from tisfm.formats.float_maps import read_dpt, read_flo, write_dpt, write_flo
 from tisfm.formats.images import IMAGE_SUFFIXES, read_image, write_png
 from tisfm.formats.kitti_flow import read_kitti_flow, write_kitti_flow
+from tisfm.formats.reading import FormatError
 
 __all__ = [
     "IMAGE_SUFFIXES",

@@ -10,10 +10,9 @@ from PIL import Image
 
 from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.completeness import missing_part
-from tisfm.formats.errors import FormatError
+from tisfm.formats.image_headers import missing_part
 from tisfm.formats.png import encode_png
-from tisfm.formats.reading import read_bytes
+from tisfm.formats.reading import FormatError, read_bytes
 
 _SCALE_KEYWORD = "tisfm:depth_scale"
 _MEDIAN_VALUE = 2000.0

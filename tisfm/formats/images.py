@@ -16,11 +16,9 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tisfm.checks import unmasked
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.completeness import TIFF, missing_part
-from tisfm.formats.errors import FormatError
-from tisfm.formats.picture_size import FLOATS, PILLOW_FORMATS, refuse_large
+from tisfm.formats.image_headers import FLOATS, PILLOW_FORMATS, TIFF, missing_part, refuse_large
 from tisfm.formats.png import SIGNATURE, encode_png
-from tisfm.formats.reading import opencv_memory, read_bytes
+from tisfm.formats.reading import FormatError, opencv_memory, read_bytes
 
 IMAGE_SUFFIXES = (
     ".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp",

@@ -5,9 +5,9 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.formats.errors import FormatError
+from tisfm.formats.float_maps import as_real
 from tisfm.formats.images import read_image, write_png
-from tisfm.formats.tagged import as_real
+from tisfm.formats.reading import FormatError
 
 _ZERO = 2**15  # file value of no motion
 _STEPS = 64  # file values per pixel of motion

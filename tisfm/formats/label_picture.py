@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.completeness import missing_part
-from tisfm.formats.errors import FormatError
-from tisfm.formats.picture_size import PILLOW_FORMATS
-from tisfm.formats.reading import read_bytes
+from tisfm.formats.image_headers import PILLOW_FORMATS, missing_part
+from tisfm.formats.reading import FormatError, read_bytes
 
 
 def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:

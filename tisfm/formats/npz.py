@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.errors import FormatError
-from tisfm.formats.reading import open_file
+from tisfm.formats.reading import FormatError, open_file
 
 _SUFFIX = ".npy"
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may unpack to any size at once

@@ -1,14 +1,20 @@
-"""Whole files into memory, with errors that say what to do."""
+"""Files read whole into memory: bytes, text and JSON, with errors that say what to do."""
 
 import contextlib
+import json
 import os
 import stat
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import cv2
 
-from tisfm.formats.errors import FormatError
+
+class FormatError(ValueError):
+    """A file is damaged, incomplete or not of the format it was read as.
+
+    The text is one line that names the file and what is wrong with it.
+    """
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
@@ -103,3 +109,34 @@ def _explained(error: OSError, name: str) -> OSError:
     return type(error)(
         f"{name} cannot be read ({error.strerror}): check the path and its permissions"
     )
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Read a text in UTF-8, with or without a byte-order mark.
+
+    Bytes that are no UTF-8 become U+FFFD: in a comment they do no harm, and they are no number.
+
+    Raises
+    ------
+    OSError, FormatError
+        As `tisfm.formats.reading.read_bytes`.
+    """
+    return read_bytes(path).decode("utf-8-sig", "replace")
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Read JSON.
+
+    Raises
+    ------
+    FormatError
+        If it is none, nested too deeply, or has a number of thousands of digits.
+    OSError
+        As `tisfm.formats.reading.read_bytes`.
+    """
+    data = read_bytes(path)
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{os.fspath(path)} is damaged, or no JSON: {reason}") from error

@@ -6,9 +6,8 @@ May import: `tisfm.formats`, `tisfm.kernels`, and of the top level `camera`, `ch
 `point_cloud`, `rigid` and `runtime`.
 """
 
-from tisfm.fusion.mesh import Mesh
-from tisfm.fusion.meshing import fused_mesh
+from tisfm.fusion.depth_views import DepthView
+from tisfm.fusion.mesh import Mesh, fused_mesh
 from tisfm.fusion.points import fused_points
-from tisfm.fusion.views import DepthView
 
 __all__ = ["DepthView", "Mesh", "fused_mesh", "fused_points"]

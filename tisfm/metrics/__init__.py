@@ -7,9 +7,9 @@ May import: of the top level `checks` and `rigid`.
 """
 
 from tisfm.metrics.alignment import Similarity, align
-from tisfm.metrics.calibration import std_coverage
 from tisfm.metrics.depth import DepthErrors, depth_error_map, depth_errors
 from tisfm.metrics.depth_sequence import certain_error, flicker, limited_error
+from tisfm.metrics.depth_std import std_coverage
 from tisfm.metrics.flow import (
     FlowErrors,
     angular_error,
@@ -22,7 +22,7 @@ from tisfm.metrics.labels import LabelScores, ThingScores, label_scores
 from tisfm.metrics.object_path import ObjectPathErrors, object_path_errors
 from tisfm.metrics.occlusion import OcclusionScores, occlusion_scores
 from tisfm.metrics.pose import PoseErrors, pose_errors
-from tisfm.metrics.trajectory import (
+from tisfm.metrics.trajectory_errors import (
     AbsoluteErrors,
     Drift,
     RelativeErrors,

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.metrics.depth_sequence import FARTHEST, NEAREST
-from tisfm.metrics.known import counting, is_known
+from tisfm.metrics.valid_pixels import counting, is_known
 
 
 @dataclass(frozen=True, kw_only=True)

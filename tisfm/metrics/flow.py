@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
-from tisfm.metrics.known import counting, is_known
+from tisfm.metrics.valid_pixels import counting, is_known
 
 
 def endpoint_error_map(

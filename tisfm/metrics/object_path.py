@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics.alignment import Similarity
-from tisfm.metrics.trajectory import path_length, rotation_angles, whole_poses
+from tisfm.metrics.trajectory_errors import path_length, rotation_angles, whole_poses
 
 FEWEST = 3  # frames: 9 equations for a scale and an offset
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from tisfm.checks import unmasked_mask
-from tisfm.metrics.known import counting
+from tisfm.metrics.valid_pixels import counting
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,14 +12,14 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.accounts import check_sum, content, differing, said
-from tisfm.formats.folder_lock import LOCK
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
+from tisfm.formats.records import check_sum, content, differing, said
+from tisfm.formats.result_folder import LOCK
 from tisfm.reconstruction.folder import ASKED, BEGUN, RECORD
 from tisfm.reconstruction.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
-from tisfm.sources.folders import files_matching
+from tisfm.sources.paths import files_matching
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 

@@ -25,9 +25,9 @@ from tisfm.reconstruction.result_labels import labels_of_result
 from tisfm.reconstruction.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.frame_reader import warn_of
 from tisfm.sources.labels import GivenLabels, holds_labels, without_labels
 from tisfm.sources.masks import Mask
-from tisfm.sources.notes import warn_of
 from tisfm.trajectory import Trajectory
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from tisfm.checks import check_count
 from tisfm.outcome import Status
 from tisfm.trajectory import Trajectory
-from tisfm.trajectory.association import associate
-from tisfm.trajectory.clock import do_rise
+from tisfm.trajectory.times import associate, do_rise
 
 REACH = 0.5  # of the time from a frame to the next, in the median: no pose is farther away
 

@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from tisfm.sources.reading import is_whole
+from tisfm.sources.frame_reader import is_whole
 
 
 def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.formats.atomic import copy_file, is_temporary
-from tisfm.formats.folder_lock import LOCK, locked_folder
-from tisfm.formats.outputs import make_folder
-from tisfm.formats.removal import (
+from tisfm.formats.result_folder import (
+    LOCK,
     is_there,
+    locked_folder,
+    make_folder,
     make_inner_folder,
     remove,
     remove_link,

@@ -31,9 +31,9 @@ from tisfm.reconstruction.way import Piece
 from tisfm.settings import Settings
 from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
-from tisfm.sources.notes import warn_of
+from tisfm.sources.frame_reader import warn_of
 from tisfm.trajectory import Trajectory
-from tisfm.trajectory.clock import times_note
+from tisfm.trajectory.times import times_note
 from tisfm.version import __version__
 
 NEW_PIECE = (

@@ -27,8 +27,8 @@ from tisfm.reconstruction.way import Piece
 from tisfm.reconstruction.window_depth import WindowDepth
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
-from tisfm.sources.notes import warn_of
-from tisfm.trajectory.clock import fault_between
+from tisfm.sources.frame_reader import warn_of
+from tisfm.trajectory.times import fault_between
 
 AHEAD = 3  # a third of the delay is used for the path, but not given out yet
 

@@ -10,8 +10,8 @@ from tisfm.reconstruction.entry import checked_calibrate, checked_camera, checke
 from tisfm.reconstruction.streamed_frame import StreamedFrame
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.frame_reader import is_whole
 from tisfm.sources.masks import Mask
-from tisfm.sources.reading import is_whole
 
 DELAY = 60  # frames
 SHORTEST = 6  # frames: of a delay

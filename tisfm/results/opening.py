@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tisfm.formats.folder_lock import is_written_to
+from tisfm.formats.result_folder import is_written_to
 from tisfm.reconstruction.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
 from tisfm.results.reconstruction_result import ReconstructionResult

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.formats.run_file import NAME as RECORD
-from tisfm.formats.run_file import refuse_other_format
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
+from tisfm.formats.records import NAME as RECORD
+from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.moving_object import MovingObject

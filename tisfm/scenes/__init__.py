@@ -15,9 +15,9 @@ May import: of the top level `camera`, `checks` and `rigid`.
 
 from tisfm.rigid import rigid_motion
 
+from .block_scenes import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .bodies import BodiesFilm, bodies_film, bodies_path
 from .geometry import Box, Plane
-from .ready import STATIC_KINDS, bare_patches, static_scene, three_blocks, two_blocks
 from .render import Scene, SyntheticPair
 from .room import Film, room, room_film
 from .texture import Patch, Texture

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics import depth_error_map, endpoint_error_map
-from tisfm.metrics.calibration import error_in_deviations
-from tisfm.metrics.known import is_known
+from tisfm.metrics.depth_std import error_in_deviations
+from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
 from tisfm.show.axes import name_axis, plot_axes, style_plot
 from tisfm.show.depth_error import DEPTH_ERROR_RANGE

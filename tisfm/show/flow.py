@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.metrics.known import is_known
+from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, check_limit
 from tisfm.show.palette import FLOW_PERCENTILE
 

@@ -7,9 +7,8 @@ May import: `tisfm.formats`, and of the top level `camera`, `checks`, `frames`, 
 `pair`, `settings` and `window`.
 """
 
-from tisfm.sources.listing import Listing
+from tisfm.sources.frame_reader import Listing, SourceFrame
 from tisfm.sources.pairs import FramePair
-from tisfm.sources.reading import SourceFrame
 from tisfm.sources.source import BadFrames, FrameSource, Source
 
 __all__ = ["BadFrames", "FramePair", "FrameSource", "Listing", "Source", "SourceFrame"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.checks import unmasked
-from tisfm.sources.reading import RawFrame, is_path
+from tisfm.sources.frame_reader import RawFrame, is_path
 
 
 class Arrays:

@@ -15,10 +15,17 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from tisfm.formats import FormatError
-from tisfm.sources.cut_off import cut_off, ends_early, misses_frames
-from tisfm.sources.frame_size import LARGEST_FRAME, refuse_large_frames
-from tisfm.sources.reading import BadFrame, RawFrame, is_chosen
-from tisfm.sources.square_pixels import resampling_note, square_size, with_square_pixels
+from tisfm.sources.frame_reader import BadFrame, RawFrame, is_chosen
+from tisfm.sources.video_checks import (
+    LARGEST_FRAME,
+    cut_off,
+    ends_early,
+    misses_frames,
+    refuse_large_frames,
+    resampling_note,
+    square_size,
+    with_square_pixels,
+)
 
 _TEXT = "tty"  # FFmpeg draws a text file as a video
 _LISTS = ("concat", "dash", "hls", "imf", "sdp")  # which name other files

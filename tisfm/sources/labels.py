@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tisfm.checks import unmasked
 from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
-from tisfm.sources.folders import several_pictures
-from tisfm.sources.reading import is_path, is_whole
+from tisfm.sources.frame_reader import is_path, is_whole
+from tisfm.sources.paths import several_pictures
 
 VOID = 255  # a label of what belongs to nothing that is known, as DAVIS has it
 

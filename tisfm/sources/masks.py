@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tisfm.checks import unmasked_mask
 from tisfm.formats import read_image
-from tisfm.sources.folders import several_pictures
-from tisfm.sources.reading import is_path
+from tisfm.sources.frame_reader import is_path
+from tisfm.sources.paths import several_pictures
 
 Mask = (
     str

@@ -14,19 +14,30 @@ import numpy.typing as npt
 from tisfm.camera import Camera
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.frames import in_unit_range
-from tisfm.sources.ahead import read_ahead
-from tisfm.sources.animations import frames_in_picture
 from tisfm.sources.arrays import Arrays
-from tisfm.sources.files import ImageFiles
-from tisfm.sources.folders import matching_files, order_notes, pictures_of, refuse_numbered
+from tisfm.sources.crop_resize import View
+from tisfm.sources.frame_reader import (
+    BadFrame,
+    Listing,
+    RawFrame,
+    Reader,
+    SourceFrame,
+    is_path,
+    is_whole,
+)
+from tisfm.sources.image_files import ImageFiles, frames_in_picture
 from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
-from tisfm.sources.listing import Listing
 from tisfm.sources.masks import Ignored, Mask, Masks
 from tisfm.sources.pairs import Digest, FramePair
-from tisfm.sources.reading import BadFrame, RawFrame, Reader, SourceFrame, is_path, is_whole
-from tisfm.sources.urls import refuse_url
+from tisfm.sources.paths import (
+    matching_files,
+    order_notes,
+    pictures_of,
+    refuse_numbered,
+    refuse_url,
+)
+from tisfm.sources.read_ahead import read_ahead
 from tisfm.sources.video import open_video
-from tisfm.sources.view import View
 from tisfm.sources.webcam import Webcam, webcam_number
 
 Source = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Iterable[npt.ArrayLike]

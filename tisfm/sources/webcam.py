@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 
 from tisfm.formats.images import opencv_silenced
-from tisfm.sources.reading import RawFrame, is_chosen
+from tisfm.sources.frame_reader import RawFrame, is_chosen
 
 _WEBCAM = re.compile(r"webcam(?::(\d+))?", re.IGNORECASE)
 _WAITED = 0.25  # of the time between two frames: what comes sooner had been waiting

@@ -47,7 +47,7 @@ from tisfm.metrics import pose_errors
 from tisfm.metrics.depth_sequence import CERTAIN, WORST
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
-from tisfm.scenes.ready import STATIC_KINDS
+from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SIZE = (60, 80)
 THREADS = str(os.cpu_count())  # as the tests started Taichi

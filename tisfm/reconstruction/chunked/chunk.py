@@ -17,8 +17,8 @@ from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.removal import remove, remove_link
-from tisfm.formats.text import read_json
+from tisfm.formats.reading import read_json
+from tisfm.formats.result_folder import remove, remove_link
 from tisfm.machine.workers import check_worker, stated
 from tisfm.reconstruction.asked import files_below
 from tisfm.reconstruction.calibration import Calibrate
@@ -28,7 +28,7 @@ from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
-from tisfm.sources.notes import SourceWarning
+from tisfm.sources.frame_reader import SourceWarning
 from tisfm.stated import is_stated
 from tisfm.version import __version__
 

@@ -13,9 +13,15 @@ import numpy.typing as npt
 from tisfm.camera import Camera
 from tisfm.camera_file import file_of
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.formats.folder_lock import alive_in, locked_folder, remove_temporaries
-from tisfm.formats.outputs import make_folder
-from tisfm.formats.removal import remove, remove_link, try_to_remove
+from tisfm.formats.result_folder import (
+    alive_in,
+    locked_folder,
+    make_folder,
+    remove,
+    remove_link,
+    remove_temporaries,
+    try_to_remove,
+)
 from tisfm.outcome import Status
 from tisfm.reconstruction.asked import (
     asked_for,
@@ -44,12 +50,11 @@ from tisfm.reconstruction.result import Reconstruction
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.notes import warn_of
-from tisfm.sources.reading import is_path
-from tisfm.sources.urls import refuse_url
+from tisfm.sources.frame_reader import is_path, warn_of
+from tisfm.sources.paths import refuse_url
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import Trajectory
-from tisfm.trajectory.clock import times_note
+from tisfm.trajectory.times import times_note
 
 
 class ChunkedRun:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tisfm.sources.reading import is_whole
+from tisfm.sources.frame_reader import is_whole
 
 CHUNK = 150  # frames of a chunk, at most
 # Frames that a chunk shares with the next: so many, or that share of a short one.

@@ -14,7 +14,7 @@ from tests.sources.made import FRAMES, QUICK
 from tests.waiting import PATIENCE, wait_for
 from tisfm.formats import write_png
 from tisfm.sources import FrameSource
-from tisfm.sources.ahead import AHEAD, read_ahead
+from tisfm.sources.read_ahead import AHEAD, read_ahead
 
 
 def own_threads():
@@ -122,7 +122,7 @@ def test_few_frames_are_alive_at_a_time(tmp_path, monkeypatch, options):
         most.append(len(alive))
         return frame
 
-    monkeypatch.setattr("tisfm.sources.files.read_image", read)
+    monkeypatch.setattr("tisfm.sources.image_files.read_image", read)
     gc.disable()  # what only the collector frees would be held in a cycle
     try:
         for _ in tisfm.interpret_sequence(folder_of(tmp_path, 12), settings=QUICK, **options):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.trajectory.rows import checked_pose, pose_of_twelve, read_rows
+from tisfm.trajectory.text_files import checked_pose, pose_of_twelve, read_rows
 
 
 def read_pose(path: Path) -> NDArray[np.float64]:

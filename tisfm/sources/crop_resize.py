@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.frames import MIN_SIDE, check_frame
-from tisfm.sources.reading import is_whole
+from tisfm.sources.frame_reader import is_whole
 
 
 @dataclass(frozen=True, kw_only=True)

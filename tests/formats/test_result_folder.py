@@ -6,8 +6,8 @@ import time
 import pytest
 
 from tests.waiting import PATIENCE
-from tisfm.formats import folder_lock
-from tisfm.formats.folder_lock import LOCK, FolderInUseError, is_written_to, locked_folder
+from tisfm.formats import result_folder
+from tisfm.formats.result_folder import LOCK, FolderInUseError, is_written_to, locked_folder
 
 
 def test_it_is_written_to_while_the_lock_is_held(tmp_path):
@@ -28,7 +28,7 @@ def test_the_file_of_a_killed_run_says_nothing(tmp_path):
 
 
 def test_a_reader_does_not_keep_a_run_from_its_folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder_lock, "_PATIENCE", PATIENCE)  # a busy machine may stop the reader
+    monkeypatch.setattr(result_folder, "_PATIENCE", PATIENCE)  # a busy machine may stop the reader
     ended = threading.Event()
 
     def look():

@@ -6,7 +6,7 @@ import pytest
 import tisfm
 from tests.sources.made import FRAMES, QUICK, H, W
 from tisfm.sources import FrameSource
-from tisfm.sources.view import View
+from tisfm.sources.crop_resize import View
 
 DISTORTED = tisfm.Camera((50.0, 60.0), center=(20.5, 11.0), distortion=(-0.1, 0.02, 0, 0))
 

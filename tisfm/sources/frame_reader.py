@@ -1,7 +1,9 @@
-"""What a source reads: frames, and frames that cannot be read."""
+"""The protocol of a frame reader, the frames it yields, and the warnings about how it reads."""
 
+import hashlib
 import os
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -119,3 +121,43 @@ def is_path(item: Any) -> bool:
 def is_whole(value: Any) -> bool:
     """Return whether a value is a whole number, and no truth value."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+class SourceWarning(UserWarning):
+    """Files or streams are left out, frames are resampled, or names or times are read in one way.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from tisfm.sources.frame_reader import SourceWarning
+    >>> warnings.simplefilter("ignore", SourceWarning)
+    """
+
+
+def warn_of(notes: Iterable[str], *, stacklevel: int = 2) -> None:
+    """Give each note as a `SourceWarning` at the caller, or further up, as `warnings.warn` does."""
+    for note in notes:
+        warnings.warn(note, SourceWarning, stacklevel=stacklevel + 1)
+
+
+@dataclass(frozen=True)
+class Listing:
+    """How many files there are, and a digest of their names, and of their sizes if these count."""
+
+    count: int
+    digest: str
+
+    @classmethod
+    def of(cls, files: Sequence[Path], *, with_sizes: bool = False) -> "Listing":
+        """Return that of files in their order."""
+        sizes = [f"/{path.stat().st_size}" if with_sizes else "" for path in files]
+        names = "\0".join(f"{path.name}{size}" for path, size in zip(files, sizes, strict=True))
+        return cls(len(files), hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest())
+
+    def check(self, other: "Listing", title: str) -> None:
+        """Refuse what another process sees, with RuntimeError, if it is not the same."""
+        if other != self:
+            raise RuntimeError(
+                f"a worker sees other files in {title} ({other.count}) than the process that began "
+                f"({self.count}): wait until all machines see the same, and give --resume"
+            )

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from tisfm.datasets.pair import DatasetPair
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.time_names import in_order
+from tisfm.formats.image_names import in_order
 
 Layout = Literal[
     "middlebury",

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats
-from tisfm.fusion.blocks import Blocks, Field, coordinates, numbers_of
+from tisfm.fusion.signed_distance import Blocks, Field, coordinates, numbers_of
 
 # In truncations:
 STEEPEST = 1.0  # where the distance changes by more in a cell, there is no surface, but an edge

@@ -1,15 +1,19 @@
-"""Whether all of a picture file is there, from its own account of its length.
+"""What an image file states about itself: its size in pixels, and where its parts end.
 
-PNG and TIFF say where each of their pieces ends. Checking that first is exact, needs no decoding,
-and keeps libpng and libtiff from printing complaints of their own to standard error.
+PNG and TIFF say where each of their parts ends. Checking that before decoding is exact, and keeps
+libpng and libtiff from printing complaints of their own to standard error.
 """
 
+import io
+import re
 import struct
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from tisfm.formats.png import SIGNATURE
+from tisfm.formats.reading import FormatError
 
 # TIFF value types to NumPy: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
 _TIFF_TYPES = {
@@ -113,3 +117,65 @@ def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | Non
             values[tag] = np.frombuffer(data, dtype, count, start)
     struct.unpack_from(order + offset_type, data, position)  # where the next directory is
     return values, None
+
+
+LARGEST_PICTURE = 2**28
+"""Pixels beyond which no picture is read: a file of kilobytes may state any number."""
+
+PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
+"""Pillow's names of the formats that are read; of the others some run other programs."""
+
+FLOATS = (b"PF", b"Pf", b"#?")
+"""What PFM and Radiance files begin with."""
+
+_RADIANCE = re.compile(rb"[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
+_FLOATS = re.compile(rb"\AP[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
+_HEADER = 64 * 1024  # bytes in which a Radiance file states its size
+
+
+def refuse_large(name: str, data: bytes, pixels: int | None = None) -> None:
+    """Raise FormatError for a picture of more than `LARGEST_PICTURE` pixels.
+
+    Parameters
+    ----------
+    name : str
+        What the error calls it.
+    data : bytes
+        The whole file.
+    pixels : int, optional
+        What it has, where that is known.
+    """
+    pixels = _stated(data) if pixels is None else pixels
+    if pixels is None and data.startswith(FLOATS):  # OpenCV may see a size where there is none
+        raise FormatError(f"{name} is damaged: it states no size")
+    if pixels is not None and pixels > LARGEST_PICTURE:
+        raise FormatError(
+            f"{name} is a picture of {pixels} pixels, more than {LARGEST_PICTURE}: it is damaged, "
+            "or has to be shrunk"
+        )
+
+
+def _stated(data: bytes) -> int | None:
+    """Return the number of pixels, None of an unknown format."""
+    if data.startswith(FLOATS):
+        header = _RADIANCE if data.startswith(b"#?") else _FLOATS
+        # The largest: a comment may state a size as well.
+        return max(
+            (int(found[1]) * int(found[2]) for found in header.finditer(data[:_HEADER])),
+            default=None,
+        )
+    if data.startswith(TIFF):
+        return tiff_pixels(data)
+    Image.init()
+    for kind in PILLOW_FORMATS:
+        open_picture, known = Image.OPEN[kind]
+        try:
+            if known is None or known(data[:16]) is True:
+                # Not by Image.open, which refuses what is too large for its own taste.
+                with open_picture(io.BytesIO(data), "") as picture:
+                    return picture.width * picture.height
+        except MemoryError:
+            raise
+        except Exception:  # Pillow's decoders raise whatever a damaged file leads them to
+            continue
+    return None

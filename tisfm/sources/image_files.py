@@ -1,12 +1,46 @@
-"""Image files as a source."""
+"""Image files as a source of frames."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from PIL import Image
+
 from tisfm.formats import FormatError, read_image
-from tisfm.formats.time_names import named_times, times_of_names, unread_note
-from tisfm.sources.animations import animations_note
-from tisfm.sources.reading import BadFrame, RawFrame
+from tisfm.formats.image_headers import PILLOW_FORMATS
+from tisfm.formats.image_names import named_times, times_of_names, unread_note
+from tisfm.formats.reading import open_file
+from tisfm.sources.frame_reader import BadFrame, RawFrame
+
+_FORMATS = (*PILLOW_FORMATS, "GIF", "AVIF")
+_LOOKED_AT = 100  # pictures of a folder, at most: each is opened
+
+
+def frames_in_picture(file: Path) -> int:
+    """Return how many frames a picture has; 1 if that is not known.
+
+    Further pictures in a JPEG (MPO) are previews, depth or gain maps, or the view of a second lens:
+    they are not counted.
+    """
+    try:
+        with warnings.catch_warnings(), open_file(file) as opened:
+            warnings.simplefilter("ignore")  # of large pictures
+            with Image.open(opened, formats=_FORMATS) as picture:
+                return 1 if picture.format == "MPO" else int(getattr(picture, "n_frames", 1))
+    except Exception:  # Pillow's decoders raise many kinds for damaged files
+        return 1
+
+
+def animations_note(files: Sequence[Path]) -> str:
+    """Return a note that only first frames are read, "" if all pictures have one frame."""
+    for file in files[:_LOOKED_AT]:
+        count = frames_in_picture(file)
+        if count > 1:
+            return (
+                f"of pictures with several frames, such as {file.name} ({count}), only the first "
+                "frame is read: save the frames as separate files to read all"
+            )
+    return ""
 
 
 class ImageFiles:

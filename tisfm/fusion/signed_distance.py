@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats
-from tisfm.fusion.views import PosedDepth, Views
+from tisfm.fusion.depth_views import PosedDepth, Views
 
 MOST_BLOCKS = 150_000  # of 6 KB each
 MOST_CANDIDATES = 16 * MOST_BLOCKS  # of 12 bytes each

@@ -1,0 +1,86 @@
+"""Checks of both video readers: missing frames, too large frames, pixels that are not square."""
+
+import cv2
+import numpy as np
+
+from tisfm.formats import FormatError
+
+
+def misses_frames(count: int, announced: int | None) -> bool:
+    """Return whether there are fewer frames than announced, but for a few that are miscounted."""
+    return announced is not None and count < announced - max(2, announced // 50)
+
+
+def ends_early(count: int, last: float | None, end: float | None) -> bool | None:
+    """Return whether the last frame comes long before the end that is stated, None if unknown.
+
+    Parameters
+    ----------
+    count : int
+        Number of frames.
+    last, end : float or None
+        Time of the last one, and of the end, s, where they are known.
+    """
+    if last is None or end is None:
+        return None
+    return last < 0.98 * end - 3 * last / max(count - 1, 1)
+
+
+def cut_off(path: str, after: str, of: str) -> ValueError:
+    """Return the error of a video that ends after less than it stated."""
+    return ValueError(
+        f"{path} ends after {after} of {of}: the file is cut off or damaged; the results up to "
+        "there are complete"
+    )
+
+
+LARGEST_FRAME = 2**26
+"""Pixels beyond which no video is decoded; 8192 × 8192. Decoders hold up to 17 frames at once."""
+
+
+def refuse_large_frames(path: str, width: int, height: int) -> None:
+    """Raise FormatError for frames of more than `LARGEST_FRAME` pixels."""
+    if width * height > LARGEST_FRAME:
+        raise FormatError(
+            f"{path} has frames of {width} × {height} px, more than {LARGEST_FRAME} pixels: it is "
+            "damaged, or has to be shrunk"
+        )
+
+
+_LARGEST_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
+
+
+def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
+    """Return width and height of a frame with square pixels, px; no pixel is lost.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the frame, px.
+    aspect : float
+        Width of a pixel over its height. Values outside 1/8 to 8 are taken for 1.
+    """
+    if not 1 / _LARGEST_ASPECT <= aspect <= _LARGEST_ASPECT:
+        return width, height
+    return (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))
+
+
+def with_square_pixels(image: np.ndarray, aspect: float) -> np.ndarray:
+    """Return a frame, (H, W, 3) uint8, resampled to the size of `square_size`."""
+    height, width = image.shape[:2]
+    size = square_size(width, height, aspect)
+    if size == (width, height):
+        return image
+    return cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
+
+
+def resampling_note(path: str, width: int, height: int, aspect: float) -> str:
+    """Return a note on a video with frames of this size, "" if its pixels are square."""
+    size = square_size(width, height, aspect)
+    if size == (width, height):
+        return ""
+    return (
+        f"the pixels of {path} are not square ({aspect:.4g} times as wide as high): frames are "
+        f"resampled from {width} × {height} to {size[0]} × {size[1]} px, as players show them; "
+        "give the camera, crop, masks and labels for the resampled frames"
+    )

@@ -1,0 +1,306 @@
+"""Trajectories as text: KITTI's 12 numbers a line, and TUM's 8 numbers a line."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.reading import read_text
+from tisfm.rigid import is_rotation
+from tisfm.trajectory.poses import Trajectory, check_poses, check_times
+
+
+def read_lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the words of every line of a text, with its number.
+
+    Lines that are empty or begin with # do not count.
+    """
+    lines = read_text(path).splitlines()
+    words = [(number, line.split()) for number, line in enumerate(lines, 1)]
+    return [(number, line) for number, line in words if line and not line[0].startswith("#")]
+
+
+def read_rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
+    """Return the numbers of every line of a text, with its number.
+
+    Parameters
+    ----------
+    path : Path
+    columns : int
+        Numbers that each line must have. Lines that are empty or begin with # do not count.
+
+    Raises
+    ------
+    FormatError
+        If a line has others; it is named.
+    OSError
+        If the file does not exist or cannot be read.
+    """
+    rows = []
+    for number, words in read_lines(path):
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise FormatError(f"{path}, line {number}: {error}, expected numbers") from error
+        if len(values) != columns:
+            raise FormatError(
+                f"{path}, line {number} has {len(values)} numbers, expected {columns}"
+            )
+        rows.append((number, values))
+    return rows
+
+
+def pose_of_twelve(numbers: list[float]) -> NDArray[np.float64]:
+    """Return the (4, 4) matrix of its upper three rows."""
+    return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
+
+
+def checked_pose(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+    """Return a (4, 4) pose, or raise FormatError, which begins with `where`, if it is none."""
+    if not np.isfinite(pose).all():
+        raise FormatError(f"{where} is not finite: there is no pose of this frame")
+    if not is_rotation(pose[:3, :3]):
+        raise FormatError(
+            f"{where} holds no rotation: expected an orthonormal matrix in the first three columns"
+        )
+    return pose
+
+
+def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a text of twelve numbers a line, the rows of (R | t) from camera to world.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A line for every frame. One of twelve nan stands for a frame without a pose.
+
+    Returns
+    -------
+    Trajectory
+        Without times.
+
+    Raises
+    ------
+    FormatError
+        If a line does not hold a pose; it is named.
+    OSError
+        If the file does not exist or cannot be read.
+
+    References
+    ----------
+    Geiger, Lenz and Urtasun, Are we ready for autonomous driving?, CVPR 2012,
+    doi 10.1109/CVPR.2012.6248074: the files of its odometry benchmark.
+
+    Examples
+    --------
+    >>> from tisfm.trajectory import read_kitti
+    >>> read_kitti("calibrated/poses.txt").times is None
+    True
+    """
+    file = Path(path)
+    poses = [
+        np.full((4, 4), np.nan)
+        if np.isnan(numbers).all()
+        else checked_pose(pose_of_twelve(numbers), f"{file}, line {line}")
+        for line, numbers in read_rows(file, columns=12)
+    ]
+    return Trajectory(poses=np.reshape(poses, (-1, 4, 4)))
+
+
+def write_kitti(path: str | os.PathLike[str], poses: ArrayLike) -> None:
+    """Write a text of twelve numbers a line, the rows of (R | t) from camera to world.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Replaced when all is written.
+    poses : array_like, shape (N, 4, 4)
+        Camera to world. A frame without a pose, NaN, has a line of twelve nan, because lines are
+        counted. Programs that expect a pose on every line stop there: give them `write_tum`'s.
+
+    Raises
+    ------
+    ValueError
+        If `poses` are none.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_kitti, write_kitti
+    >>> poses = np.tile(np.eye(4), (3, 1, 1))
+    >>> poses[1] = np.nan  # no pose
+    >>> write_kitti("poses.txt", poses)
+    >>> read_kitti("poses.txt").posed.tolist()
+    [True, False, True]
+    """
+    rows = check_poses(poses)[:, :3].reshape(-1, 12)
+    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+_UNIT = 1e-2  # of the length of a quaternion: files round to four digits
+_HEADING = "# time tx ty tz qx qy qz qw\n"
+
+
+def read_tum(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a text of eight numbers a line: time, s, position and quaternion, camera to world.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Lines that begin with # do not count. Frames without a pose have no line.
+
+    Returns
+    -------
+    Trajectory
+        Of the lines that there are.
+
+    Raises
+    ------
+    FormatError
+        If a line does not hold a pose, or a time does not follow the one before; it is named.
+    OSError
+        If the file does not exist or cannot be read.
+
+    References
+    ----------
+    Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
+    doi 10.1109/IROS.2012.6385773.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_tum, write_tum
+    >>> write_tum("path.txt", np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
+    >>> read_tum("path.txt").poses.shape
+    (3, 4, 4)
+    """
+    file = Path(path)
+    rows = read_rows(file, columns=8)
+    last = -np.inf
+    for line, numbers in rows:
+        if not np.isfinite(numbers).all():
+            raise FormatError(f"{file}, line {line} is not finite: leave out frames without a pose")
+        length = float(np.linalg.norm(numbers[4:]))
+        if abs(length - 1) > _UNIT:
+            raise FormatError(
+                f"{file}, line {line} has a quaternion of length {length:g}, expected 1: "
+                "qx qy qz qw are the last four numbers"
+            )
+        if not numbers[0] > last:
+            raise FormatError(
+                f"{file}, line {line} has the time {numbers[0]!r}, expected one after {last!r}"
+            )
+        last = numbers[0]
+    values = np.reshape([numbers for _, numbers in rows], (-1, 8))
+    poses = np.tile(np.eye(4), (len(values), 1, 1))
+    poses[:, :3, :3] = _rotations(values[:, 4:])
+    poses[:, :3, 3] = values[:, 1:4]
+    return Trajectory(poses=poses, times=values[:, 0])
+
+
+def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) -> None:
+    """Write a text of eight numbers a line: time, s, position and quaternion, camera to world.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Replaced when all is written.
+    poses : array_like, shape (N, 4, 4)
+        Camera to world. A frame without a pose, NaN, has no line.
+    times : array_like, shape (N,)
+        Of the frames, s, each above the one before. Where none are known, numbers of frames do.
+
+    Raises
+    ------
+    ValueError
+        If `poses` or `times` are not that.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.trajectory import read_tum, write_tum
+    >>> write_tum("path.txt", np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
+    >>> read_tum("path.txt").times.tolist()
+    [0.0, 0.1, 0.2]
+    """
+    matrices = check_poses(poses)
+    stamps = check_times(times, len(matrices))
+    posed = np.isfinite(matrices[:, 0, 0])
+    matrices = matrices[posed]
+    rows = np.column_stack([stamps[posed], matrices[:, :3, 3], _quaternions(matrices[:, :3, :3])])
+    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    with atomic_write(path) as file:
+        file.write((_HEADING + text).encode())
+
+
+def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 3, 3) rotations of quaternions x, y, z, w, which need not be of length 1."""
+    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    vector, w = unit[:, :3], unit[:, 3, None, None]
+    x, y, z = vector.T
+    nothing = np.zeros(len(unit))
+    cross = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=1).reshape(-1, 3, 3)
+    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+
+
+def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 4) quaternions x, y, z, w ≥ 0 of rotations.
+
+    4 q qᵀ is linear in R. Its row of the largest diagonal element is a multiple of q, and no other
+    is as far from rounding (Shepperd, Journal of Guidance and Control 1 (1978) 223–224,
+    doi 10.2514/3.55767b).
+    """
+    trace = np.trace(rotations, axis1=1, axis2=2)[:, None, None]
+    square = np.empty((len(rotations), 4, 4))
+    square[:, :3, :3] = rotations + rotations.transpose(0, 2, 1) + (1 - trace) * np.eye(3)
+    square[:, 3, 3] = 1 + trace[:, 0, 0]
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        square[:, 3, k] = square[:, k, 3] = rotations[:, i, j] - rotations[:, j, i]
+    largest = np.argmax(np.diagonal(square, axis1=1, axis2=2), axis=1)
+    found = square[np.arange(len(rotations)), largest]
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return np.where(found[:, 3:] < 0, -found, found)
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a file in the format of TUM or of KITTI, whichever it is.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Text of 8 numbers a line, as `read_tum` takes it, or of 12, as `read_kitti` does.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    FormatError
+        If it is of neither format, or a line holds no pose; the line is named.
+    OSError
+        If the file does not exist or cannot be read.
+
+    Examples
+    --------
+    >>> from tisfm.trajectory import read_trajectory
+    >>> read_trajectory("calibrated/poses.txt").poses.shape
+    (9, 4, 4)
+    """
+    file = Path(path)
+    lines = read_lines(file)
+    count = len(lines[0][1]) if lines else 0
+    if count not in (8, 12):
+        raise FormatError(
+            f"{file} is no trajectory: its first line has {count} words, expected 8 numbers (TUM: "
+            "time tx ty tz qx qy qz qw) or 12 (KITTI: the rows of R | t)"
+        )
+    return read_tum(file) if count == 8 else read_kitti(file)
