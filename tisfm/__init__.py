@@ -45,6 +45,7 @@ _SUBMODULES = (
     "camera_file",
     "datasets",
     "egomotion",
+    "errors",
     "evaluation",
     "exports",
     "focal_guess",

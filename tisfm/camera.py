@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from tisfm.errors import InputError, InputTypeError
+
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)  # of the radius that they multiply; a tilt has none
 SHORTEST, LONGEST = 1e-3, 1e6  # px: beyond, squares of x̂ and ŷ leave single precision
@@ -83,7 +85,7 @@ class Camera:
         aspect = _positive(aspect, "aspect", "fy / fx", unit="")
         if isinstance(focal, (tuple, list, np.ndarray)):
             if aspect != 1:
-                raise ValueError(
+                raise InputError(
                     f"focal is {focal!r} and aspect is {aspect:g}: give one of fy and aspect"
                 )
             fx, fy = _focals(focal)
@@ -145,7 +147,7 @@ class Camera:
         lens = self.distortion
         if lens is not None:
             if self.is_tilted:
-                raise ValueError("the distortion of a tilted sensor fits no other focal length")
+                raise InputError("the distortion of a tilted sensor fits no other focal length")
             ratio = focal / self.focal
             lens = tuple(k * ratio**power for k, power in zip(lens, (*POWERS, 0, 0), strict=False))
         return replace(self, focal=focal, distortion=lens)
@@ -181,11 +183,11 @@ def check_camera(camera: Camera | None) -> Camera:
     if camera is None:
         return Camera()
     if not isinstance(camera, Camera):
-        raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera")
+        raise InputTypeError(f"camera is {camera!r}: expected a tisfm.Camera")
     if not SHORTEST <= camera.focal <= LONGEST:
-        raise ValueError(f"focal is {camera.focal:g}: expected {SHORTEST:g} to {LONGEST:g}, in px")
+        raise InputError(f"focal is {camera.focal:g}: expected {SHORTEST:g} to {LONGEST:g}, in px")
     if camera.center is not None and max(map(abs, camera.center)) > LONGEST:
-        raise ValueError(f"center is {camera.center}: expected at most {LONGEST:g}, in px")
+        raise InputError(f"center is {camera.center}: expected at most {LONGEST:g}, in px")
     return camera
 
 
@@ -199,14 +201,14 @@ def check_pinhole(camera: Camera, advice: str) -> None:
     """
     if not camera.is_pinhole:
         what = "oblong pixels" if camera.distortion is None else "distortion"
-        raise ValueError(f"camera has {what}, which does not belong here: {advice}")
+        raise InputError(f"camera has {what}, which does not belong here: {advice}")
 
 
 def _center(value: tuple[float, float]) -> tuple[float, float]:
     try:
         cx, cy = value
     except (TypeError, ValueError):
-        raise ValueError(
+        raise InputError(
             f"center is {value!r}: give the principal point as (cx, cy), in px"
         ) from None
     return _number(cx, "center[0]"), _number(cy, "center[1]")
@@ -216,7 +218,7 @@ def _focals(value: Any) -> tuple[float, float]:
     try:
         fx, fy = value
     except (TypeError, ValueError):
-        raise TypeError(
+        raise InputTypeError(
             f"focal is {value!r}: expected a number, or two as (fx, fy), in px"
         ) from None
     what = "the focal length"
@@ -226,14 +228,14 @@ def _focals(value: Any) -> tuple[float, float]:
 def _positive(value: object, name: str, what: str, *, unit: str = ", in px") -> float:
     number = _number(value, name, unit=unit)
     if number <= 0:
-        raise ValueError(f"{name} is {number:g}: {what} must be positive{unit}")
+        raise InputError(f"{name} is {number:g}: {what} must be positive{unit}")
     return number
 
 
 def _readout(value: object) -> float:
     number = _number(value, "readout", unit=", a share of the time between frames")
     if not -1 <= number <= 1:
-        raise ValueError(
+        raise InputError(
             f"readout is {number:g}: expected -1 to 1, a share of the time from a frame to the next"
         )
     return number
@@ -245,11 +247,11 @@ def _coefficients(value: Iterable[float]) -> tuple[float, ...]:
     try:
         items = tuple(value)
     except TypeError:
-        raise TypeError(
+        raise InputTypeError(
             f"distortion is {value!r}: give OpenCV's coefficients as (k1, k2, p1, p2[, k3, …])"
         ) from None
     if len(items) not in COEFFICIENTS:
-        raise ValueError(
+        raise InputError(
             f"distortion has {len(items)} coefficient{'s' * (len(items) != 1)}: expected 4, 5, 8, "
             "12 or 14, in OpenCV's order (k1, k2, p1, p2[, k3, …])"
         )
@@ -258,11 +260,11 @@ def _coefficients(value: Iterable[float]) -> tuple[float, ...]:
 
 def _number(value: object, name: str, *, unit: str = ", in px") -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}: expected a number{unit}")
+        raise InputTypeError(f"{name} is {value!r}: expected a number{unit}")
     try:
         number = float(value)
     except OverflowError:  # of an integer beyond the range of floats
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"{name} is {number}: expected a finite number{unit}")
+        raise InputError(f"{name} is {number}: expected a finite number{unit}")
     return number

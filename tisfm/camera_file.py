@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.camera import Camera, check_camera
+from tisfm.errors import InputError
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
 
@@ -53,7 +54,7 @@ def write_camera(
     camera = check_camera(camera)
     height, width = (int(side) for side in shape)
     if height < 1 or width < 1:
-        raise ValueError(f"shape is {shape}: expected (height, width)")
+        raise InputError(f"shape is {shape}: expected (height, width)")
     record = {**(about or {}), "format": FORMAT, "width": width, "height": height, **asdict(camera)}
     with atomic_write(path) as file:
         file.write((json.dumps(record, indent=1) + "\n").encode())
@@ -95,13 +96,13 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     record = record_in(file)
     try:
         if record["format"] != FORMAT:
-            raise ValueError(
+            raise InputError(
                 f"it is of format {record['format']}, this version reads {FORMAT}: make it anew, "
                 "with tisfm reconstruct or write_camera"
             )
         height, width = record["height"], record["width"]
         if not all(type(side) is int and 1 <= side <= LONGEST_SIDE for side in (height, width)):
-            raise ValueError(f"its frames are {width}×{height}")
+            raise InputError(f"its frames are {width}×{height}")
         center = record["center"]
         camera = check_camera(
             Camera(
@@ -119,7 +120,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
         return camera
     ratios = shape[0] / height, shape[1] / width
     if abs(ratios[0] / ratios[1] - 1) > SAME_SHAPE:
-        raise ValueError(
+        raise InputError(
             f"{file} is the camera of frames of {width}×{height} px, not of {shape[1]}×{shape[0]}: "
             "give one of frames of that shape"
         )

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from tisfm.errors import InputError, InputTypeError
+
 Floats = NDArray[np.float64]
 # Of a field: array_like when it is given, a read-only float64 array once it is checked.
 Vector = Any
@@ -16,9 +18,9 @@ def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     refuse_masked(value, name, "expected numbers without a mask")
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}: expected {shape}")
+        raise InputError(f"{name} has shape {array.shape}: expected {shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} is {array.tolist()}: expected finite numbers")
+        raise InputError(f"{name} is {array.tolist()}: expected finite numbers")
     array.flags.writeable = False
     return array
 
@@ -28,13 +30,13 @@ def whole(least: int, **values: object) -> None:
     for name, value in values.items():
         if not isinstance(value, int | np.integer) or value < least:
             kind = "positive" if least else "non-negative"
-            raise ValueError(f"{name} is {value!r}: expected a {kind} whole number")
+            raise InputError(f"{name} is {value!r}: expected a {kind} whole number")
 
 
 def check_count(poses: int, frames: int) -> None:
     """Raise ValueError unless there are as many poses as frames."""
     if poses != frames:
-        raise ValueError(f"poses are {poses}, but there are {frames} frames: expected one for each")
+        raise InputError(f"poses are {poses}, but there are {frames} frames: expected one for each")
 
 
 def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
@@ -52,7 +54,7 @@ def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
     hidden, total = _masked(values)
     if hidden:
         advice = advice or f"fill them first, for instance by {name}.filled(np.nan)"
-        raise ValueError(f"{name} has {hidden} of {total} values masked: {advice}")
+        raise InputError(f"{name} has {hidden} of {total} values masked: {advice}")
 
 
 def unmasked(
@@ -68,9 +70,9 @@ def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
     advice = f"fill them first, for instance by {name}.filled(0)"
     mask = unmasked(values, name, advice=advice)
     if mask.dtype.kind not in "biuf":
-        raise TypeError(f"{name} is of type {mask.dtype}: expected True and False, or numbers")
+        raise InputTypeError(f"{name} is of type {mask.dtype}: expected True and False, or numbers")
     if mask.dtype.kind == "f" and np.isnan(mask).any():
-        raise ValueError(f"{name} is NaN at {np.isnan(mask).sum()} of {mask.size} values")
+        raise InputError(f"{name} is NaN at {np.isnan(mask).sum()} of {mask.size} values")
     return mask.astype(bool)
 
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from PIL import ExifTags, Image
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 
@@ -241,11 +242,11 @@ def _size(shape: Sequence[int]) -> tuple[int, int]:
     try:
         height, width, *_ = (int(side) for side in shape)
     except TypeError:
-        raise TypeError(
+        raise InputTypeError(
             f"source is {shape!r}: expected the path of an image, or the shape (H, W) of a frame"
         ) from None
     except ValueError:
         height = width = 0
     if height < 1 or width < 1:
-        raise ValueError(f"source is {shape!r}: expected a shape (H, W) or (H, W, 3)")
+        raise InputError(f"source is {shape!r}: expected a shape (H, W) or (H, W, 3)")
     return height, width

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.checks import refuse_masked
+from tisfm.errors import InputError, InputTypeError
 
 MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
 LARGEST_GREY = 1e36  # grey levels: their differences are numbers of float32
@@ -50,12 +51,12 @@ def grey_pair(
     """
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:
-        raise ValueError(
+        raise InputError(
             f"frame1 is {second.shape} but frame0 is {first.shape}: "
             "frames of a pair must have the same size and channels"
         )
     if first.dtype != second.dtype and not (_is_float(first) and _is_float(second)):
-        raise TypeError(
+        raise InputTypeError(
             f"frame1 is {second.dtype} but frame0 is {first.dtype}: "
             "frames of a pair must have the same type"
         )
@@ -66,7 +67,7 @@ def grey_pair(
 def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     """Return the frame as an array of native byte order, or raise as `grey_pair` does."""
     if isinstance(frame, (str, os.PathLike)):
-        raise TypeError(
+        raise InputTypeError(
             f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
@@ -79,25 +80,25 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     try:
         array = np.asarray(frame)
     except ValueError as error:  # rows of different lengths
-        raise ValueError(f"{name} is not an array: {error}") from None
+        raise InputError(f"{name} is not an array: {error}") from None
     array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype not in (np.uint8, np.uint16) and not _is_float(array):
-        raise TypeError(
+        raise InputTypeError(
             f"{name} is of type {array.dtype}: expected uint8, uint16 or float; convert it, for "
             "instance by .astype(np.uint8) if it has 8-bit grey levels"
         )
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.ndim != 2 and not (array.ndim == 3 and array.shape[2] == 3):
-        raise ValueError(f"{name} is {array.shape}: expected (H, W) grey or (H, W, 3) RGB")
+        raise InputError(f"{name} is {array.shape}: expected (H, W) grey or (H, W, 3) RGB")
     height, width = array.shape[:2]
     if min(height, width) < MIN_SIDE:
-        raise ValueError(
+        raise InputError(
             f"{name} is {height} × {width} px: expected at least {MIN_SIDE} × {MIN_SIDE}"
         )
     if _is_float(array) and not np.isfinite(array).all():
         bad = int(array.size - np.isfinite(array).sum())
-        raise ValueError(
+        raise InputError(
             f"{name} is NaN or infinite at {bad} of {array.size} values: replace them, for "
             "instance by np.nan_to_num, before interpreting"
         )
@@ -153,7 +154,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
             grey *= np.float32(factor)
     # Differences of grey levels have to be finite as well.
     if _is_float(frame) and not np.abs(grey).max() <= LARGEST_GREY:
-        raise ValueError("a frame has values too large for float32: scale it before interpreting")
+        raise InputError("a frame has values too large for float32: scale it before interpreting")
     return grey
 
 

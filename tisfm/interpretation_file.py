@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.checks import refuse_masked
+from tisfm.errors import InputError, OutOfMemoryError
 from tisfm.formats import FormatError
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.packing import STEP, Packing, pack, unpack
@@ -147,7 +148,7 @@ def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
                     f"{name} is not a complete interpretation written by tisfm: {reason}"
                 ) from error
     except MemoryError as error:
-        raise MemoryError(
+        raise OutOfMemoryError(
             f"there is not enough memory to load {name}, of {os.path.getsize(name):,} bytes"
         ) from error
 
@@ -157,7 +158,7 @@ def _read(file: NpzFile) -> dict[str, Any]:
     file.require_only(_PARTS)
     missing = sorted({*_ALWAYS, *_HISTORY}.difference(file))
     if missing:
-        raise ValueError(f"it has no {', '.join(missing)}")
+        raise InputError(f"it has no {', '.join(missing)}")
     camera, settings = _camera(about["camera"]), _settings(about["settings"])
     packings = _packings(file, about["packed"])
     names = [name for name in _TYPES if name in file]
@@ -187,16 +188,16 @@ def _read(file: NpzFile) -> dict[str, Any]:
 def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
     """Return how arrays are packed, by their names."""
     if not isinstance(about, dict) or not set(about) <= set(_PACKED):
-        raise ValueError(f"what is packed is {about!r}, expected some of {', '.join(_PACKED)}")
+        raise InputError(f"what is packed is {about!r}, expected some of {', '.join(_PACKED)}")
     packings = {}
     for name, packing in about.items():
         try:
             packings[name] = Packing.of_json(packing, _PACKED[name])
         except ValueError as error:
-            raise ValueError(f"{name} {error}") from error
+            raise InputError(f"{name} {error}") from error
         stored, kind = file.header(name)
         if len(stored) != 1 or kind != np.uint8:
-            raise ValueError(f"{name} is {stored} {kind}, expected (N,) uint8, as it is packed")
+            raise InputError(f"{name} is {stored} {kind}, expected (N,) uint8, as it is packed")
     return packings
 
 
@@ -204,7 +205,7 @@ def _refuse_inflated(file: NpzFile, frame: tuple[int, ...]) -> None:
     """Refuse a small file of a huge frame, to whose shape those of all arrays belong."""
     pixels = frame[0] * frame[1]
     if pixels > max(_MOST_PIXELS, file.length):
-        raise ValueError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
+        raise InputError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
 
 
 def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
@@ -214,29 +215,29 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
     try:
         return unpack(file.read(name), packing, _TYPES[name], down=_rows(name))
     except ValueError as error:
-        raise ValueError(f"{name} {error}") from error
+        raise InputError(f"{name} {error}") from error
 
 
 def _read_about(file: NpzFile) -> dict[str, Any]:
     """Return the account of itself, checked as far as it stands alone."""
     if "about" not in file:
         missing = sorted({"about", *_ALWAYS}.difference(file))
-        raise ValueError(f"it has no {', '.join(missing)}")
+        raise InputError(f"it has no {', '.join(missing)}")
     text = file.read("about", most=_MOST_ABOUT)
     if text.dtype.kind != "U" or text.shape != ():
-        raise ValueError(f"about is {text.shape} {text.dtype}, expected one text")
+        raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
     # NumPy makes a text of any numbers, with which Python's own functions fail.
     letters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
     if (letters > sys.maxunicode).any():
-        raise ValueError("about has letters that there are not")
+        raise InputError("about has letters that there are not")
     try:
         about = json.loads(str(text))
     except RecursionError as error:
-        raise ValueError("about is nested too deeply") from error
+        raise InputError("about is nested too deeply") from error
     if not isinstance(about, dict):
-        raise ValueError(f"about is {about!r}, expected an object of JSON")
+        raise InputError(f"about is {about!r}, expected an object of JSON")
     if "format" in about and (about["format"] not in _READ or type(about["format"]) is not int):
-        raise ValueError(
+        raise InputError(
             f"its format is {about['format']!r} and this version reads {_READ[0]} to {FORMAT}: it "
             f"was written by tisfm {about.get('version')}, whose results have to be computed again"
         )
@@ -245,7 +246,7 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     _check_names("its account of itself", about, _ABOUT)
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):
-            raise ValueError(f"its {name} is {about[name]!r}, expected text")
+            raise InputError(f"its {name} is {about[name]!r}, expected text")
     return about
 
 
@@ -257,7 +258,7 @@ def _camera(about: Any) -> Camera:
     try:
         return Camera(**about)
     except TypeError as error:
-        raise ValueError(str(error)) from error
+        raise InputError(str(error)) from error
 
 
 def _settings(about: Any) -> Settings:
@@ -266,17 +267,17 @@ def _settings(about: Any) -> Settings:
     try:
         return Settings(**about)
     except TypeError as error:
-        raise ValueError(str(error)) from error
+        raise InputError(str(error)) from error
 
 
 def _check_names(owner: str, values: Any, expected: Iterable[str]) -> None:
     if not isinstance(values, dict):
-        raise ValueError(f"{owner} is {values!r}: expected an object of JSON")
+        raise InputError(f"{owner} is {values!r}: expected an object of JSON")
     missing, unknown = set(expected).difference(values), set(values).difference(expected)
     if missing:
-        raise ValueError(f"missing in {owner}: {', '.join(sorted(missing))}")
+        raise InputError(f"missing in {owner}: {', '.join(sorted(missing))}")
     if unknown:
-        raise ValueError(f"unknown in {owner}: {', '.join(sorted(unknown))}")
+        raise InputError(f"unknown in {owner}: {', '.join(sorted(unknown))}")
 
 
 def _check_layout(
@@ -287,12 +288,12 @@ def _check_layout(
     """Check that shapes and types are those of one result; ValueError if not."""
     size = layout["frame"][0]
     if len(size) not in (2, 3) or min(size[:2]) < MIN_SIDE or size[2:] not in ((), (3,)):
-        raise ValueError(
+        raise InputError(
             f"frame is {size}, expected (H, W) or (H, W, 3) with sides of at least {MIN_SIDE} px"
         )
     rigid = [name for name in _RIGID if name in layout]
     if rigid != ([] if settings.motion == "field" else list(_RIGID)):
-        raise ValueError(
+        raise InputError(
             f"it has {', '.join(rigid) or 'no motions'}, but its settings say motion="
             f'"{settings.motion}": expected {", ".join(_RIGID)} for rigid motions and none of '
             "them for a field"
@@ -301,7 +302,7 @@ def _check_layout(
     (iterations, *_) = (*layout["history_level"][0], 0)
     (count, *_) = (*layout.get("motions", ((), None))[0], 0)
     if rigid and not count:
-        raise ValueError("motions is empty, expected at least one motion, (K, 6)")
+        raise InputError("motions is empty, expected at least one motion, (K, 6)")
     shapes: dict[str, tuple[int, ...]] = {
         "frame": size,
         "rho": (6, height, width),
@@ -313,7 +314,7 @@ def _check_layout(
         expected = shapes.get(name, (height, width))
         if shape != expected or kind not in types[name]:
             names = " or ".join(str(kind) for kind in types[name])
-            raise ValueError(f"{name} is {shape} {kind}, expected {expected} {names}")
+            raise InputError(f"{name} is {shape} {kind}, expected {expected} {names}")
 
 
 def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
@@ -322,36 +323,36 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
         count = len(arrays["motions"])
         least, most = arrays["labels"].min(), arrays["labels"].max()
         if least < 0 or most >= count:
-            raise ValueError(f"labels are {least} to {most}, expected 0 to {count - 1}")
+            raise InputError(f"labels are {least} to {most}, expected 0 to {count - 1}")
     if arrays["occlusion"].view(np.uint8).max() > 1:
-        raise ValueError("occlusion has bytes other than 0 and 1")
+        raise InputError("occlusion has bytes other than 0 and 1")
     for name in ("history_level", "history_warp"):
         if (arrays[name] < 0).any():
-            raise ValueError(f"{name} is negative at {np.argmax(arrays[name] < 0)}")
+            raise InputError(f"{name} is negative at {np.argmax(arrays[name] < 0)}")
     if status in _RIGID_STATUSES and "motions" not in arrays:
-        raise ValueError(f"the status is {status!r}, which no field has")
+        raise InputError(f"the status is {status!r}, which no field has")
     if status in _WILD:
         return
     confidence = arrays["confidence"]
     if not (confidence.min() >= 0 and confidence.max() <= 1):  # nor is it so of NaN
-        raise ValueError(
+        raise InputError(
             f"confidence is {confidence.min():g} to {confidence.max():g}, expected 0 to 1"
         )
     if confidence[arrays["occlusion"]].any():
-        raise ValueError("confidence is above 0 where occlusion says that a pixel is not seen")
+        raise InputError("confidence is above 0 where occlusion says that a pixel is not seen")
     for name in ("rho", "flow", "inverse_depth", "motions"):
         if name in arrays and not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} is not finite everywhere, but the status is {status!r}")
+            raise InputError(f"{name} is not finite everywhere, but the status is {status!r}")
     if "inverse_depth_std" in arrays and not arrays["inverse_depth_std"].min() > 0:
-        raise ValueError("inverse_depth_std is not positive everywhere")
+        raise InputError("inverse_depth_std is not positive everywhere")
     for name in ("history_energy", "history_half_quadratic", "history_change"):
         if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
-            raise ValueError(f"{name} is NaN, but the status is {status!r}")
+            raise InputError(f"{name} is NaN, but the status is {status!r}")
     without_depth = _WITHOUT_DEPTH if "motions" in arrays else _WITHOUT_MOTION
     if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
-        raise ValueError("history_change is negative or infinite somewhere, and a length is not")
+        raise InputError("history_change is negative or infinite somewhere, and a length is not")
     if status in without_depth and arrays["inverse_depth"].any():
-        raise ValueError(f"inverse_depth is not 0 everywhere, but the status is {status!r}")
+        raise InputError(f"inverse_depth is not 0 everywhere, but the status is {status!r}")
 
 
 def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:

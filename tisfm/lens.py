@@ -5,6 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
+from tisfm.errors import InputError
 from tisfm.frames import check_frame
 from tisfm.resampling import Resampling
 from tisfm.solver.sampling import FAR
@@ -61,7 +62,7 @@ class Undistortion(Resampling):
         super().__init__(flow, ~folded)
         share = float(self.valid.mean())
         if share < LEAST_SEEN:
-            raise ValueError(
+            raise InputError(
                 f"distortion leaves data at {100 * share:.2g}% of the pixels of a frame of "
                 f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "
                 "focal length and the centre"

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tisfm.errors import InputError, InputTypeError
+
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
     "little_parallax", "unrelated", "pose_mismatch", "two_motions", "aperture", "behind_camera",
@@ -63,9 +65,9 @@ class Status(str):
         """Make a status that compares equal to its code."""
         for name, text in (("status", code), ("message", message)):
             if not isinstance(text, str):
-                raise TypeError(f"{name} is {text!r}: expected a text")
+                raise InputTypeError(f"{name} is {text!r}: expected a text")
         if _CODE.fullmatch(code) is None:
-            raise ValueError(
+            raise InputError(
                 f"status is {code!r}: expected small letters and underscores, such as 'converged'"
             )
         status = super().__new__(cls, code)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import guess_camera
 from tisfm.formats.packing import STEP, rounded
 from tisfm.frames import check_frame, eight_bit, grey_pair
@@ -158,7 +159,7 @@ def interpret_pair(
     settings = check_settings(settings)
     known = check_pose(pose)
     if known is not None and settings.motion != "camera":
-        raise ValueError(
+        raise InputError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
     taken = _taken(
@@ -364,7 +365,7 @@ def _taken(
 def _ignored(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels of both frames that a mask leaves out, (H, W) bool."""
     if isinstance(mask, (str, os.PathLike)):
-        raise TypeError(
+        raise InputTypeError(
             f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
@@ -372,7 +373,7 @@ def _ignored(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     both = np.stack([counted, counted]) if counted.ndim == 2 else counted
     if both.shape != (2, *shape):
         height, width = shape
-        raise ValueError(
+        raise InputError(
             f"mask is {counted.shape}: expected ({height}, {width}), the size of the frames, or "
             f"(2, {height}, {width}) with one for each of them"
         )
@@ -388,7 +389,7 @@ def _counted(
     counted0, counted1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
     for name, counted in (("frame0", counted0), ("frame1", counted1)):
         if not counted.any():
-            raise ValueError(
+            raise InputError(
                 f"mask is black at all pixels of {name}, so nothing is left of it: black is what "
                 "is ignored, white what counts"
             )

@@ -10,6 +10,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import refuse_masked, unmasked
+from tisfm.errors import InputError, InputTypeError
 
 FARTHEST_MEDIANS = 10.0  # depths: near the horizon of inverse depth its noise throws points off
 
@@ -51,7 +52,7 @@ class PointCloud(NDArrayOperatorsMixin):
             array = getattr(self, name)
             refuse_masked(array, name, "leave out the points that they belong to")
             if array.shape != shape or array.dtype != kind:
-                raise ValueError(
+                raise InputError(
                     f"{name} is {array.shape} {array.dtype}: expected {shape} {np.dtype(kind).name}"
                 )
 
@@ -81,7 +82,7 @@ class PointCloud(NDArrayOperatorsMixin):
         if copy:
             return np.array(self.positions, dtype=dtype)
         if copy is False and dtype is not None and np.dtype(dtype) != self.dtype:
-            raise ValueError(
+            raise InputError(
                 f"the positions are {self.dtype}: as {np.dtype(dtype)} they are a copy"
             )
         return np.asarray(self.positions, dtype=dtype)
@@ -164,11 +165,11 @@ def point_cloud(
     check_pinhole(camera, "give the camera of the frame without it, camera.pinhole()")
     _check_number(min_confidence, "min_confidence", "a number in [0, 1]")
     if not 0 <= min_confidence <= 1:
-        raise ValueError(f"min_confidence is {min_confidence:g}: expected a number in [0, 1]")
+        raise InputError(f"min_confidence is {min_confidence:g}: expected a number in [0, 1]")
     if max_depth is not None:
         _check_number(max_depth, "max_depth", "a number of median depths, or None")
         if not max_depth > 0:
-            raise ValueError(f"max_depth is {max_depth:g}: expected a positive number, or None")
+            raise InputError(f"max_depth is {max_depth:g}: expected a positive number, or None")
     depth = unmasked(depth, "depth")
     frame, confidence, occlusion = (
         unmasked(array, name, advice=f"fill them first, for instance by {name}.filled(0)")
@@ -197,4 +198,4 @@ def point_cloud(
 
 def _check_number(value: object, name: str, expected: str) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}: expected {expected}")
+        raise InputTypeError(f"{name} is {value!r}: expected {expected}")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import Floats, finite, refuse_masked
+from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
 
@@ -178,21 +179,23 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
             raise TypeError
         matrix = given.astype(np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"pose is {pose!r}: expected a 4×4 or 3×3 array of real numbers") from None
+        raise InputTypeError(
+            f"pose is {pose!r}: expected a 4×4 or 3×3 array of real numbers"
+        ) from None
     if matrix.shape not in ((4, 4), (3, 3)):
-        raise ValueError(
+        raise InputError(
             f"pose has the shape {matrix.shape}: expected (4, 4), points in frame 0's camera axes "
             "to frame 1's, or (3, 3), its rotation alone"
         )
     if not np.isfinite(matrix).all():
-        raise ValueError("pose has a value that is NaN or infinite")
+        raise InputError("pose has a value that is NaN or infinite")
     if matrix.shape == (4, 4) and not np.allclose(
         matrix[3], (0, 0, 0, 1), rtol=0, atol=_ORTHONORMAL
     ):
-        raise ValueError(f"the last row of pose is {matrix[3].tolist()}: expected 0, 0, 0, 1")
+        raise InputError(f"the last row of pose is {matrix[3].tolist()}: expected 0, 0, 0, 1")
     rotation = matrix[:3, :3]
     if not is_rotation(rotation):
-        raise ValueError(
+        raise InputError(
             f"pose holds {rotation.tolist()}, which is no rotation: expected an orthonormal matrix "
             "without mirroring"
         )
@@ -201,7 +204,7 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     rotation = left @ right
     turn = math.degrees(math.acos(min(max((np.trace(rotation) - 1) / 2, -1), 1)))
     if turn >= _TURN:
-        raise ValueError(
+        raise InputError(
             f"pose turns by {turn:.0f}°: expected less than {_TURN:g}° between two frames of one "
             "scene; check that it is the motion from frame 0's camera to frame 1's, not a pose in "
             "the world, and that both have their axes right, down and forward"
@@ -211,7 +214,7 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     translation = matrix[:3, 3].copy()
     length = math.hypot(*translation)  # whose squares do not overflow
     if translation.any() and not _SHORTEST <= length <= _LONGEST:
-        raise ValueError(
+        raise InputError(
             f"pose translates by {length:.1e}: expected 0 if it only turns, or a length of "
             f"{_SHORTEST:g} to {_LONGEST:g}, for single precision to hold depth in its unit; give "
             "it in another unit"

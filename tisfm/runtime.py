@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from tisfm.cores import bind_newest, thread_ids
+from tisfm.errors import InputError, RunError
 from tisfm.machine.address_space import require_for_taichi
 from tisfm.machine.heap import keep_freed_memory
 from tisfm.machine.kernel_cache import cache_options
@@ -95,19 +96,19 @@ def start(
     >>> tisfm.runtime.start("quantum")
     Traceback (most recent call last):
         ...
-    ValueError: arch is 'quantum': expected one of ...
+    tisfm.errors.InputError: arch is 'quantum': expected one of ...
     """
     global _process
     if arch is not None and arch not in ARCHS:
-        raise ValueError(f"arch is {arch!r}: expected one of {', '.join(map(repr, ARCHS))}")
+        raise InputError(f"arch is {arch!r}: expected one of {', '.join(map(repr, ARCHS))}")
     if threads is not None and (
         isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1
     ):
-        raise ValueError(f"threads is {threads!r}: expected a positive integer, or None for all")
+        raise InputError(f"threads is {threads!r}: expected a positive integer, or None for all")
     if threads is not None:  # Taichi starts every thread it is told of, needed or not
         threads = min(int(threads), os.cpu_count() or 1)
     if _process not in (None, os.getpid()):
-        raise RuntimeError(
+        raise RunError(
             "this process was forked from one in which Taichi ran, whose threads have stayed "
             'there: start workers afresh, as multiprocessing.get_context("spawn") does, or fork '
             "before the first interpretation"
@@ -178,7 +179,7 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
             # Left to the first kernel, it would have to be launched by this very thread.
             materialize()
     except RuntimeError as error:
-        raise RuntimeError(
+        raise RunError(
             f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
         ) from error
     finally:
@@ -201,7 +202,7 @@ def _arch_of_environment() -> str:
 
     arch = os.environ.get("TI_ARCH", "cpu")
     if arch not in (*ARCHS, *HOSTS):
-        raise ValueError(
+        raise InputError(
             f"the environment variable TI_ARCH is {arch!r}: expected one of "
             f"{', '.join(map(repr, ARCHS))}"
         )
@@ -236,7 +237,10 @@ def lane_grid(height: int, width: int) -> "LaneGrid":
     device = on_gpu()  # before kernels are imported: it starts Taichi
     from tisfm.kernels.layout.lanes import LaneGrid
 
-    return LaneGrid(height, width, lanes=lanes(), on_device=device)
+    try:
+        return LaneGrid(height, width, lanes=lanes(), on_device=device)
+    except ValueError as error:  # the frames are larger than kernels can index
+        raise InputError(str(error)) from None
 
 
 def threads() -> int:
@@ -266,18 +270,18 @@ def _check_running(arch: str | None, threads: int | None) -> None:
 
     running = internals.configuration()
     if running.default_ip != ti.i32:
-        raise RuntimeError(
+        raise RunError(
             f"Taichi already runs with default_ip={running.default_ip.to_string()}: its compiler "
             "fails on our kernels then; start it with ti.i32, its default"
         )
     if arch is not None and running_arch() != arch:
-        raise RuntimeError(
+        raise RunError(
             f"Taichi already runs on {running_arch()!r}, not on {arch!r}: call "
             "tisfm.runtime.start before the first interpretation, or let the application that "
             "started Taichi choose"
         )
     if threads is not None and running.cpu_max_num_threads != threads:
-        raise RuntimeError(
+        raise RunError(
             f"Taichi already runs with {running.cpu_max_num_threads} threads, asked for "
             f"{threads}: call tisfm.runtime.start before the first interpretation"
         )

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
+from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
@@ -120,7 +121,7 @@ def interpret_sequence(
     )
     warn_of(frames.notes)
     if poses is not None and settings.motion != "camera":
-        raise ValueError(
+        raise InputError(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
             "out"
         )
@@ -155,16 +156,16 @@ def with_poses(
     if poses is None:
         return iter(pairs)
     if pairs.bad_frames == "skip":
-        raise ValueError(
+        raise InputError(
             f"{title} are given, one for every pair, and bad frames may be skipped: give poses, or "
             "let bad frames raise"
         )
     if isinstance(poses, np.ndarray) and poses.ndim != 3:
-        raise ValueError(
+        raise InputError(
             f"{title} is {poses.shape}: expected one for every pair, (N, 4, 4) or (N, 3, 3)"
         )
     if not isinstance(poses, Iterable):
-        raise TypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
+        raise InputTypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
     number = len(poses) if isinstance(poses, Sized) else None
     if pairs.count is not None and number is not None:
         _check_poses(number, len(pairs), title)
@@ -181,7 +182,7 @@ def _posed(
             try:
                 pose = next(following)
             except StopIteration:
-                raise ValueError(
+                raise InputError(
                     f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
                     "expected one for every pair"
                 ) from None
@@ -194,7 +195,7 @@ def _posed(
 
 def _check_poses(number: int, pairs: int, title: str) -> None:
     if number != pairs:
-        raise ValueError(
+        raise InputError(
             f"{title} are {number}, but there {'is' if pairs == 1 else 'are'} {pairs} "
             f"pair{'s' * (pairs != 1)} of frames: expected one for each"
         )

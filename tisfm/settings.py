@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
+from tisfm.errors import InputError, InputTypeError
+
 Model = Literal["rigid", "translation"]
 Motion = Literal["field", "camera", "objects"]
 Derivatives = Literal["cube", "five_tap"]
@@ -149,7 +151,7 @@ class Settings:
     >>> tisfm.Settings(smoothness=-1.0)
     Traceback (most recent call last):
         ...
-    ValueError: smoothness is -1.0: expected ...
+    tisfm.errors.InputError: smoothness is -1.0: expected ...
     """
 
     model: Model = "rigid"
@@ -195,7 +197,7 @@ class Settings:
         _check_real("smoothness", self.smoothness, least=least, most=most)
         _check_real("beta", self.beta, least=1 / _MOST, most=_MOST)
         if not least <= float(self.smoothness) * float(self.beta) <= most:
-            raise ValueError(
+            raise InputError(
                 f"smoothness · beta is {float(self.smoothness):g} · {float(self.beta):g}: expected "
                 f"a product of at least {least:g} and at most {most:g}"
             )
@@ -204,13 +206,13 @@ class Settings:
         for name in ("joint_edges", "align_scales"):
             value = getattr(self, name)
             if not isinstance(value, bool):
-                raise TypeError(f"{name} is {value!r}: expected True or False")
+                raise InputTypeError(f"{name} is {value!r}: expected True or False")
         object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
         _check_real("image_edges", self.image_edges, least=0, most=_MOST)
         for name in ("brightness", "gradient"):
             _check_real(name, getattr(self, name), least=0, most=_MOST)
         if not self.brightness + self.gradient > 0:
-            raise ValueError("brightness and gradient are both 0: give one of them a weight")
+            raise InputError("brightness and gradient are both 0: give one of them a weight")
         if self.normalization is not None:
             _check_real("normalization", self.normalization, least=0, most=_MOST)
         if self.data_contrast is not None:
@@ -218,7 +220,7 @@ class Settings:
         _check_real("depth_smoothness", self.depth_smoothness, least=least, most=most)
         _check_real("depth_brightness", self.depth_brightness, least=0, most=_MOST)
         if not self.depth_brightness + self.gradient > 0:
-            raise ValueError("depth_brightness and gradient are both 0: give one of them a weight")
+            raise InputError("depth_brightness and gradient are both 0: give one of them a weight")
         if self.depth_normalization is not None:
             _check_real("depth_normalization", self.depth_normalization, least=0, most=_MOST)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
@@ -266,7 +268,7 @@ class Settings:
         known = {field.name for field in fields(cls)}
         unknown = sorted(set(changes) - known)
         if unknown:
-            raise ValueError(
+            raise InputError(
                 f"no setting is named {', '.join(unknown)}: settings are {', '.join(sorted(known))}"
             )
         return replace(_PRESETS[name], **changes)
@@ -295,7 +297,7 @@ def check_settings(settings: Settings | None) -> Settings:
     if settings is None:
         return Settings()
     if not isinstance(settings, Settings):
-        raise TypeError(
+        raise InputTypeError(
             f"settings is {settings!r}: expected a tisfm.Settings, "
             'for instance Settings.preset("accurate")'
         )
@@ -304,7 +306,7 @@ def check_settings(settings: Settings | None) -> Settings:
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     if value not in choices:
-        raise ValueError(f"{name} is {value!r}: expected one of {', '.join(map(repr, choices))}")
+        raise InputError(f"{name} is {value!r}: expected one of {', '.join(map(repr, choices))}")
 
 
 def _check_real(
@@ -317,7 +319,7 @@ def _check_real(
     below: float = math.inf,
 ) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}: expected a number")
+        raise InputTypeError(f"{name} is {value!r}: expected a number")
     try:
         number = float(value)
     except OverflowError:  # of an integer beyond the range of floats
@@ -333,12 +335,12 @@ def _check_real(
             )
             if math.isfinite(bound)
         ]
-        raise ValueError(f"{name} is {value}: expected a finite number {' and '.join(bounds)}")
+        raise InputError(f"{name} is {value}: expected a finite number {' and '.join(bounds)}")
 
 
 def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     if isinstance(stiffness, str) or not isinstance(stiffness, Sequence) or len(stiffness) != 6:
-        raise TypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
+        raise InputTypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
     for k, value in enumerate(stiffness):
         _check_real(f"stiffness[{k}]", value, least=1e-3, most=_MOST)
     return tuple(float(value) for value in stiffness)
@@ -346,9 +348,9 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
 
 def _check_count(name: str, value: object, *, least: int, most: int) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise TypeError(f"{name} is {value!r}: expected an integer")
+        raise InputTypeError(f"{name} is {value!r}: expected an integer")
     if not least <= int(value) <= most:
-        raise ValueError(f"{name} is {value}: expected at least {least} and at most {most}")
+        raise InputError(f"{name} is {value}: expected at least {least} and at most {most}")
 
 
 _PRESETS: dict[str, Settings] = {

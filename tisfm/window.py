@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Literal, get_args
 
+from tisfm.errors import InputError, InputTypeError
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:
@@ -42,15 +43,15 @@ def window_of(size: WindowSize, settings: Settings) -> Window | None:
         If `size` is not the number of frames of a window, or the motion takes pairs alone.
     """
     if isinstance(size, bool) or not isinstance(size, int):
-        raise TypeError(f"window is {size!r}: expected 2 or 3, a number of frames")
+        raise InputTypeError(f"window is {size!r}: expected 2 or 3, a number of frames")
     if size not in get_args(WindowSize):
-        raise ValueError(
+        raise InputError(
             f"window is {size}: expected 2 frames, a pair, or 3, with the frame before it"
         )
     if size == 2:
         return None
     if settings.motion != "field":
-        raise ValueError(
+        raise InputError(
             f'window is 3, but motion="{settings.motion}" takes pairs: leave it out, or give '
             'motion="field"'
         )

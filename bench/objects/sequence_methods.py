@@ -16,8 +16,8 @@ from bench.objects.tracking import as_one, tracked
 from bench.shared.contest import MethodFailure
 from bench.shared.peer_process import Peer
 from bench.shared.sequences import FlowPair
+from tisfm.errors import is_user_error
 from tisfm.settings import Preset, Settings
-from tisfm.stated import is_stated
 
 GAPS, DIFFERENCES = (1, 2, 4), (4.0, 6.0, 10.0, 16.0, 25.0)  # frames; grey levels
 NEAREST, VARIANCES = (1, 4), (4.0, 9.0, 16.0)  # frames; squared deviations
@@ -164,7 +164,7 @@ class Reconstruct:
                 tisfm.reconstruct, clip.frames, camera=clip.camera, settings=settings
             )
         except (TypeError, ValueError, RuntimeError) as error:
-            if not is_stated(error):
+            if not is_user_error(error):
                 raise
             raise MethodFailure(" ".join(str(error).split())) from None
         if not hasattr(result, "labels"):

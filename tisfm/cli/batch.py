@@ -18,6 +18,7 @@ from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.foretelling import Foretelling
 from tisfm.cli.run_record import RECORD
 from tisfm.cores import usable_cores
+from tisfm.errors import InputError
 from tisfm.reconstruction.folder import ASKED
 from tisfm.reconstruction.renewal import CHUNKS
 
@@ -68,24 +69,24 @@ def read_jobs(path: Path) -> list[Job]:
             reader = csv.DictReader(file, strict=True)
             columns = [name.strip() for name in reader.fieldnames or ()]
             if not {SOURCE, OUTPUT} <= set(columns):
-                raise ValueError(f"{path} has no columns source and output in its first line")
+                raise InputError(f"{path} has no columns source and output in its first line")
             if len(set(columns)) < len(columns):
-                raise ValueError(f"{path} names a column twice in its first line")
+                raise InputError(f"{path} names a column twice in its first line")
             reader.fieldnames = columns
             for row in reader:
                 job = _job(row, f"{path}, line {reader.line_num}", reader.line_num)
                 place = os.path.realpath(job.output)
                 if place in outputs:
-                    raise ValueError(
+                    raise InputError(
                         f"{path}, lines {outputs[place]} and {job.line} have the same output, "
                         f"{job.output}"
                     )
                 outputs[place] = job.line
                 jobs.append(job)
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no CSV: {error}") from error
+        raise InputError(f"{path} is no CSV: {error}") from error
     if not jobs:
-        raise ValueError(f"{path} lists nothing: expected a line for each video")
+        raise InputError(f"{path} lists nothing: expected a line for each video")
     return jobs
 
 
@@ -104,9 +105,9 @@ def batch(
     with so many threads, by default its share of the cores. One that is killed is begun again.
     """
     if workers < 1:
-        raise ValueError(f"workers is {workers}: expected a positive number")
+        raise InputError(f"workers is {workers}: expected a positive number")
     if threads is not None and threads < 1:
-        raise ValueError(f"threads is {threads}: expected a positive number")
+        raise InputError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
     each = threads or max(1, usable_cores() // workers)
     calls = [_arguments(job, command, each, resume=resume) for job in jobs]
@@ -114,7 +115,7 @@ def batch(
         try:
             check(call)
         except ValueError as error:
-            raise ValueError(f"{path}, line {job.line}: {error}") from error
+            raise InputError(f"{path}, line {job.line}: {error}") from error
     failed = 0
     with (
         _ending_by_signal(),
@@ -143,17 +144,17 @@ def batch(
 
 def _job(row: dict[str, str], where: str, line: int) -> Job:
     if None in row:
-        raise ValueError(f"{where} has more cells than there are columns")
+        raise InputError(f"{where} has more cells than there are columns")
     cells = {name: (value or "").strip() for name, value in row.items()}
     for name in (SOURCE, OUTPUT):
         if not cells[name]:
-            raise ValueError(f"{where} has no {name}")
+            raise InputError(f"{where} has no {name}")
     options: list[str] = []
     try:
         for name in cells.keys() - {SOURCE, OUTPUT}:
             shlex.split(cells[name])
     except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
+        raise InputError(f"{where}: {error}") from None
     for name, value in cells.items():
         if name in (SOURCE, OUTPUT) or not value:
             continue

@@ -13,11 +13,11 @@ from tisfm import runtime
 from tisfm.cli.pair_files import Ranges, Sums
 from tisfm.cli.pair_work import PairSource, PairWork
 from tisfm.cli.run_record import is_unchanged
+from tisfm.errors import is_user_error
 from tisfm.formats.result_folder import InputFiles
 from tisfm.machine.workers import check_worker, stated
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source
-from tisfm.stated import is_stated
 from tisfm.version import __version__
 
 _NO_END = 2**62
@@ -144,7 +144,7 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
             _forget_reading()  # no other chunk of this run will come
     except Exception as raised:
         _forget_reading()
-        if not is_stated(raised):
+        if not is_user_error(raised):
             raise
         error = stated(raised)  # what is done is not lost
     skipped = [] if reading is None else list(reading.skipped)

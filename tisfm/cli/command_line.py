@@ -27,9 +27,9 @@ from tisfm.cli.report_arguments import Report
 from tisfm.cli.run_arguments import Run
 from tisfm.cli.shared_options import SettingsOptions
 from tisfm.cli.view_arguments import View
+from tisfm.errors import InputError, TisfmError, is_user_error
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
-from tisfm.stated import is_raised_here, is_stated
 from tisfm.version import __version__
 
 WRONG_OPTION = 2
@@ -105,13 +105,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
-        return _fail(str(error) if is_raised_here(error) else advice())
+        return _fail(str(error) if isinstance(error, TisfmError) else advice())
     except cv2.error as error:
         if error.code != cv2.Error.StsNoMem:
             raise
         return _fail(advice())
     except (OSError, TypeError, ValueError, IndexError, RuntimeError, ImportError) as error:
-        if not is_stated(error):
+        if not is_user_error(error):
             if ran_out(error):
                 return _fail(advice())
             raise
@@ -180,7 +180,7 @@ def _refuse_wrong(arguments: list[str]) -> None:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             _parse(arguments)
     except SystemExit:
-        raise ValueError(explained(arguments, said.getvalue(), _parse)) from None
+        raise InputError(explained(arguments, said.getvalue(), _parse)) from None
 
 
 def _preset(arguments: list[str]) -> Preset:

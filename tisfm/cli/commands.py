@@ -12,6 +12,7 @@ from tisfm.cli.kernels_start import start_kernels
 from tisfm.cli.paper_figures import write_paper_figures
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
+from tisfm.errors import InputError
 from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
 from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import PairEvaluation
@@ -42,7 +43,7 @@ def evaluate(
         pair for folder in folders for pair in find_pairs(folder, layout, step=step)
     )
     if step is not None and all(LAYOUTS[pair.layout].step is None for pair in pairs):
-        raise ValueError(
+        raise InputError(
             f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
             "it out"
         )

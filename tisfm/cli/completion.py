@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from tisfm.cli.known_options import LISTS, OF_TISFM, SHELLS, Known, takes_numbers, values_in
 from tisfm.cli.nearest import hint
+from tisfm.errors import InputError
 
 _BASH = """\
 _tisfm() {{
@@ -56,7 +57,7 @@ def completion_script(shell: str, known: Known) -> str:
         If it is another shell.
     """
     if shell not in SHELLS:
-        raise ValueError(
+        raise InputError(
             f"--completion is {shell!r}{hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
         )
     if shell == "tcsh":

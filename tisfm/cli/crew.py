@@ -19,6 +19,8 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
+from tisfm.errors import InputError, MissingPackageError, RunError
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -79,7 +81,7 @@ class Crew:
             except BrokenProcessPool:
                 killed += 1
                 if killed >= TRIES:
-                    raise RuntimeError(
+                    raise RunError(
                         f"a worker was killed, and {TRIES} times nothing was finished in "
                         "between: it may lack memory; give fewer workers"
                     ) from None
@@ -109,9 +111,9 @@ class Crew:
 def check_workers(workers: int, cluster: str | None) -> None:
     """Refuse numbers of workers that there cannot be, with ValueError."""
     if workers < 1:
-        raise ValueError(f"workers is {workers}: expected a positive number of processes")
+        raise InputError(f"workers is {workers}: expected a positive number of processes")
     if workers > 1 and cluster is not None:
-        raise ValueError(
+        raise InputError(
             f"workers is {workers}, and cluster is {cluster}, which has workers of its own: give "
             "one of them"
         )
@@ -157,7 +159,7 @@ def _cluster(address: str) -> Iterator[Crew]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
-        raise ImportError(
+        raise MissingPackageError(
             "a cluster needs Dask, which is not installed: pip install 'tisfm[cluster]'"
         ) from None
     try:
@@ -172,7 +174,7 @@ def _cluster(address: str) -> Iterator[Crew]:
         try:
             yield made
         except (KilledWorker, CancelledError) as error:
-            raise RuntimeError(f"the cluster {address} lost what it had to do: {error}") from error
+            raise RunError(f"the cluster {address} lost what it had to do: {error}") from error
         finally:
             made.close()
 

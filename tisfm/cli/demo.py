@@ -25,6 +25,7 @@ from tisfm.cli.demo_parts import (
 from tisfm.cli.paper_figures import PAPER_FIGURES
 from tisfm.cli.run_record import ENDINGS, read_record
 from tisfm.cores import usable_cores
+from tisfm.errors import InputError
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.formats.result_folder import LOCK, make_folder, make_inner_folder
 
@@ -55,7 +56,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         an option is impossible.
     """
     if height * width > MOST_PIXELS:
-        raise ValueError(
+        raise InputError(
             f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
         )
     require_writable_flow("the demo scene", height, width)
@@ -103,7 +104,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
 def _shares(threads: int | None) -> tuple[int, int]:
     """Return how many parts are done at a time, each by a process, and the threads of each."""
     if threads is not None and threads < 1:
-        raise ValueError(f"threads is {threads}: expected a positive integer")
+        raise InputError(f"threads is {threads}: expected a positive integer")
     cores = usable_cores()
     most = min(threads or cores, cores)
     workers = min(2, most)
@@ -116,7 +117,7 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
         record = read_record(folder)
         if record is not None:
             if not record["pairs"].keys() <= {NAME}:
-                raise ValueError(
+                raise InputError(
                     f"the demo would replace the run in {folder}: give another folder with -o"
                 )
             continue
@@ -125,7 +126,7 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
         pairs = (f"{NAME}{ending}" for ending in ENDINGS.values())
         for name in (*pairs, *PAPER_FIGURES, ANIMATION):
             if (folder / name).exists():
-                raise ValueError(
+                raise InputError(
                     f"the demo would replace {folder / name}, which is not of a demo: give "
                     "another folder with -o"
                 )

@@ -14,6 +14,7 @@ from tisfm import runtime
 from tisfm.cli.demo_animation import ANIMATION, write_animation
 from tisfm.cli.outputs import USUAL, PairWriter
 from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.errors import is_user_error
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.machine.workers import stated
@@ -30,7 +31,6 @@ from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
-from tisfm.stated import is_stated
 
 NAME = "demo"  # of its pairs
 NONE = "–"
@@ -84,7 +84,7 @@ def done(part: Part) -> Rows | Exception:
         runtime.start_worker(threads=part.threads)
         return {"blocks": _blocks, "camera": _camera, "objects": _objects}[part.work](part)
     except Exception as error:
-        if is_stated(error):
+        if is_user_error(error):
             return stated(error)
         raise
 
@@ -254,7 +254,7 @@ def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float
             try:
                 total += measure(scene.depth, mask) * count
             except ValueError as error:
-                if not is_stated(error):
+                if not is_user_error(error):
                     raise
                 return None
             pixels += count

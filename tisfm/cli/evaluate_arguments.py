@@ -8,6 +8,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.cli.shared_options import SettingsOptions, StatedCameraOptions
 from tisfm.datasets import LAYOUTS, Layout, SequenceLayout
+from tisfm.errors import InputError
 from tisfm.runtime import Arch
 from tisfm.settings import Preset
 
@@ -81,16 +82,16 @@ class Eval:
         from tisfm.cli.sequences import evaluate_sequences
 
         if not self.folders:
-            raise ValueError(
+            raise InputError(
                 "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
             )
         if self.sequence and self.objects:
-            raise ValueError("sequence and objects are both asked for: give one of them")
+            raise InputError("sequence and objects are both asked for: give one of them")
         if self.objects:
             return evaluate_objects(self.folders, self.output, result=self.result, step=self.step)
         if self.sequence:
             if self.settings.motion == "field":
-                raise ValueError(
+                raise InputError(
                     "--motion field works on pairs, but --sequence is given: use camera or objects"
                 )
             return evaluate_sequences(
@@ -107,7 +108,7 @@ class Eval:
                 threads=self.threads,
             )
         if self.result is not None:
-            raise ValueError(f"result is {self.result}, but pairs are compared: give --sequence")
+            raise InputError(f"result is {self.result}, but pairs are compared: give --sequence")
         return evaluate(
             self.folders,
             self.output,
@@ -125,4 +126,4 @@ class Eval:
 def _layout_of_pairs(layout: str | None) -> Layout | None:
     if layout is None or layout in LAYOUTS:
         return layout  # type: ignore[return-value]
-    raise ValueError(f"layout is {layout!r}, which has sequences alone: give --sequence")
+    raise InputError(f"layout is {layout!r}, which has sequences alone: give --sequence")

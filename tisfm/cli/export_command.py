@@ -11,6 +11,7 @@ from rich.progress import Progress
 from tisfm.cli.console import progress_bar, tell
 from tisfm.cli.foretelling import MUCH
 from tisfm.cli.nearest import hint
+from tisfm.errors import InputError
 from tisfm.exports.clock import check_rate
 from tisfm.exports.export_request import Export
 from tisfm.exports.formats import FORMATS, Format
@@ -51,14 +52,14 @@ def export(
     depths = {"disparity": disparity, "screen": screen, "screen-depth": screen_depth}
     given = [f"--{name}" for name, value in depths.items() if value is not None]
     if given and not wanted.keys() & _WITH_SCREEN:
-        raise ValueError(
+        raise InputError(
             f"{given[0]} is of {' and '.join(sorted(_WITH_SCREEN))}: ask for one with --to, or "
             "leave it out"
         )
     _refuse_inside(output, folder)
     result, found = _opened(folder, scale)
     if screen_depth is not None and not found.is_posed:
-        raise ValueError(
+        raise InputError(
             f"--screen-depth is a depth, and each pair of {folder} has a unit of its own: give "
             "--screen, a quantile"
         )
@@ -102,7 +103,7 @@ def _formats(names: Sequence[str]) -> dict[str, Format]:
         meant = hint(unknown[0], FORMATS) if unknown else ""
         what = f"{unknown[0]!r} is no format{meant}" if unknown else "no format is given"
         listed = "" if meant else f": expected some of {', '.join(FORMATS)}"
-        raise ValueError(f"--to: {what}{listed}")
+        raise InputError(f"--to: {what}{listed}")
     return {name: FORMATS[name] for name in names}
 
 
@@ -125,20 +126,20 @@ def _opened(
             "tisfm run wrote"
         )
     if scale is not None:
-        raise ValueError(f"--scale is of a path, and {folder} is of tisfm run: leave it out")
+        raise InputError(f"--scale is of a path, and {folder} is of tisfm run: leave it out")
     return None, PairFrames(folder)
 
 
 def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
     """Return the numbers of the frames that are taken, or raise ValueError if they are none."""
     if start < 0 or step < 1 or (stop is not None and stop < 0):
-        raise ValueError(
+        raise InputError(
             f"--start {start}, --stop {stop}, --step {step}: expected 0 or more, and a step of 1 "
             "or more"
         )
     chosen = range(start, count if stop is None else min(stop, count), step)
     if not chosen:
-        raise ValueError(f"--start and --stop leave no frame of {count}")
+        raise InputError(f"--start and --stop leave no frame of {count}")
     return chosen
 
 
@@ -146,7 +147,7 @@ def _refuse_inside(output: Path, folder: Path) -> None:
     """Refuse to write into the folder of the result, whose files are its own."""
     place, result = output.resolve(), folder.resolve()
     if result in (place, *place.parents):
-        raise ValueError(f"{output} lies in {folder}, which is read: give another folder with -o")
+        raise InputError(f"{output} lies in {folder}, which is read: give another folder with -o")
 
 
 def _announce(wanted: dict[str, Format], asked: Export) -> None:

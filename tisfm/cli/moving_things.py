@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tisfm.cli.console import print_whole, tell
+from tisfm.errors import InputError
 from tisfm.evaluation.files import EVALUATION_RECORD
 from tisfm.evaluation.masks import compare_masks, mask_table, true_masks
 from tisfm.evaluation.object_paths import (
@@ -26,12 +27,12 @@ def evaluate_objects(
     With `output`, its ``eval.json`` receives them.
     """
     if result is None:
-        raise ValueError(
+        raise InputError(
             "result is missing: give the folder of a reconstruction, as in: "
             "tisfm eval FOLDER --objects --result DIR"
         )
     if len(folders) > 1:
-        raise ValueError(
+        raise InputError(
             f"one result is given, but {len(folders)} folders, {', '.join(folders)}: give the one "
             "of its true masks"
         )

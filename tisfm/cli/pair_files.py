@@ -11,6 +11,7 @@ import numpy as np
 from tisfm.cli.motion_text import motion_rows, write_motions
 from tisfm.cli.nearest import hint
 from tisfm.cli.run_record import ENDINGS
+from tisfm.errors import InputError
 from tisfm.formats import (
     choose_depth_scale,
     write_depth_png,
@@ -264,7 +265,7 @@ def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
         what = f"{unknown[0]!r} is none{hint(unknown[0], ENDINGS)}" if unknown else "there are none"
-        raise ValueError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
+        raise InputError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
     return tuple(output for output in ENDINGS if output in outputs)
 
 

@@ -12,6 +12,7 @@ from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.pair_files import PairFiles
 from tisfm.datasets.pose_files import motion_between, read_poses
+from tisfm.errors import InputError
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
@@ -94,13 +95,13 @@ class PairWork:
 def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
     """Return the motion of every pair, of a file with the pose of every frame."""
     if settings.motion != "camera":
-        raise ValueError(
+        raise InputError(
             f"the poses of {path} are given, but motion '{settings.motion}' leaves the motion "
             "free: give --motion camera"
         )
     poses = read_poses(path)
     if pairs.count is not None and len(poses) != pairs.count:
-        raise ValueError(
+        raise InputError(
             f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
             "of twelve numbers for every frame"
         )
@@ -111,5 +112,5 @@ def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndar
         except ValueError as error:
             first = pairs.chosen.start + index * pairs.chosen.step
             second = first + pairs.chosen.step
-            raise ValueError(f"{path}, frames {first} and {second}: {error}") from None
+            raise InputError(f"{path}, frames {first} and {second}: {error}") from None
     return motions

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from tisfm.camera import Camera
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.shared_options import CameraOptions
+from tisfm.errors import InputError
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.runtime import Arch
@@ -90,7 +91,7 @@ class Reconstruct:
         from tisfm.cli.reconstruct_command import reconstruct
 
         if not self.source:
-            raise ValueError(
+            raise InputError(
                 "SOURCE is missing: give a video, a folder, a quoted glob or images, as in: "
                 "tisfm reconstruct VIDEO -o DIR"
             )
@@ -125,12 +126,12 @@ class Reconstruct:
             return options.camera()
         stated = (options.center, options.distortion, options.readout)
         if any(value is not None for value in stated) or options.aspect != 1:
-            raise ValueError(
+            raise InputError(
                 "--center, --distortion, --aspect and --readout are of a camera whose focal length "
                 "is known: give --focal as well; with --calibrate focal, a guess will do"
             )
         if options.focal == "guess" and self.calibrate not in (None, "nothing"):
-            raise ValueError("--focal guess is not found from the frames: drop it, or --calibrate")
+            raise InputError("--focal guess is not found from the frames: drop it, or --calibrate")
         return None
 
 
@@ -142,7 +143,7 @@ def _sizes(given: Sequence[str]) -> dict[int, float]:
         try:
             sizes[int(number)] = float(length)
         except ValueError:
-            raise ValueError(
+            raise InputError(
                 f"--object-sizes has {word!r}: expected ID=LENGTH, such as 3=4.5"
             ) from None
     return sizes

@@ -24,6 +24,7 @@ from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report_command import report_reconstruction
 from tisfm.cli.stage_times import StageTimes
+from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import atomic_write
 from tisfm.formats.result_folder import locked_folder
@@ -80,7 +81,7 @@ def reconstruct(
     in_chunks = workers != 1 or cluster is not None or chunk is not None
     check_workers(workers, cluster)
     if in_chunks and (labels is not None or object_sizes):
-        raise ValueError(
+        raise InputError(
             "--labels and --object-sizes are of things that move on their own, which are not found "
             "in chunks: drop --workers, --cluster and --chunk"
         )
@@ -89,10 +90,10 @@ def reconstruct(
         if isinstance(file, Path):
             _refuse_inside(file, output)
     if depth_of == "none" and (ply or mesh is not None):
-        raise ValueError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
+        raise InputError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
     # What comes at the end may be refused now: the rest takes long.
     if scale is not None and object_sizes:
-        raise ValueError(
+        raise InputError(
             "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
         )
     if scale is not None:
@@ -235,7 +236,7 @@ def _refuse_inside(file: Path, output: Path) -> None:
     """Refuse a file in the folder that is written to: what lies there is replaced."""
     place = output.resolve()
     if place in (file.resolve(), *file.resolve().parents):
-        raise ValueError(f"{file} lies in {output}, which is written to: give another folder")
+        raise InputError(f"{file} lies in {output}, which is written to: give another folder")
 
 
 def _count(source: Source, frames: FrameOptions) -> int | None:
@@ -249,12 +250,12 @@ def _count(source: Source, frames: FrameOptions) -> int | None:
 
 def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None) -> None:
     if min(frame0, frame1) < 0 or frame0 == frame1 or not 0 < distance < np.inf:
-        raise ValueError(
+        raise InputError(
             f"--scale is {frame0} {frame1} {distance:g}: expected the numbers of two frames, from "
             "0, and a positive distance"
         )
     if count is not None and max(frame0, frame1) >= count:
-        raise ValueError(
+        raise InputError(
             f"--scale is {frame0} {frame1} {distance:g}, but {count} frames are taken: expected "
             f"numbers from 0 to {count - 1}"
         )

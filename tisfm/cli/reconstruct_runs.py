@@ -10,6 +10,7 @@ import tisfm
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.kernels_start import start_kernels, tell_device
 from tisfm.cores import usable_cores
+from tisfm.errors import InputError
 from tisfm.formats.result_folder import locked_folder
 from tisfm.reconstruction.asked import (
     Asked,
@@ -96,7 +97,7 @@ class WholeRun:
     def is_done(self) -> bool:
         """Return whether the folder holds the complete result; ValueError if that of another."""
         if self._asked is None:
-            raise ValueError(
+            raise InputError(
                 f"resume is given, but {self._source} shows other frames now: leave it out"
             )
         chunks = read_asked(self._folder / CHUNKS)

@@ -8,6 +8,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.shared_options import CameraOptions, SettingsOptions
+from tisfm.errors import InputError
 from tisfm.runtime import Arch
 from tisfm.settings import Preset
 from tisfm.window import WindowSize
@@ -82,7 +83,7 @@ class Run:
         from tisfm.cli.run_command import run
 
         if not self.source:
-            raise ValueError(
+            raise InputError(
                 "SOURCE is missing: give two or more images, a folder, a quoted glob or a video, "
                 "as in: tisfm run FOLDER -o DIR"
             )
@@ -113,7 +114,7 @@ class Run:
         from tisfm.cli.outputs import USUAL, checked_outputs
 
         if self.figures < 0:
-            raise ValueError(f"figures is {self.figures}: expected a number of pairs, or 0")
+            raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
         chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
         more = ["flow"] * self.flo + ["ply"] * self.ply
         return checked_outputs([*filter(None, chosen), *more])

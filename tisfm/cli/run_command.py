@@ -29,6 +29,7 @@ from tisfm.cli.run_progress import RunProgress
 from tisfm.cli.run_record import RECORD
 from tisfm.cli.stated_camera import guessed_camera, stated_camera
 from tisfm.cores import usable_cores
+from tisfm.errors import InputError
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.formats.result_folder import InputFiles, alive_in
 from tisfm.interpretation import Interpretation
@@ -78,19 +79,19 @@ def run(
     check_disparity(DISPARITY if disparity is None else disparity)
     check_screen(screen, None)
     if "anaglyph" not in outputs and (disparity, screen) != (None, None):
-        raise ValueError(
+        raise InputError(
             f"--{'disparity' if screen is None else 'screen'} is of anaglyphs: let anaglyph be "
             "among the outputs, or leave it out"
         )
     kept = window_of(window, settings)
     if kept is not None and resume and "npz" not in outputs:
-        raise ValueError(
+        raise InputError(
             "resume with a window of 3 goes on from the .npz of the pair before: let npz be among "
             "the outputs"
         )
     if report:
         if "npz" not in outputs:
-            raise ValueError(
+            raise InputError(
                 "the report shows what NAME.npz holds: let npz be among the outputs, or leave out "
                 "--report"
             )
@@ -108,12 +109,12 @@ def run(
         tell(f"note: {note}")
     total = _total(pairs)
     if is_shared and total is None:
-        raise ValueError(f"{pairs.title} does not say how many frames it has: leave out workers")
+        raise InputError(f"{pairs.title} does not say how many frames it has: leave out workers")
     first = next(posed)  # before anything is written; the others have its size
     if "flow" in outputs:
         require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
     if is_shared and first.frame0.dtype.kind == "f":
-        raise ValueError(
+        raise InputError(
             f"frame {first.name0} has decimals: which scale such frames are on is told by all that "
             "came before, which several workers do not see; leave them out"
         )
@@ -285,12 +286,12 @@ def _take(chunk: FinishedChunk, writer: PairWriter, progress: RunProgress) -> li
 def _refuse_sharing(source: Source, kept: Window | None) -> None:
     """Refuse what several processes cannot share."""
     if kept is not None:
-        raise ValueError(
+        raise InputError(
             "a window of 3 goes on from pair to pair, which several workers cannot: leave out "
             "one of them"
         )
     if isinstance(source, str) and webcam_number(source) is not None:
-        raise ValueError(f"{source} is no file, which several workers could read: leave them out")
+        raise InputError(f"{source} is no file, which several workers could read: leave them out")
 
 
 def _total(pairs: FrameSource) -> int | None:
@@ -340,7 +341,7 @@ def _refuse_mixing(
         folder.exists() and folder.samefile(output) for folder in folders if output.exists()
     )
     if among or (glob.has_magic(os.fspath(source)) and _matches(output, Path(source).parent)):
-        raise ValueError(
+        raise InputError(
             f"the results would lie among the {kind} in {output}, and count as {kind} the "
             "next time: give another folder with -o"
         )

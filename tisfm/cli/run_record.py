@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.cli.csv_table import csv_table
+from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.formats.records import FORMAT, NAME, check_sum, differing, refuse_other_format, said
 from tisfm.outcome import Status
@@ -115,7 +116,7 @@ class RunRecord:
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
         differences = said(differing({key: before.get(key) for key in ASKED}, asked))
         if differences:
-            raise ValueError(
+            raise InputError(
                 f"{self._folder} holds a run with another camera, other settings or outputs, of "
                 f"another version, or of another kind of processor ({differences}): repeat its "
                 "options, or run without --resume to start again"
@@ -197,7 +198,7 @@ def is_unchanged(
         If the pair that was finished was of other frames, or with another pose or mask.
     """
     if pair["frames"] != digest:
-        raise ValueError(
+        raise InputError(
             f"{folder} holds a run in which {name} was another pair of frames, or had another pose "
             "or mask: give the same frames and step again, and the same poses and masks, or run "
             "without --resume to start again"
@@ -230,13 +231,13 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(about, dict) or "version" not in about:
-            raise ValueError("it is of no run")
+            raise InputError("it is of no run")
         for name, pair in about["pairs"].items():
             if os.path.basename(name) != name:
-                raise ValueError(f"{name!r} is not the name of a pair")
+                raise InputError(f"{name!r} is not the name of a pair")
             Status(pair["status"], pair["message"])  # raises if it is not a status
             if not set(pair["files"]) <= set(ENDINGS.values()):
-                raise ValueError(f"it names files of {name} that no pair has")
+                raise InputError(f"it names files of {name} that no pair has")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         refuse_other_format(path, about)
         raise _damaged(path, error) from error
@@ -247,10 +248,10 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a record of this version whose values are of the kinds that it writes."""
     try:
         if missing := set(ASKED) - about.keys():
-            raise ValueError(f"it has no {sorted(missing)[0]}")
+            raise InputError(f"it has no {sorted(missing)[0]}")
         for key in FOUND:
             if about[key] is not None and not _is_number(about[key]):
-                raise ValueError(f"{key} is {about[key]!r}")
+                raise InputError(f"{key} is {about[key]!r}")
         for name, pair in about["pairs"].items():
             texts = (pair["status"], pair["message"], pair["frames"])
             numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
@@ -258,9 +259,9 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
                 numbers += [length, total]
             numbers.append(pair["number"])
             if not all(isinstance(text, str) for text in texts):
-                raise ValueError(f"it does not say enough of {name}")
+                raise InputError(f"it does not say enough of {name}")
             if not all(map(_is_number, numbers)):
-                raise ValueError(f"numbers of {name} are none")
+                raise InputError(f"numbers of {name} are none")
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, error) from error
     return about
@@ -272,7 +273,7 @@ def _is_number(value: Any) -> bool:
 
 def _damaged(path: Path, error: Exception) -> ValueError:
     reason = " ".join(str(error).split())
-    return ValueError(f"{path} is damaged ({reason}): run without --resume")
+    return InputError(f"{path} is damaged ({reason}): run without --resume")
 
 
 def _row(pair: Mapping[str, Any]) -> Iterator[Any]:

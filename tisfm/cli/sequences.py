@@ -19,6 +19,7 @@ from tisfm.datasets import (
     LoadedSequence,
     find_sequences,
 )
+from tisfm.errors import InputError, is_user_error
 from tisfm.evaluation.files import EVALUATION_RECORD
 from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
@@ -34,7 +35,6 @@ from tisfm.formats.result_folder import InputFiles, make_folder
 from tisfm.reconstruction.progress import Progress
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
-from tisfm.stated import is_stated
 from tisfm.trajectory import read_trajectory, write_tum
 from tisfm.trajectory.times import times_or_numbers
 from tisfm.version import __version__
@@ -62,12 +62,12 @@ def evaluate_sequences(
     sequences = _found(folders, layout)
     if result is not None and len(sequences) > 1:
         names = ", ".join(sequence.name for sequence in sequences)
-        raise ValueError(
+        raise InputError(
             f"one result is given, but there are {len(sequences)} sequences, {names}: give the "
             "folder of one"
         )
     if max_depth is not None and not max_depth > 0:
-        raise ValueError(f"max_depth is {max_depth}: expected a positive depth")
+        raise InputError(f"max_depth is {max_depth}: expected a positive depth")
     if result is None:
         start_kernels(arch, threads=threads)
     evaluations: list[SequenceEvaluation] = []
@@ -90,7 +90,7 @@ def evaluate_sequences(
                     )
                 )
             except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
-                if not is_stated(error):
+                if not is_user_error(error):
                     raise
                 text = " ".join(str(error).split()) or type(error).__name__
                 evaluations.append(SequenceEvaluation(sequence=sequence, fault=text))
@@ -112,7 +112,7 @@ def evaluate_sequences(
 def _found(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
     if layout is not None and layout not in SEQUENCE_LAYOUTS:
         names = ", ".join(map(repr, SEQUENCE_LAYOUTS))
-        raise ValueError(f"layout is {layout!r}, which has no sequences: expected one of {names}")
+        raise InputError(f"layout is {layout!r}, which has no sequences: expected one of {names}")
     return list(
         dict.fromkeys(found for folder in folders for found in find_sequences(folder, layout))
     )
@@ -146,7 +146,7 @@ def _evaluate(
     loaded = sequence.load(step)
     taken_by = camera or loaded.camera
     if taken_by is None:
-        raise ValueError(f"{sequence.folder} states no camera: give --focal")
+        raise InputError(f"{sequence.folder} states no camera: give --focal")
     if result is None:
         evaluation, found = reconstruct_and_compare(
             sequence,

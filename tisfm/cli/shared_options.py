@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.settings import Motion, Settings
 
 
@@ -43,7 +44,7 @@ class CameraOptions:
         stated = (self.focal, self.center, self.distortion, self.readout)
         if self.file is not None:
             if any(value is not None for value in stated) or self.aspect != 1:
-                raise ValueError(
+                raise InputError(
                     f"{self.file} states the camera: give neither --focal nor --center, "
                     "--distortion, --aspect or --readout"
                 )
@@ -84,7 +85,7 @@ class StatedCameraOptions:
         """Return the camera of every pair, or None for those that the dataset states."""
         if self.focal is None:
             if self.center is not None:
-                raise ValueError("center is given without focal: give --focal as well")
+                raise InputError("center is given without focal: give --focal as well")
             return None
         return Camera(focal=self.focal, center=self.center)
 
@@ -94,4 +95,4 @@ def _numbers(text: str, name: str) -> tuple[float, ...]:
     try:
         return tuple(map(float, text.replace(",", " ").split()))
     except ValueError:
-        raise ValueError(f"{name} is {text!r}: expected numbers with commas between") from None
+        raise InputError(f"{name} is {text!r}: expected numbers with commas between") from None

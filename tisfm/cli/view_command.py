@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tisfm.cli.console import tell
+from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.results.frame_cache import FrameCache
 from tisfm.results.opening import NothingYetError, open_result
@@ -26,7 +27,7 @@ _PATIENCE = 10.0  # s for a browser to come, before more than a first picture is
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
     """Show a result in the browser until Ctrl-C."""
     if points < 1:
-        raise ValueError(f"--points is {points}: expected a positive number")
+        raise InputError(f"--points is {points}: expected a positive number")
     result, server = _opened(folder, frame, host=host, port=port, browser=browser)
     page = Page(
         result,
@@ -53,7 +54,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
     """Write a page that plays a result without Python."""
     for name, value in (("--html-frames", frames), ("--html-points", points)):
         if value < 1:
-            raise ValueError(f"{name} is {value}: expected a positive number")
+            raise InputError(f"{name} is {value}: expected a positive number")
     if not path.absolute().parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent} to write {path.name} to")
     result = open_result(folder)
@@ -103,4 +104,4 @@ def _opened(
 def _require_frame(result: Result, frame: int) -> None:
     count = len(result.names)
     if not 0 <= frame < count:
-        raise ValueError(f"--frame is {frame}: expected 0 to {count - 1}")
+        raise InputError(f"--frame is {frame}: expected 0 to {count - 1}")

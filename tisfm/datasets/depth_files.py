@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.formats import FormatError, read_image
 from tisfm.formats.image_headers import LARGEST_PICTURE
 from tisfm.formats.npz import DAMAGE, PACKINGS
@@ -154,7 +155,7 @@ def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
     """Return the map of an .npy file of so many bytes, whose header is checked first."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
-        raise ValueError(f"its header is of version {version}")
+        raise InputError(f"its header is of version {version}")
     shape, by_columns, dtype = _HEADERS[version](file)
     _check_map(name, shape, dtype)
     expected, rest = math.prod(shape) * dtype.itemsize, length - file.tell()

@@ -11,6 +11,7 @@ from tisfm.datasets.pair import DatasetPair
 from tisfm.datasets.pair_layouts import LAYOUTS, Layout, Rule
 from tisfm.datasets.sequence import LoadedSequence
 from tisfm.datasets.sequence_layouts import SEQUENCE_LAYOUTS, SequenceLayout
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 
 
@@ -61,11 +62,11 @@ def find_pairs(
     middlebury Blocks (48, 64, 2)
     """
     if layout is not None and layout not in LAYOUTS:
-        raise ValueError(
+        raise InputError(
             f"layout is {layout!r}: expected one of {', '.join(map(repr, LAYOUTS))}, or None"
         )
     if step is not None and (not isinstance(step, int) or isinstance(step, bool) or step < 1):
-        raise ValueError(f"step is {step!r}: expected a positive whole number")
+        raise InputError(f"step is {step!r}: expected a positive whole number")
     root = root_of(folder)
     rules = list(LAYOUTS.values()) if layout is None else [LAYOUTS[layout]]
     # Datasets are named after folders, and "." and ".." are no names.
@@ -199,7 +200,7 @@ def find_sequences(
     """
     names = get_args(SequenceLayout)
     if layout is not None and layout not in names:
-        raise ValueError(
+        raise InputError(
             f"layout is {layout!r}: expected one of {', '.join(map(repr, names))}, or None"
         )
     root = root_of(folder)

@@ -12,6 +12,7 @@ from rich.text import Text
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.checks import whole
+from tisfm.errors import InputError
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.formats.image_names import in_order
 from tisfm.formats.label_picture import read_label_picture
@@ -76,7 +77,7 @@ def compare_masks(
         )
     files = _pictures(folder / MASKS)
     if len(files) != len(true_files):
-        raise ValueError(
+        raise InputError(
             f"{folder} has masks of {len(files)} frames, but there are {len(true_files)} true ones "
             f"at a step of {step}: expected one for each frame that was reconstructed"
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.metrics import ObjectPathErrors, object_path_errors
@@ -54,7 +55,7 @@ def compare_object_paths(
     found = Reconstruction.load(result)
     cameras = read_trajectory(truth / POSES).poses[::step]
     if len(cameras) != len(found):
-        raise ValueError(
+        raise InputError(
             f"{truth / POSES} has {len(cameras)} frames at a step of {step}, but {result} has "
             f"{len(found)}: expected as many"
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.datasets import DatasetPair, LoadedPair
+from tisfm.errors import InputError, InputTypeError, is_user_error
 from tisfm.evaluation.means import MeanErrors, mean_errors
 from tisfm.evaluation.record import LITTLE_PARALLAX, PairEvaluation
 from tisfm.interpretation import Interpretation
@@ -27,7 +28,6 @@ from tisfm.metrics import (
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings, check_settings
-from tisfm.stated import is_stated
 from tisfm.visibility.occlusion import leaves_image
 
 _WARM_UP_SIDE = 64  # px
@@ -147,16 +147,16 @@ def evaluate(
     """
     if camera is not None:
         if not isinstance(camera, Camera):
-            raise TypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
+            raise InputTypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
         check_pinhole(camera, "the true flow is that of the frames as they are")
     settings = check_settings(settings)
     if give_poses and settings.motion != "camera":
-        raise ValueError(
+        raise InputError(
             f'poses are to be given, but motion="{settings.motion}" leaves the motion free: choose '
             'motion="camera"'
         )
     if max_depth is not None and not max_depth > 0:
-        raise ValueError(f"max_depth is {max_depth}: expected a positive depth, or None")
+        raise InputError(f"max_depth is {max_depth}: expected a positive depth, or None")
     compiled: set[Any] = set()
     done = []
     for pair in dict.fromkeys(pairs):
@@ -174,7 +174,7 @@ def evaluate(
             if on_pair is not None:
                 on_pair(evaluation, result, loaded)
         except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
-            if not is_stated(error):
+            if not is_user_error(error):
                 raise
             text = " ".join(str(error).split()) or type(error).__name__
             evaluation = PairEvaluation(pair=pair, fault=text)
@@ -243,7 +243,7 @@ def _prepared(
     if not np.isfinite(depth).any():
         limit = "" if max_depth is None else f" up to {max_depth:g}"
         known = np.count_nonzero(np.isfinite(loaded.depth))
-        raise ValueError(f"no true depth is left{limit} of {known} pixels that have one")
+        raise InputError(f"no true depth is left{limit} of {known} pixels that have one")
     return replace(loaded, depth=depth)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import tisfm
 from tisfm.camera import Camera
 from tisfm.datasets import DatasetSequence, LoadedSequence
+from tisfm.errors import InputError
 from tisfm.evaluation.sequence_depth import SequenceDepthErrors, sequence_depth_errors
 from tisfm.metrics import (
     AbsoluteErrors,
@@ -207,7 +208,7 @@ def compare_sequence(
     """
     count = len(loaded.frames)
     if np.shape(result.poses) != (count, 4, 4):
-        raise ValueError(
+        raise InputError(
             f"the result has poses of shape {np.shape(result.poses)}, but there are {count} frames"
         )
     path = path_length(loaded.poses) if loaded.posed.any() else None
@@ -259,7 +260,7 @@ def reconstruct_and_compare(
         As `compare_sequence`; and if poses are to be given that are not all known.
     """
     if give_poses and not loaded.posed.all():
-        raise ValueError(
+        raise InputError(
             f"poses are to be given, but {np.count_nonzero(~loaded.posed)} of "
             f"{len(loaded.frames)} frames have no true pose"
         )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.datasets import LoadedSequence
+from tisfm.errors import InputError
 from tisfm.trajectory import Trajectory, associate
 
 
@@ -35,14 +36,14 @@ class TrajectoryResult:
             mine, theirs = associate(times, trajectory.times)
             if not len(mine):
                 unit = "numbers of frames" if loaded.times is None else "s"
-                raise ValueError(
+                raise InputError(
                     f"{source} has no pose of any frame: its times begin at "
                     f"{trajectory.times[0]:g}, those of the frames at {times[0]:g} ({unit})"
                 )
             self.poses = np.full((count, 4, 4), np.nan)
             self.poses[mine] = trajectory.poses[theirs]
         elif len(trajectory.poses) != count:
-            raise ValueError(
+            raise InputError(
                 f"{source} has {len(trajectory.poses)} poses, but there are {count} frames: "
                 "expected a line for every frame, or times (TUM's format)"
             )
@@ -52,6 +53,6 @@ class TrajectoryResult:
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
         """Refuse: there is none."""
-        raise ValueError(f"frame {index} has no depth: a trajectory was read")
+        raise InputError(f"frame {index} has no depth: a trajectory was read")
 
     inverse_depth_std = inverse_depth

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.trajectory.times import do_rise, times_or_numbers
 
 FRAME_RATE = 25.0  # 1/s, where nothing says otherwise
@@ -58,7 +59,7 @@ def frame_rate(
 def check_rate(frames_per_second: float) -> float:
     """Return a frame rate, or raise ValueError if it is none."""
     if not _SLOWEST <= frames_per_second <= _FASTEST:
-        raise ValueError(
+        raise InputError(
             f"frames_per_second is {frames_per_second}: expected {_SLOWEST:g} to {_FASTEST:g}"
         )
     return float(frames_per_second)

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.exports.colmap_files import Form, write_model
 from tisfm.exports.folders import IMAGES, MASKS, MODELS, renewed_export
 from tisfm.exports.frame_files import (
@@ -124,7 +125,7 @@ def write_colmap(
     (9, True, True)
     """
     if form not in get_args(Form):
-        raise ValueError(f"form is {form!r}: expected 'binary', 'text' or 'both'")
+        raise InputError(f"form is {form!r}: expected 'binary', 'text' or 'both'")
     check_images(images)
     cells_of(reconstruction.shape, spacing)
     pieces = pieces_of(reconstruction)
@@ -163,7 +164,7 @@ def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
     frames = {k: np.flatnonzero(result.piece == k).tolist() for k in range(len(result.unit))}
     several = {k: few for k, few in frames.items() if len(few) >= FEWEST_FRAMES}
     if not several:
-        raise ValueError(
+        raise InputError(
             f"no two of the {len(result)} frames have poses in one scale: there is nothing to "
             "export; the statuses of the frames say why"
         )

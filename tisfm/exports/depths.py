@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.exports.float_images import check_exr, write_exr, write_pfm, write_tiff
 from tisfm.exports.pieces import chosen_frames
 from tisfm.exports.result_frames import ResultFrames
@@ -90,7 +91,7 @@ def frames_with_depth(frames: ResultFrames, chosen: Iterable[int] | None = None)
     """Return the frames that have depth, or raise ValueError if none has."""
     found = [frame for frame in chosen_frames(chosen, len(frames)) if frames.has_depth(frame)]
     if not found:
-        raise ValueError(f"no frame of {frames.folder} has depth: {frames.advice}")
+        raise InputError(f"no frame of {frames.folder} has depth: {frames.advice}")
     return found
 
 
@@ -112,12 +113,12 @@ def check_fits(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> floa
     held = f"a file of {scale:g} values per unit holds {10 / scale:g} to {LARGEST / scale:.4g}"
     advice = f"{frames.unit_advice}, or take depth-exr, depth-tiff, depth-pfm or depth-dpt"
     if beyond > _MOST_BEYOND:
-        raise ValueError(
+        raise InputError(
             f"depth in {frames.folder} is {middle:.4g} in the median, and {100 * beyond:.3g} % of "
             f"it is beyond {LARGEST / scale:.4g}, but {held}: {advice}"
         )
     if middle * scale < 10:
-        raise ValueError(
+        raise InputError(
             f"depth in {frames.folder} is {middle:.3g} in the median, but {held}: {advice}"
         )
     return beyond

@@ -7,6 +7,7 @@ from pathlib import Path
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
+from tisfm.errors import InputError
 from tisfm.exports.result_frames import PairFrames, SequenceFrames
 from tisfm.formats.result_folder import make_inner_folder
 from tisfm.reconstruction.result import Reconstruction
@@ -45,7 +46,7 @@ class Export:
     def sequence(self) -> Reconstruction:
         """The reconstruction, or ValueError if it is of pairs."""
         if self.result is None:
-            raise ValueError(
+            raise InputError(
                 f"{self.frames.folder} is of tisfm run, whose pairs have no common scale and no "
                 "path: export what `tisfm reconstruct` makes of the same frames"
             )

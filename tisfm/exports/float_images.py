@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import BEGINNING, ENDING
 
@@ -20,7 +21,7 @@ def check_exr() -> None:
     try:
         import OpenEXR  # noqa: F401
     except ImportError as error:
-        raise ImportError(
+        raise MissingPackageError(
             "EXR files need the package OpenEXR: pip install 'tisfm[export]'; or take TIFF"
         ) from error
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from tisfm.errors import InputError
 from tisfm.exports import notes
 from tisfm.exports.camera_path import write_chan, write_gltf_cameras
 from tisfm.exports.colmap import write_colmap
@@ -131,7 +132,7 @@ def _points(suffix: Suffix) -> Format:
                 save_points(points, written[-1])
             progress(done, len(export.chosen))
         if not written:
-            raise ValueError(
+            raise InputError(
                 f"no pair in {export.frames.folder} shows a point: {export.frames.advice}"
             )
         return written
@@ -180,9 +181,9 @@ def _model(
 
     def check(export: Export) -> None:
         if max(map(len, pieces_of(export.sequence, export.chosen))) < 2:
-            raise ValueError(f"{name} takes pieces of two frames or more, and there is none")
+            raise InputError(f"{name} takes pieces of two frames or more, and there is none")
         if len(export.chosen) < len(export.frames):
-            raise ValueError(f"{name} takes all frames: leave out --start, --stop and --step")
+            raise InputError(f"{name} takes all frames: leave out --start, --stop and --step")
         place = export.folder / name
         if place.exists():
             refuse_others(place)

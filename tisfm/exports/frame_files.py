@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError, write_png
 from tisfm.formats.atomic import copy_file, link_or_copy
 from tisfm.reconstruction.folder import PICTURES
@@ -23,7 +24,7 @@ def name_of(frame: int) -> str:
 def check_images(images: str) -> None:
     """Raise ValueError if that is no way to take the frames along."""
     if images not in get_args(Images):
-        raise ValueError(f"images is {images!r}: expected 'copy', 'link' or 'none'")
+        raise InputError(f"images is {images!r}: expected 'copy', 'link' or 'none'")
 
 
 def has_masks(result: Reconstruction) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.exports.colmap import ExportedModel, account, pieces_of
 from tisfm.exports.folders import IMAGES, MASKS, POINTS, TRANSFORMS, renewed_export
 from tisfm.exports.frame_files import (
@@ -94,7 +95,7 @@ def write_nerfstudio(
     pieces = pieces_of(reconstruction)
     chosen = next(iter(pieces)) if piece is None else piece
     if chosen not in pieces:
-        raise ValueError(
+        raise InputError(
             f"piece is {chosen}: expected one of several frames, {', '.join(map(str, pieces))}"
         )
     frames = pieces[chosen]

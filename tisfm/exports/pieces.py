@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tisfm.errors import InputError, OutOfRangeError
 from tisfm.reconstruction.result import Reconstruction
 
 
@@ -21,10 +22,10 @@ def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
     """
     chosen = sorted({index(frame) for frame in (range(count) if frames is None else frames)})
     if not chosen:
-        raise ValueError(f"no frame is chosen of {count}: expected some, from 0 to {count - 1}")
+        raise InputError(f"no frame is chosen of {count}: expected some, from 0 to {count - 1}")
     for frame in (chosen[0], chosen[-1]):
         if not 0 <= frame < count:
-            raise IndexError(f"frame is {frame}: expected 0 to {count - 1}")
+            raise OutOfRangeError(f"frame is {frame}: expected 0 to {count - 1}")
     return chosen
 
 
@@ -44,7 +45,7 @@ def pieces_of(result: Reconstruction, frames: Iterable[int] | None = None) -> li
         if result.piece[frame] >= 0 and np.isfinite(result.poses[frame]).all():
             found.setdefault(int(result.piece[frame]), []).append(frame)
     if not found:
-        raise ValueError(
+        raise InputError(
             f"none of {len(chosen)} frames in {result.folder} has a pose: see the statuses of "
             "the reconstruction"
         )

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.formats.records import NAME as RUN
@@ -127,7 +128,7 @@ class SequenceFrames:
 
     def flow(self, frame: int) -> np.ndarray:
         """Raise ValueError: a reconstruction keeps none."""
-        raise ValueError(
+        raise InputError(
             f"{self.folder} is of tisfm reconstruct, which keeps no image motion: export what "
             "`tisfm run` makes of the same frames"
         )
@@ -136,7 +137,7 @@ class SequenceFrames:
         """Return what is at rest, and each thing that moves on its own."""
         things = self._result.objects
         if self._result.settings.motion != "objects":
-            raise ValueError(
+            raise InputError(
                 f"{self.folder} has no labels of what moves: reconstruct with --motion objects"
             )
         labels = self._result.labels(frame)
@@ -192,7 +193,7 @@ class PairFrames:
             reason = " ".join(str(error).split())
             raise FormatError(f"{folder / RUN} is damaged or of another kind: {reason}") from error
         if not self.names:
-            raise ValueError(f"{folder} has no pair that is complete: run again, with --resume")
+            raise InputError(f"{folder} has no pair that is complete: run again, with --resume")
         missing = [name for name in self.names if not self._file(name).is_file()]
         if missing:
             what = "was removed" if is_kept else "was left out by --outputs"
@@ -271,7 +272,7 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
 def _checked(name: str) -> str:
     """Return the name of a pair, or raise ValueError if it leads out of its folder."""
     if os.path.basename(name) != name or not name:
-        raise ValueError(f"{name!r} is not the name of a pair")
+        raise InputError(f"{name!r} is not the name of a pair")
     return name
 
 

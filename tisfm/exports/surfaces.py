@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.exports.pieces import piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
@@ -64,7 +65,7 @@ def write_points(
             save_points(points, file)
             written.append(file)
     if not written:
-        raise ValueError(f"{result.folder} shows no point: it has too little depth, or none")
+        raise InputError(f"{result.folder} shows no point: it has too little depth, or none")
     return written
 
 
@@ -112,7 +113,7 @@ def write_meshes(
             mesh.save(file)
             written.append(file)
     if not written:
-        raise ValueError(f"{result.folder} shows no surface: it has too little depth, or none")
+        raise InputError(f"{result.folder} shows no surface: it has too little depth, or none")
     return written
 
 
@@ -132,7 +133,7 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
         return
     if suffix != ".glb" or not len(points):
         what = "a GLB file cannot hold no points" if suffix == ".glb" else "expected .ply or .glb"
-        raise ValueError(f"path is {os.fspath(path)}: {what}")
+        raise InputError(f"path is {os.fspath(path)}: {what}")
     content = glb_points(points.positions * np.array([1, -1, -1], np.float32), points.colors)
     with atomic_write(path) as file:
         file.write(content)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.checks import Floats
+from tisfm.errors import InputError
 from tisfm.exports.depth_tracks import DepthTracks
 from tisfm.exports.flow_tracks import along_motion
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
@@ -76,7 +77,7 @@ def measured_tracks(
         If files of the reconstruction are missing or damaged.
     """
     if not 0 <= piece < len(result.unit):
-        raise ValueError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
+        raise InputError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
     told = progress or _untold
     frames, cells = PieceFrames(result, piece), cells_of(result.shape, spacing)
     if not any(map(frames.has_depth, frames.numbers)):
@@ -102,7 +103,7 @@ def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
     if spacing is None:
         return CELLS
     if not (np.isfinite(spacing) and spacing > 0):
-        raise ValueError(f"spacing is {spacing}: expected a positive number of px")
+        raise InputError(f"spacing is {spacing}: expected a positive number of px")
     return max(1, round(max(shape) / spacing))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.exports.float_images import check_exr, write_exr, write_tiff
 from tisfm.lens import Undistortion
 
@@ -83,7 +84,7 @@ def write_undistortion(
 def check_distorts(camera: Camera) -> None:
     """Raise ValueError if a map would undo nothing."""
     if camera.is_pinhole:
-        raise ValueError("the camera has no distortion: there is nothing that a map would undo")
+        raise InputError("the camera has no distortion: there is nothing that a map would undo")
 
 
 def st_maps(

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 
 if TYPE_CHECKING:
@@ -28,9 +29,11 @@ def check_video() -> None:
     try:
         import av
     except ImportError as error:
-        raise ImportError("videos need the package av: pip install 'tisfm[video]'") from error
+        raise MissingPackageError(
+            "videos need the package av: pip install 'tisfm[video]'"
+        ) from error
     if _CODEC not in av.codecs_available:
-        raise ImportError(
+        raise MissingPackageError(
             f"the package av has no {_CODEC}, with which videos are written: pip install "
             "--force-reinstall --only-binary av av"
         )
@@ -64,7 +67,7 @@ class VideoWriter:
         if self._stream is None:
             self._stream = self._begun(*picture.shape[:2])
         elif picture.shape[:2] != self._shape:
-            raise ValueError(
+            raise InputError(
                 f"a frame is {picture.shape[:2]} but the first was {self._shape}: frames of a "
                 "video must have the same size"
             )
@@ -87,7 +90,7 @@ class VideoWriter:
 
     def _begun(self, height: int, width: int) -> "VideoStream":
         if max(height, width) > _LARGEST_SIDE:
-            raise ValueError(
+            raise InputError(
                 f"frames of the video are {height} × {width} px: expected at most {_LARGEST_SIDE}"
             )
         stream: Any = self._container.add_stream(_CODEC, rate=self._rate, options=dict(_QUALITY))
@@ -129,5 +132,5 @@ def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterat
             writer = VideoWriter(container, frames_per_second)
             yield writer
             if not writer.frames:
-                raise ValueError(f"{os.fspath(path)} would have no frame")
+                raise InputError(f"{os.fspath(path)} would have no frame")
             writer.finish()

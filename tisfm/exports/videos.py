@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.exports.clock import frame_rate
 from tisfm.exports.depths import frames_with_depth
 from tisfm.exports.pieces import chosen_frames
@@ -92,7 +93,7 @@ def write_video(
         check_disparity(disparity)
     check_screen(screen, screen_depth)
     if screen_depth is not None and not frames.is_posed:
-        raise ValueError(
+        raise InputError(
             "screen_depth is a depth, and each pair has a unit of its own: give screen, a quantile"
         )
     taken = chosen_frames(chosen, len(frames))

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.image_headers import missing_part
 from tisfm.formats.png import encode_png
@@ -53,7 +54,7 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     values = unmasked(depth, "depth", np.float64)
     valid = values[_is_valid(values)]
     if valid.size == 0:
-        raise ValueError(
+        raise InputError(
             f"depth has no finite positive value among {values.size}: there is nothing to choose "
             "a scale from; take the scale of another pair of the sequence"
         )
@@ -94,7 +95,7 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     """
     values = unmasked(depth, "depth", np.float64)
     if values.ndim != 2 or values.size == 0:
-        raise ValueError(f"depth is {values.shape}, expected (H, W) with some pixels")
+        raise InputError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)
     with np.errstate(over="ignore", invalid="ignore"):  # infinity clips, and NaN is not valid
         scaled = values * scale
@@ -192,4 +193,4 @@ def _is_valid(depth: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _check_scale(scale: float) -> None:
     """Refuse a scale that cannot be divided by."""
     if not (math.isfinite(scale) and scale > 0):
-        raise ValueError(f"scale is {scale!r}, expected a finite positive number")
+        raise InputError(f"scale is {scale!r}, expected a finite positive number")

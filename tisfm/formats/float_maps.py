@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.reading import FormatError, read_bytes
 
@@ -105,7 +106,7 @@ def write_tagged(
     possible = all(1 <= side <= LARGEST_SIDE for side in array.shape[:2])
     if array.ndim != 2 + len(inner) or array.shape[2:] != inner or not possible:
         shape = f"(H, W, {channels})" if inner else "(H, W)"
-        raise ValueError(
+        raise InputError(
             f"{name} is {array.shape}, expected {shape} with H and W from 1 to {LARGEST_SIDE}"
         )
     height, width = array.shape[:2]
@@ -118,7 +119,9 @@ def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
     """Return an array of real numbers without a mask, or raise an error that names it."""
     array = unmasked(values, name)
     if array.dtype.kind not in "iuf":
-        raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers, such as float32")
+        raise InputTypeError(
+            f"{name} has dtype {array.dtype}, expected real numbers, such as float32"
+        )
     return array
 
 
@@ -194,7 +197,7 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
 def require_writable_flow(name: str, height: int, width: int) -> None:
     """Raise ValueError unless a .flo file can hold the flow of a frame, by its name and size."""
     if max(height, width) > LARGEST_SIDE:
-        raise ValueError(
+        raise InputError(
             f"{name} is {height} × {width} px, but its flow goes into a .flo file, whose sides are "
             f"at most {LARGEST_SIDE} px: scale the frames down"
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.image_headers import FLOATS, PILLOW_FORMATS, TIFF, missing_part, refuse_large
 from tisfm.formats.png import SIGNATURE, encode_png
@@ -139,10 +140,10 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     image = unmasked(image, "image", advice="fill them first, for instance by image.filled(0)")
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
-        raise TypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")
+        raise InputTypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")
     colour = image.ndim == 3 and image.shape[2] == 3
     if image.size == 0 or not (image.ndim == 2 or colour):
-        raise ValueError(f"image is {image.shape}, expected (H, W) or (H, W, 3) with some pixels")
+        raise InputError(f"image is {image.shape}, expected (H, W) or (H, W, 3) with some pixels")
     with atomic_write(path) as file:
         file.writelines(encode_png(image))
 

@@ -5,6 +5,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.formats.float_maps import as_real
 from tisfm.formats.images import read_image, write_png
 from tisfm.formats.reading import FormatError
@@ -90,13 +91,13 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     """
     values = as_real("flow", flow).astype(np.float64)
     if values.ndim != 3 or values.shape[2] != 2 or values.size == 0:
-        raise ValueError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
+        raise InputError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
     valid = ~np.isnan(values).any(axis=2)
     known = values[valid]
     levels = np.rint(known * _STEPS) + _ZERO
     outside = (levels < 0) | (levels >= 2**16)
     if outside.any():
-        raise ValueError(
+        raise InputError(
             f"flow is outside {_LEAST:g} to {_MOST} px, the range of a KITTI flow PNG, at "
             f"{np.count_nonzero(outside.any(axis=1))} pixels, for instance "
             f"{known[outside][0]:g}: set unknown flow to NaN, or write a .flo file"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.image_headers import PILLOW_FORMATS, missing_part
 from tisfm.formats.reading import FormatError, read_bytes
@@ -117,11 +118,11 @@ def write_label_png(path: str | os.PathLike[str], labels: NDArray[Any]) -> None:
     """
     array = np.asarray(labels)
     if array.ndim != 2 or array.dtype.kind not in "biu":
-        raise ValueError(
+        raise InputError(
             f"labels are {array.shape} {array.dtype}: expected (H, W) of whole numbers"
         )
     if array.size == 0 or array.min() < 0 or array.max() > 255:
-        raise ValueError(f"labels of {path} are not within 0 to 255, or there are none")
+        raise InputError(f"labels of {path} are not within 0 to 255, or there are none")
     picture = Image.fromarray(np.ascontiguousarray(array, np.uint8))
     picture.putpalette(palette().tobytes())
     data = io.BytesIO()

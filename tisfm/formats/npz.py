@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.reading import FormatError, open_file
 
@@ -225,10 +226,10 @@ def _read_header(name: str, part: Any) -> tuple[tuple[int, ...], np.dtype, int]:
     """Return shape and type, and where the numbers begin."""
     version = np.lib.format.read_magic(part)
     if version != (1, 0):
-        raise ValueError(f"the header of {name} is of version {version}, expected (1, 0)")
+        raise InputError(f"the header of {name} is of version {version}, expected (1, 0)")
     shape, by_columns, dtype = np.lib.format.read_array_header_1_0(part)
     if by_columns and len(shape) > 1:
-        raise ValueError(f"{name} is stored by columns, expected by rows")
+        raise InputError(f"{name} is stored by columns, expected by rows")
     if any(side < 0 for side in shape):
-        raise ValueError(f"{name} is of the shape {shape}")
+        raise InputError(f"{name} is of the shape {shape}")
     return shape, dtype, part.tell()

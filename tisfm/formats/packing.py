@@ -15,6 +15,8 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
+
 STEP = 2.0**-10  # of image motion, px/frame, and of what is 0 to 1
 LEADING = 12  # bits of a number that are kept where it has no step
 _DROPPED = 24 - LEADING  # of those that float32 has
@@ -62,17 +64,17 @@ class Packing:
             If it is anything else.
         """
         if not isinstance(about, dict) or set(about) != {"shape", "of", "step"}:
-            raise ValueError(f"is packed as {about!r}, expected shape, of and step")
+            raise InputError(f"is packed as {about!r}, expected shape, of and step")
         shape, of, step = about["shape"], about["of"], about["step"]
         if not isinstance(shape, list) or any(type(side) is not int or side < 1 for side in shape):
-            raise ValueError(f"is packed in the shape {shape!r}, expected lengths of axes")
+            raise InputError(f"is packed in the shape {shape!r}, expected lengths of axes")
         if of not in kinds:
-            raise ValueError(f"is packed as {of!r}, expected {' or '.join(kinds)}")
+            raise InputError(f"is packed as {of!r}, expected {' or '.join(kinds)}")
         if of in _FIXED and kinds == _FIXED:
             if not (isinstance(step, float) and 0 < step <= 1):
-                raise ValueError(f"is packed in steps of {step!r}, expected 0 to 1")
+                raise InputError(f"is packed in steps of {step!r}, expected 0 to 1")
         elif step is not None:
-            raise ValueError(f"is packed in steps of {step!r}, expected none")
+            raise InputError(f"is packed in steps of {step!r}, expected none")
         return cls(shape=tuple(shape), of=of, step=step)
 
 
@@ -220,11 +222,11 @@ def _numbers(
     try:
         text = inflate.decompress(stream.tobytes(), width * count + 1)
     except zlib.error as error:
-        raise ValueError(f"is no zlib stream: {error}") from error
+        raise InputError(f"is no zlib stream: {error}") from error
     planes = len(text) // count
     whole = inflate.eof and not inflate.unused_data and len(text) == planes * count
     if not (whole and 1 <= planes <= width):
-        raise ValueError(f"is no zlib stream of {count} numbers of at most {width} bytes")
+        raise InputError(f"is no zlib stream of {count} numbers of at most {width} bytes")
     steps = np.zeros(count, f"<u{width}")
     columns = steps.view(np.uint8).reshape(count, width)
     for plane, values in enumerate(np.frombuffer(text, np.uint8).reshape(planes, count)):

@@ -9,8 +9,10 @@ from typing import Any, BinaryIO
 
 import cv2
 
+from tisfm.errors import InputError, OutOfMemoryError
 
-class FormatError(ValueError):
+
+class FormatError(InputError):
     """A file is damaged, incomplete or not of the format it was read as.
 
     The text is one line that names the file and what is wrong with it.
@@ -97,7 +99,7 @@ def opencv_memory(name: str) -> Iterator[None]:
     except cv2.error as error:
         if getattr(error, "code", None) != cv2.Error.StsNoMem:
             raise
-        raise MemoryError(f"there is not enough memory for {name}") from error
+        raise OutOfMemoryError(f"there is not enough memory for {name}") from error
 
 
 def _explained(error: OSError, name: str) -> OSError:

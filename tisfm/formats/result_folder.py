@@ -11,6 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from tisfm.errors import InputError
 from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
 
 
@@ -107,7 +108,7 @@ class InputFiles:
         for output in outputs:
             for identity in _identities(output):
                 if identity in self._known:
-                    raise ValueError(
+                    raise InputError(
                         f"the result {os.fspath(output)} would replace "
                         f"{self._known[identity]}, which is read: give another folder with -o"
                     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import Floats, refuse_masked, unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import is_rotation
 
 LEAST_RELATIVE_STD = 0.002  # nothing is known better: depth is looked up between pixels
@@ -48,24 +49,24 @@ class DepthView:
     def __post_init__(self) -> None:
         inverse_depth = unmasked(self.inverse_depth, "inverse_depth", np.float32)
         if inverse_depth.ndim != 2 or not inverse_depth.size:
-            raise ValueError(f"inverse_depth is {inverse_depth.shape}: expected (H, W)")
+            raise InputError(f"inverse_depth is {inverse_depth.shape}: expected (H, W)")
         std = unmasked(self.inverse_depth_std, "inverse_depth_std", np.float32)
         if std.shape != inverse_depth.shape:
-            raise ValueError(
+            raise InputError(
                 f"inverse_depth_std is {std.shape} but inverse_depth is {inverse_depth.shape}: "
                 "they must have the same size"
             )
         refuse_masked(self.frame, "frame", "fill them first, for instance by frame.filled(0)")
         frame = np.asarray(self.frame)
         if frame.dtype != np.uint8:
-            raise TypeError(f"frame is {frame.dtype}: expected uint8")
+            raise InputTypeError(f"frame is {frame.dtype}: expected uint8")
         if frame.shape not in (inverse_depth.shape, (*inverse_depth.shape, 3)):
-            raise ValueError(
+            raise InputError(
                 f"frame is {frame.shape}: expected {inverse_depth.shape}, that of inverse_depth, "
                 "with three colours or none"
             )
         if not isinstance(self.camera, Camera):
-            raise TypeError(f"camera is {self.camera!r}: expected a tisfm.Camera")
+            raise InputTypeError(f"camera is {self.camera!r}: expected a tisfm.Camera")
         check_pinhole(self.camera, "give the camera of the frame without it, camera.pinhole()")
         values = {
             "inverse_depth": inverse_depth,
@@ -182,7 +183,7 @@ class Views:
         held: int = 1,
     ) -> None:
         if not (hasattr(views, "__len__") and hasattr(views, "__getitem__")):
-            raise TypeError(
+            raise InputTypeError(
                 f"views is a {type(views).__name__}: expected a sequence, which has a length and "
                 "items, since every view is read more than once"
             )
@@ -244,7 +245,7 @@ class Views:
     def _view(self, index: int) -> DepthView:
         view = self._views[index]
         if not isinstance(view, DepthView):
-            raise TypeError(f"views[{index}] is a {type(view).__name__}: expected a DepthView")
+            raise InputTypeError(f"views[{index}] is a {type(view).__name__}: expected a DepthView")
         return view
 
     def _look(self, index: int) -> Seen | None:
@@ -282,9 +283,9 @@ class Views:
 def check_positive(value: object, name: str, expected: str = "a positive number") -> None:
     """Raise unless a value is a positive, finite number."""
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}: expected {expected}")
+        raise InputTypeError(f"{name} is {value!r}: expected {expected}")
     if not 0 < float(value) < math.inf:
-        raise ValueError(f"{name} is {value:g}: expected {expected}")
+        raise InputError(f"{name} is {value:g}: expected {expected}")
 
 
 def _scaled(pose: Floats, unit: float) -> Floats:
@@ -296,11 +297,11 @@ def _scaled(pose: Floats, unit: float) -> Floats:
 def _checked_pose(pose: Floats) -> Floats:
     matrix = np.array(unmasked(pose, "pose"), dtype=float)
     if matrix.shape != (4, 4):
-        raise ValueError(f"pose is {matrix.shape}: expected (4, 4), camera to world")
+        raise InputError(f"pose is {matrix.shape}: expected (4, 4), camera to world")
     if not np.isfinite(matrix).all():
         return matrix  # a frame whose pose was not found
     if not is_rotation(matrix[:3, :3]) or np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise ValueError(
+        raise InputError(
             f"pose is {matrix.tolist()}: expected a rotation and a translation above (0, 0, 0, 1)"
         )
     return matrix

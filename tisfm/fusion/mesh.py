@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tisfm import runtime
 from tisfm.checks import refuse_masked, whole
+from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_surface
 from tisfm.fusion.depth_views import DepthView, Views, check_positive
@@ -56,11 +57,11 @@ class Mesh:
             array = getattr(self, name)
             refuse_masked(array, name, "leave out the faces that they belong to")
             if array.shape != shape or array.dtype != kind:
-                raise ValueError(
+                raise InputError(
                     f"{name} is {array.shape} {array.dtype}: expected {shape} {np.dtype(kind).name}"
                 )
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < count:
-            raise ValueError(
+            raise InputError(
                 f"faces has vertices {self.faces.min()} to {self.faces.max()}: expected 0 to "
                 f"{count - 1}"
             )
@@ -88,9 +89,9 @@ class Mesh:
         """
         suffix = Path(path).suffix.lower()
         if suffix not in SUFFIXES:
-            raise ValueError(f"path is {os.fspath(path)}: expected a name in .ply or .glb")
+            raise InputError(f"path is {os.fspath(path)}: expected a name in .ply or .glb")
         if suffix == ".glb" and not len(self.faces):
-            raise ValueError(f"path is {os.fspath(path)}: a GLB file cannot hold an empty mesh")
+            raise InputError(f"path is {os.fspath(path)}: a GLB file cannot hold an empty mesh")
         content = self._glb() if suffix == ".glb" else self._ply()
         with atomic_write(path) as file:
             file.write(content)
@@ -216,7 +217,7 @@ def _field(
             return field_of(views, side, reach, agreeing), reach
         except TooFineError as error:
             if voxel is not None:
-                raise ValueError(
+                raise InputError(
                     f"voxel is {voxel:g}: the surface would need more than {MOST_BLOCKS} blocks of "
                     f"8×8×8 voxels, the most that is kept in memory; give at least "
                     f"{1.05 * error.larger * voxel:.2g}, or a smaller max_depth"
@@ -249,7 +250,7 @@ def check_library() -> None:
     try:
         import skimage.measure  # noqa: F401
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
+        raise MissingPackageError(
             "a mesh needs scikit-image, which is not installed: pip install 'tisfm[mesh]'",
             name=error.name,
         ) from None

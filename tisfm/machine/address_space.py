@@ -8,6 +8,8 @@ import os
 import sys
 from pathlib import Path
 
+from tisfm.errors import OutOfMemoryError
+
 _SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
 _STACK = 8 << 20  # of a thread, bytes, as most systems have it
 _ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
@@ -47,7 +49,7 @@ def require(amount: float, purpose: str) -> None:
         return
     left = bound - pages * os.sysconf("SC_PAGE_SIZE")
     if left < amount:
-        raise MemoryError(
+        raise OutOfMemoryError(
             f"the limit of the address space (ulimit -v) is {_gb(bound)} and leaves {_gb(left)}, "
             f"but {purpose} reserves {_gb(amount)}, of which little is used: raise the limit, or "
             "limit resident memory instead"

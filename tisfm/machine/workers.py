@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from tisfm.errors import OutOfMemoryError, RunError, TisfmError
 from tisfm.machine.address_space import advice
-from tisfm.stated import is_raised_here
 from tisfm.version import __version__
 
 
@@ -24,17 +24,17 @@ def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
     RuntimeError
     """
     if version != __version__:
-        raise RuntimeError(
+        raise RunError(
             f"a worker has tisfm {__version__}, but the command was started by {version}: install "
             "the same everywhere"
         )
     if not alive.exists():
-        raise RuntimeError(
+        raise RunError(
             f"a worker does not see the folder {alive.parent} of the command: give a folder that "
             "all machines share, by the same path"
         )
     if lanes != here:
-        raise RuntimeError(
+        raise RunError(
             f"a worker's processor has vectors of {here} lanes, and that of the command {lanes}: "
             "their results differ in the last digits; leave such machines out"
         )
@@ -42,6 +42,6 @@ def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
 
 def stated(error: Exception) -> Exception:
     """Return an error that is to be told, as it goes to the process that gave the work."""
-    if isinstance(error, MemoryError) and not is_raised_here(error):
-        return MemoryError(advice())
+    if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
+        return OutOfMemoryError(advice())
     return error.with_traceback(None)

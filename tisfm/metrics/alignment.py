@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 
 _STILL = 1e-12  # of the largest coordinate: points that spread less are one
 
@@ -75,7 +76,7 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     """
     source, target = _points(points, "points"), _points(truth, "truth")
     if source.shape != target.shape:
-        raise ValueError(
+        raise InputError(
             f"points are {source.shape} and truth is {target.shape}: expected the same number"
         )
     centre, goal = source.mean(axis=0), target.mean(axis=0)
@@ -92,7 +93,7 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
 def _points(values: ArrayLike, name: str) -> NDArray[np.float64]:
     array = unmasked(values, name, np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-        raise ValueError(f"{name} are {array.shape}: expected (N, 3), N at least 1")
+        raise InputError(f"{name} are {array.shape}: expected (N, 3), N at least 1")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} have values that are NaN or infinite: leave them out")
+        raise InputError(f"{name} have values that are NaN or infinite: leave them out")
     return array

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.metrics.depth_sequence import FARTHEST, NEAREST
 from tisfm.metrics.valid_pixels import counting, is_known
 
@@ -177,19 +178,19 @@ def _depths(
     scale : float
     """
     if align not in ("median", None):
-        raise ValueError(f"align is {align!r}: expected 'median' or None")
+        raise InputError(f"align is {align!r}: expected 'median' or None")
     estimate = unmasked(depth, "depth", np.float64)
     true = unmasked(truth, "truth", np.float64)
     if estimate.shape != true.shape or true.ndim != 2:
-        raise ValueError(
+        raise InputError(
             f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
         )
     known = is_known(true) & (true > 0) & counting(mask, true.shape)
     if not known.any():
-        raise ValueError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
+        raise InputError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
     valid = known & np.isfinite(estimate) & (estimate > 0)
     if not valid.any():
-        raise ValueError(
+        raise InputError(
             f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
             f"known: {np.count_nonzero(known)} pixels are"
         )

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known
 
 CERTAIN = 0.4  # share of the pixels: those of the least relative deviation
@@ -98,7 +99,7 @@ def certain_error(
     inverse, true, known = _maps(inverse_depth, truth)
     sigma = unmasked(deviation, "deviation", np.float64)
     if sigma.shape != known.shape:
-        raise ValueError(
+        raise InputError(
             f"deviation is {sigma.shape} and inverse_depth is {known.shape}: expected the same "
             "shape"
         )
@@ -163,7 +164,7 @@ def flicker(
     """
     (inverse0, true0, known0), (inverse1, true1, known1) = _maps(*first), _maps(*second)
     if known0.shape != known1.shape:
-        raise ValueError(
+        raise InputError(
             f"the first frame is {known0.shape} and the second is {known1.shape}: expected the "
             "same size"
         )
@@ -207,13 +208,13 @@ def _maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray,
     inverse = unmasked(inverse_depth, "inverse_depth", np.float64)
     true = unmasked(truth, "truth", np.float64)
     if inverse.shape != true.shape or true.ndim != 2:
-        raise ValueError(
+        raise InputError(
             f"inverse_depth is {inverse.shape} and truth is {true.shape}: expected the same shape, "
             "(H, W)"
         )
     known = is_known(true) & (true > 0)
     if not known.any():
-        raise ValueError(f"no pixel of the {true.shape} truth is known and positive")
+        raise InputError(f"no pixel of the {true.shape} truth is known and positive")
     return inverse, true, known
 
 

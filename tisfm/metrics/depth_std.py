@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked, unmasked_mask
+from tisfm.errors import InputError
 
 
 def std_coverage(
@@ -76,14 +77,14 @@ def error_in_deviations(
         shapes["mask"] = np.shape(mask)
     for name, shape in shapes.items():
         if shape != found.shape:
-            raise ValueError(
+            raise InputError(
                 f"inverse_depth is {found.shape} and {name} is {shape}: expected the same shape"
             )
     if mask is not None:
         counts &= unmasked_mask(mask, "mask")
     ratio = found[counts] * true[counts]
     if not (ratio > 0).any():
-        raise ValueError(
+        raise InputError(
             f"no pixel of the {found.shape} inverse depth is positive where the truth is known and "
             "counts"
         )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import counting, is_known
 
 
@@ -253,13 +254,13 @@ def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[N
     estimate = unmasked(flow, "flow", np.float64)
     truth = unmasked(truth, "truth", np.float64)
     if estimate.shape != truth.shape or truth.ndim != 3 or truth.shape[-1] != 2:
-        raise ValueError(
+        raise InputError(
             f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "
             "(H, W, 2)"
         )
     counts = is_known(truth).all(axis=-1) & counting(mask, truth.shape[:2])
     if not counts.any():
-        raise ValueError(f"no pixel of the {truth.shape} truth is known and in the mask")
+        raise InputError(f"no pixel of the {truth.shape} truth is known and in the mask")
     return estimate, truth, counts
 
 
@@ -274,7 +275,7 @@ def _finite_pairs(
     estimate, truth, counts = _flows(flow, truth, mask)
     missing = np.count_nonzero(~np.isfinite(estimate[counts]).all(axis=-1))
     if missing:
-        raise ValueError(
+        raise InputError(
             f"flow is not finite at {missing} of the {np.count_nonzero(counts)} pixels that count: "
             "expected finite flow there, or a mask without them"
         )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 
 _VALUES = 256  # of labels, from 0
 
@@ -145,7 +146,7 @@ def label_scores(
     from scipy.optimize import linear_sum_assignment  # takes a while to load
 
     if not 0 < least <= 1:
-        raise ValueError(f"least is {least!r}: expected a number above 0, and 1 at most")
+        raise InputError(f"least is {least!r}: expected a number above 0, and 1 at most")
     pairs = _overlaps(labels, truth)
     (things, thing_of), (found, label_of) = (
         np.unique([pair[column] for pair in pairs], return_inverse=True) for column in (1, 2)
@@ -158,7 +159,7 @@ def label_scores(
     is_thing, is_label = things > 0, found > 0
     things, found = things[is_thing], found[is_label]
     if not len(things):
-        raise ValueError(
+        raise InputError(
             f"truth has no thing in any of {frames} frames: expected pixels other than 0"
         )
     shared = shared[:, is_thing][:, :, is_label]
@@ -206,11 +207,11 @@ def _overlaps(
     for number, (mine, true) in enumerate(zip_longest(labels, truth, fillvalue=missing)):
         if mine is missing or true is missing:
             short, more = ("labels", "truth") if mine is missing else ("truth", "labels")
-            raise ValueError(f"{short} has {number} frames, and {more} has more: expected as many")
+            raise InputError(f"{short} has {number} frames, and {more} has more: expected as many")
         label = _whole_numbers(mine, f"labels[{number}]")
         thing = _whole_numbers(true, f"truth[{number}]")
         if label.shape != thing.shape:
-            raise ValueError(
+            raise InputError(
                 f"labels[{number}] is {label.shape} and truth[{number}] is {thing.shape}: expected "
                 "the same size"
             )
@@ -223,11 +224,11 @@ def _overlaps(
 def _whole_numbers(values: object, name: str) -> NDArray:
     array = unmasked(values, name, advice=f"fill them first, for instance by {name}.filled(0)")  # type: ignore[arg-type]
     if array.dtype.kind not in "biu":
-        raise TypeError(f"{name} is of type {array.dtype}: expected whole numbers")
+        raise InputTypeError(f"{name} is of type {array.dtype}: expected whole numbers")
     if array.ndim != 2:
-        raise ValueError(f"{name} is {array.shape}: expected (H, W)")
+        raise InputError(f"{name} is {array.shape}: expected (H, W)")
     if array.size and not 0 <= array.min() <= array.max() < _VALUES:
-        raise ValueError(
+        raise InputError(
             f"{name} has values from {array.min()} to {array.max()}: expected 0 to {_VALUES - 1}"
         )
     return array

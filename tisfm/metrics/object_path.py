@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.metrics.alignment import Similarity
 from tisfm.metrics.trajectory_errors import path_length, rotation_angles, whole_poses
 
@@ -116,7 +117,7 @@ def object_path_errors(
     shapes = [path.shape for path in (found, true, camera, true_camera)]
     if len(set(shapes)) > 1:
         numbers = ", ".join(str(len(path)) for path in (found, true, camera, true_camera))
-        raise ValueError(
+        raise InputError(
             f"poses, truth, cameras and true_cameras are of {numbers} frames: expected as many"
         )
     seen = _known(camera) & _known(true_camera)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import counting
 
 
@@ -92,12 +93,12 @@ def occlusion_scores(
     """
     found, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
     if found.shape != true.shape or found.ndim != 2:
-        raise ValueError(
+        raise InputError(
             f"occlusion is {found.shape} and truth is {true.shape}: both must be (H, W)"
         )
     counts = counting(mask, found.shape)
     if not counts.any():
-        raise ValueError("no pixel counts: the mask leaves none")
+        raise InputError("no pixel counts: the mask leaves none")
     hits, marked, occluded = (int((m & counts).sum()) for m in (found & true, found, true))
     return OcclusionScores.from_counts(
         hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())

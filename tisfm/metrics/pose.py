@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.rigid import is_rotation
 
 
@@ -88,12 +89,12 @@ def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
     """Return rotation and translation of a checked rigid motion."""
     matrix = unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError(
+        raise InputError(
             f"{name} is {matrix.shape} {matrix.tolist()}: expected a finite (4, 4) matrix"
         )
     rotation = matrix[:3, :3]
     if not is_rotation(rotation):
-        raise ValueError(
+        raise InputError(
             f"{name} is {matrix.tolist()}: expected a rotation, orthonormal and without mirroring, "
             "in its upper left 3 × 3 part"
         )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked, whole
+from tisfm.errors import InputError
 from tisfm.metrics.alignment import align
 
 KITTI_LENGTHS = tuple(100.0 * k for k in range(1, 9))  # m
@@ -290,7 +291,7 @@ def drift(
     if lengths is None:
         lengths = [share * along[-1] for share in SHARES] if short else KITTI_LENGTHS
     elif not all(np.isfinite(length) and length > 0 for length in lengths):
-        raise ValueError(f"lengths are {list(lengths)}: expected positive numbers")
+        raise InputError(f"lengths are {list(lengths)}: expected positive numbers")
     if every is None:
         every = 1 if short else KITTI_EVERY
     whole(1, every=every)
@@ -345,9 +346,9 @@ def _travelled(poses: NDArray) -> NDArray[np.float64]:
 def _both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
     found, true = whole_poses(poses, "poses"), whole_poses(truth, "truth")
     if found.shape != true.shape:
-        raise ValueError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
+        raise InputError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
     if not (_posed(found) & _posed(true)).any():
-        raise ValueError(
+        raise InputError(
             f"no frame has both poses: of {len(found)}, {_posed(found).sum()} have an estimated "
             f"and {_posed(true).sum()} a true one"
         )
@@ -358,7 +359,7 @@ def whole_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return poses, (N, 4, 4) float64; raise ValueError unless they are such."""
     array = unmasked(values, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
-        raise ValueError(f"{name} are {array.shape}: expected (N, 4, 4)")
+        raise InputError(f"{name} are {array.shape}: expected (N, 4, 4)")
     return array
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError
 
 UNKNOWN = 1e9
 
@@ -20,5 +21,5 @@ def counting(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_
         return np.ones(shape, bool)
     counting = unmasked_mask(mask, "mask")
     if counting.shape != shape:
-        raise ValueError(f"mask is {counting.shape}: expected the shape of the truth, {shape}")
+        raise InputError(f"mask is {counting.shape}: expected the shape of the truth, {shape}")
     return counting

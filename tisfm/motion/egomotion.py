@@ -6,6 +6,7 @@ import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.motion.epipolar_fit import (
     CONFIDENT,
     Free,
@@ -30,7 +31,7 @@ STARTING, ITERATIONS = 6, 30  # at most, for each start and for the best of them
 FEWEST_SAMPLES = 8  # that are confident: essential matrices are drawn from 5, and more decide
 
 
-class TooFewPixelsError(ValueError):
+class TooFewPixelsError(InputError):
     """Too few pixels of a flow field are trusted to fit a motion to them."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
+from tisfm.errors import InputError
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
 from tisfm.formats.records import check_sum, content, differing, said
@@ -145,7 +146,7 @@ def refuse_differing(folder: Path, before: Asked, asked: Asked) -> None:
     """Raise ValueError, with what differs, unless the same is asked for as before."""
     differences = said(differing(before, asked))
     if differences:
-        raise ValueError(
+        raise InputError(
             f"{folder} holds a reconstruction of other frames, with other options, or of another "
             f"version ({differences}): repeat its options, or run without --resume to start again"
         )

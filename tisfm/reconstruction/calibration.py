@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from tisfm.camera_file import file_of, record_in
+from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
 
@@ -64,13 +65,13 @@ class Calibration:
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""
         if self.origin not in ("given", "estimated", "guessed"):
-            raise ValueError(f"origin is {self.origin!r}")
+            raise InputError(f"origin is {self.origin!r}")
         if not self.focal_std >= 0 or (self.origin == "estimated" and math.isinf(self.focal_std)):
-            raise ValueError(f"focal_std is {self.focal_std}")
+            raise InputError(f"focal_std is {self.focal_std}")
         if self.focal is not None and not 0 < self.focal < math.inf:
-            raise ValueError(f"focal is {self.focal}")
+            raise InputError(f"focal is {self.focal}")
         if self.shape is not None and (len(self.shape) != 2 or min(self.shape) < 1):
-            raise ValueError(f"shape is {self.shape}")
+            raise InputError(f"shape is {self.shape}")
 
 
 GIVEN = Calibration(origin="given")

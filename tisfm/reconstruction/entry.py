@@ -14,6 +14,7 @@ from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.folder import CACHE
 from tisfm.reconstruction.given_poses import poses_of_frames
@@ -163,20 +164,20 @@ def reconstruct(
     """
     settings = checked_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
-        raise ValueError(
+        raise InputError(
             f'poses are given and calibrate="{calibrate}": that is found with the path alone'
         )
     calibrate = checked_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
-        raise ValueError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
+        raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
     if depth_of == "none" and poses is not None:
-        raise ValueError('poses are given and depth_of="none": there is nothing to find')
+        raise InputError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else checked_poses(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
     of_result = labels_of_result(labels, source)
     sizes = checked_object_sizes(object_sizes)
     if sizes and settings.motion != "objects":
-        raise ValueError(
+        raise InputError(
             f'object_sizes are given and motion is "{settings.motion}": expected motion="objects"'
         )
     frames = FrameSource(
@@ -192,16 +193,16 @@ def reconstruct(
     )
     warn_of(frames.notes)
     if given is not None and bad_frames == "skip":
-        raise ValueError('poses are given and bad_frames="skip": they would not fit what is left')
+        raise InputError('poses are given and bad_frames="skip": they would not fit what is left')
     if given is not None and frames.times is not None:  # before the long computation
         poses_of_frames(given, frames.times)
     elif given is not None and given.times is None and frames.count is not None:
         check_count(len(given.poses), len(frames) + 1)
     camera, stated = checked_camera(camera)
     if calibrate == "radial" and stated is not None and stated.distortion is not None:
-        raise ValueError('the camera has distortion, which calibrate="radial" is to find: drop it')
+        raise InputError('the camera has distortion, which calibrate="radial" is to find: drop it')
     if calibrate == "focal" and stated is not None and stated.is_tilted:
-        raise ValueError(
+        raise InputError(
             'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
             "focal length; leave out the last two coefficients"
         )
@@ -247,7 +248,7 @@ def refuse_inside(files: Iterable[Path], folder: Path) -> None:
     place = folder.resolve()
     for file in files:
         if place in file.resolve().parents:
-            raise ValueError(f"{file} lies in {folder}, which is written to: give another folder")
+            raise InputError(f"{file} lies in {folder}, which is written to: give another folder")
 
 
 def _mask_and_labels(
@@ -256,7 +257,7 @@ def _mask_and_labels(
     """Return what counts, and which things there are, where they are given as either."""
     if settings.motion != "objects":
         if labels is not None:
-            raise ValueError(
+            raise InputError(
                 f'labels are given and motion is "{settings.motion}": expected motion="objects"'
             )
         return mask, None
@@ -266,7 +267,7 @@ def _mask_and_labels(
         return without_labels(mask), labels
     if holds_labels(mask):
         if labels is not None:
-            raise ValueError(
+            raise InputError(
                 "mask has numbers of things, and labels are given as well: expected these there, "
                 "and booleans in the mask"
             )
@@ -289,7 +290,7 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
     if calibrate is None:
         return "nothing" if is_known else "focal"
     if calibrate not in get_args(Calibrate):
-        raise ValueError(f'calibrate is {calibrate!r}: expected "nothing", "focal" or "radial"')
+        raise InputError(f'calibrate is {calibrate!r}: expected "nothing", "focal" or "radial"')
     return calibrate
 
 
@@ -303,12 +304,12 @@ def checked_settings(
     if settings is None:
         settings = Settings.preset("balanced")
     if not isinstance(settings, Settings):
-        raise TypeError(f"settings is {settings!r}: expected a tisfm.Settings")
+        raise InputTypeError(f"settings is {settings!r}: expected a tisfm.Settings")
     if settings.motion == "field":
         settings = replace(settings, motion="camera")
     if settings.motion not in motions:
         names = " or ".join(f'motion="{motion}"' for motion in motions)
-        raise ValueError(
+        raise InputError(
             f'motion is "{settings.motion}": a sequence is reconstructed with {names}, as in '
             'Settings.preset("fast", motion="camera")'
         )
@@ -322,7 +323,7 @@ def checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
     refuse_masked(poses, "poses")
     array = np.array(poses, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
-        raise ValueError(f"poses is {array.shape}: expected (N, 4, 4), camera to world")
+        raise InputError(f"poses is {array.shape}: expected (N, 4, 4), camera to world")
     for number, pose in enumerate(array):
         if not np.isfinite(pose).all():
             array[number] = np.nan
@@ -330,7 +331,7 @@ def checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
         turn = pose[:3, :3]
         rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
         if not rigid or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-            raise ValueError(
+            raise InputError(
                 f"poses[{number}] is {pose.tolist()}: expected a rotation and a translation over "
                 "the row (0, 0, 0, 1)"
             )

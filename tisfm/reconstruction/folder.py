@@ -16,6 +16,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
+from tisfm.errors import InputError
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large
 from tisfm.formats.images import decode
@@ -141,14 +142,14 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
     try:
         about = read_json(path)
         if about["format"] != OBJECTS_FORMAT:
-            raise ValueError(
+            raise InputError(
                 f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}: "
                 "reconstruct anew"
             )
         things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
         for thing in things:
             if not set(thing.frames) <= set(range(count)):
-                raise ValueError(f"thing {thing.id} is seen in other frames than those there are")
+                raise InputError(f"thing {thing.id} is seen in other frames than those there are")
     except FormatError:
         raise
     except _DAMAGE as error:
@@ -222,7 +223,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         about = read_json(path / RECORD)
         if about["format"] != FORMAT:
-            raise ValueError(
+            raise InputError(
                 f"it is of format {about['format']}, written by tisfm {about.get('version')}; this "
                 f"version reads format {FORMAT}: reconstruct anew"
             )
@@ -237,16 +238,16 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             ("unit", unit, "f"),
         ):
             if values.dtype.kind != kind:
-                raise ValueError(f"{name} of {PATH} are of type {values.dtype}")
+                raise InputError(f"{name} of {PATH} are of type {values.dtype}")
         count = len(about["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
-            raise ValueError(f"{PATH} does not have {count} frames")
+            raise InputError(f"{PATH} does not have {count} frames")
         if unit.shape != (int(piece.max(initial=-1)) + 1,):
-            raise ValueError(f"{PATH} does not have a unit for every piece")
+            raise InputError(f"{PATH} does not have a unit for every piece")
         if len(about["status"]) != count:
-            raise ValueError(f"it has {len(about['status'])} statuses of {count} frames")
+            raise InputError(f"it has {len(about['status'])} statuses of {count} frames")
         if not set(about["keyframes"]) <= set(range(count)):
-            raise ValueError(f"a keyframe is none of its {count} frames")
+            raise InputError(f"a keyframe is none of its {count} frames")
         camera = about["camera"]
         stiffness = tuple(about["settings"]["stiffness"])
         settings = Settings(**{**about["settings"], "stiffness": stiffness})
@@ -284,5 +285,5 @@ def _shape(given: Any) -> tuple[int, int]:
     """Return height and width of frames, ValueError if they are none."""
     height, width = map(int, given)
     if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
-        raise ValueError(f"its frames are {height} × {width} px")
+        raise InputError(f"its frames are {height} × {width} px")
     return height, width

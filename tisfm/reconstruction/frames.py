@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import copy_file
 from tisfm.formats.npz import write_npy
@@ -277,6 +278,6 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     turned = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     encoded, data = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not encoded:
-        raise ValueError(f"{path} cannot be encoded: the picture is {picture.shape}")
+        raise InputError(f"{path} cannot be encoded: the picture is {picture.shape}")
     with atomic_write(path) as file:
         file.write(data.tobytes())

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tisfm.checks import check_count
+from tisfm.errors import InputError
 from tisfm.outcome import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import associate, do_rise
@@ -47,7 +48,7 @@ def poses_of_frames(
         reach = REACH * float(np.median(np.diff(known)))
         frames, places = associate(known, given.times, farthest=reach)
         if not len(frames):
-            raise ValueError(
+            raise InputError(
                 f"no pose is within {reach:.3g} s of a frame: frames are from {known[0]:.3f} to "
                 f"{known[-1]:.3f} s, poses from {given.times[0]:.3f} to {given.times[-1]:.3f} s; "
                 "without times, as in KITTI's format, poses belong to frames in their order"
@@ -62,7 +63,7 @@ def poses_of_frames(
 def check_poses_count(given: Trajectory, count: int) -> None:
     """Raise ValueError unless there are as many poses as frames."""
     if given.times is not None and len(given.poses) != count:
-        raise ValueError(
+        raise InputError(
             f"poses are {len(given.poses)} with times, but the {count} frames have no times "
             "that rise: expected one pose for each frame, or times for all frames"
         )

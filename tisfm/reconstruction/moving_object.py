@@ -7,6 +7,8 @@ from typing import Any, Literal, get_args
 import cv2
 import numpy as np
 
+from tisfm.errors import InputError
+
 ScaleFrom = Literal["size", "contact", "around", "none"]
 
 
@@ -86,7 +88,7 @@ class MovingObject:
         """
         count = len(about["frames"])
         if about["scale_from"] not in get_args(ScaleFrom):
-            raise ValueError(f"scale_from is {about['scale_from']!r}")
+            raise InputError(f"scale_from is {about['scale_from']!r}")
         nowhere = np.full((4, 4), np.nan)
         poses = [nowhere if pose is None else pose for pose in about["poses"]]
         extent = [np.nan] * 3 if about["extent"] is None else about["extent"]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 
 POINTS = (9, 12)  # rows and columns of the image that are looked at
 # Shares of the image's width: parallax from which on more is no better, and beyond which windows
@@ -59,7 +60,7 @@ def choose_neighbours(
     """
     poses = np.asarray(poses, np.float64)
     if not np.isfinite(poses[key]).all():
-        raise ValueError(f"poses[{key}] is not finite: expected a pose of the keyframe")
+        raise InputError(f"poses[{key}] is not finite: expected a pose of the keyframe")
     rays, depth = _points(inverse_depth, camera, shape)
     known = np.isfinite(poses).all(axis=(1, 2))
     known[key] = False
@@ -103,7 +104,7 @@ def _points(
     near = values[np.ix_(rows.astype(int), columns.astype(int))].ravel()
     known = np.isfinite(near) & (near > 0)
     if not known.any():
-        raise ValueError("inverse_depth is nowhere positive: expected a rough depth of the frame")
+        raise InputError("inverse_depth is nowhere positive: expected a rough depth of the frame")
     near = np.where(known, near, np.median(near[known]))
     x, y = np.meshgrid((columns - cx) / camera.focal, (rows - cy) / camera.focal)
     return np.stack([x.ravel(), y.ravel(), np.ones(x.size)]), near

@@ -5,6 +5,7 @@ from numbers import Real
 
 import numpy as np
 
+from tisfm.errors import InputError, InputTypeError
 from tisfm.sources.frame_reader import is_whole
 
 
@@ -17,15 +18,17 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
         If ids are no whole numbers, or lengths not positive.
     """
     if sizes is not None and not isinstance(sizes, Mapping):
-        raise TypeError(f"object_sizes is {sizes!r}: expected lengths by ids, such as {{1: 4.5}}")
+        raise InputTypeError(
+            f"object_sizes is {sizes!r}: expected lengths by ids, such as {{1: 4.5}}"
+        )
     found: dict[int, float] = {}
     for number, size in (sizes or {}).items():
         if not is_whole(number):
-            raise TypeError(f"object_sizes has the id {number!r}: expected a whole number")
+            raise InputTypeError(f"object_sizes has the id {number!r}: expected a whole number")
         if isinstance(size, bool) or not isinstance(size, Real):
-            raise TypeError(f"object_sizes[{number}] is {size!r}: expected a length")
+            raise InputTypeError(f"object_sizes[{number}] is {size!r}: expected a length")
         if not (np.isfinite(size) and size > 0):
-            raise ValueError(f"object_sizes[{number}] is {size}: expected a positive length")
+            raise InputError(f"object_sizes[{number}] is {size}: expected a positive length")
         found[int(number)] = float(size)
     return found
 
@@ -35,7 +38,7 @@ def refuse_unknown(sizes: Collection[int], things: Collection[int]) -> None:
     unknown = sorted(set(sizes) - set(things))
     if unknown:
         ids = ", ".join(map(str, sorted(things))) or "none"
-        raise ValueError(
+        raise InputError(
             f"object_sizes has one of {', '.join(map(str, unknown))}, but the ids of what moves "
             f"are: {ids}"
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.database import View
@@ -148,7 +149,7 @@ class PathFinder:
         self._shape = grey.shape
         views.close_loops(grey.shape)
         if views.out_of_order():
-            raise ValueError(
+            raise InputError(
                 "frames are not in the order in which they were taken: most show nothing of the "
                 "frame before, but what others show; sort them, or give a video"
             )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError, OutOfRangeError
 from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.calibration import GIVEN, Calibration
@@ -290,17 +291,17 @@ class Reconstruction:
         piece = int(self.piece[first])
         for frame in (first, second):
             if self.piece[frame] < 0:
-                raise ValueError(f"frame {frame} has no pose: give two that have one, of one piece")
+                raise InputError(f"frame {frame} has no pose: give two that have one, of one piece")
         if piece != self.piece[second]:
-            raise ValueError(
+            raise InputError(
                 f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
                 "expected one piece, as its scale is its own"
             )
         if not (np.isfinite(distance) and distance > 0):
-            raise ValueError(f"distance is {distance}: expected a positive length")
+            raise InputError(f"distance is {distance}: expected a positive length")
         moved = float(np.linalg.norm(self.poses[first, :3, 3] - self.poses[second, :3, 3]))
         if moved == 0:
-            raise ValueError(f"frames {first} and {second} are of one place: give two others")
+            raise InputError(f"frames {first} and {second} are of one place: give two others")
         factor, poses = distance / moved, self.poses.copy()
         poses[self.piece == piece, :3, 3] *= factor
         objects = tuple(thing.rescaled(factor, self.piece == piece) for thing in self.objects)
@@ -365,7 +366,7 @@ class Reconstruction:
     def _number(self, frame: int) -> int:
         number = index(frame)
         if not 0 <= number < len(self):
-            raise IndexError(f"frame is {frame}: expected 0 to {len(self) - 1}")
+            raise OutOfRangeError(f"frame is {frame}: expected 0 to {len(self) - 1}")
         return number
 
     def _views(self, frames: Iterable[int] | None) -> "_Views":
@@ -374,7 +375,7 @@ class Reconstruction:
         chosen = [self._number(frame) for frame in frames]
         pieces = sorted({int(self.piece[frame]) for frame in chosen} - {-1})
         if len(pieces) > 1:
-            raise ValueError(
+            raise InputError(
                 f"frames are of pieces {', '.join(map(str, pieces))}: expected those of one, as "
                 "each has a scale of its own"
             )

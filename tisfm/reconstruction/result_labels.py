@@ -12,6 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
+from tisfm.errors import InputError
 from tisfm.reconstruction.folder import MASKS, PICTURES, RECORD, mask_path, read_record
 
 MOST_COEFFICIENTS = 14
@@ -42,7 +43,7 @@ class ResultLabels:
             stated is not None and calibrate == "nothing" and _is_same(self.camera, stated)
         ):
             return
-        raise ValueError(
+        raise InputError(
             f"labels are those of {self.folder}, of frames whose lens or readout is undone: give "
             f"its camera as well, {self.folder / CAMERA}; or reconstruct {self.folder / PICTURES}"
         )

@@ -11,6 +11,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, write_camera
+from tisfm.errors import InputError
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration import GIVEN, Calibrate, Calibration, as_json, calibration_in
@@ -197,7 +198,7 @@ class Run:
                 except Enough:
                     break
         if len(names) < 2:
-            raise ValueError(
+            raise InputError(
                 f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
                 "be read: expected at least 2"
             )
@@ -227,7 +228,7 @@ class Run:
     def _complete(self, labelled: Sequence[int]) -> None:
         """Label the frames whose labels are not given, from those whose are."""
         if not labelled:
-            raise ValueError(
+            raise InputError(
                 f"labels has none of a frame of {self._source.title} that is taken: expected those "
                 "of one at least"
             )

@@ -11,6 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
+from tisfm.errors import InputError
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
 from tisfm.reconstruction.adjustment import adjusted
@@ -105,7 +106,7 @@ class Stream:
         if fault is not None:
             raise fault
         if count < 2:
-            raise ValueError(
+            raise InputError(
                 f"{self._source.title} has {count} frame{'s' * (count != 1)} that can be read: "
                 "expected at least 2"
             )

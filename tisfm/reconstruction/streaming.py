@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.calibration import Calibrate
 from tisfm.reconstruction.entry import checked_calibrate, checked_camera, checked_settings
 from tisfm.reconstruction.streamed_frame import StreamedFrame
@@ -90,14 +91,14 @@ def reconstruct_stream(
     settings = checked_settings(settings, ("camera",))
     calibrate = checked_calibrate(calibrate, is_known=camera is not None)
     if calibrate == "radial":
-        raise ValueError(
+        raise InputError(
             'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
         )
     camera, _ = checked_camera(camera)
     if not is_whole(delay):
-        raise TypeError(f"delay is {delay!r}: expected a whole number of frames")
+        raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
     if delay < SHORTEST:
-        raise ValueError(f"delay is {delay}: expected {SHORTEST} frames at least")
+        raise InputError(f"delay is {delay}: expected {SHORTEST} frames at least")
     frames = FrameSource(
         source,
         step=step,

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.errors import InputTypeError
 from tisfm.motion.sparse_matches import Described, alike, described
 from tisfm.reconstruction.database import View
 from tisfm.reconstruction.loops import Look, similar
@@ -94,7 +95,7 @@ class Views:
     def forget(self, count: int) -> None:
         """Forget the first views."""
         if isinstance(self.chosen, Shelf) or isinstance(self._looks, Shelf):
-            raise TypeError("views lie on disk: they cannot be forgotten")
+            raise InputTypeError("views lie on disk: they cannot be forgotten")
         del self.chosen[:count], self._looks[:count]
         self._matchable = [k - count for k in self._matchable if k >= count]
         self.matches = {

@@ -16,6 +16,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
@@ -131,7 +132,7 @@ def window_depth(
     """
     others = list(others)
     if effort not in CELLS:
-        raise ValueError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
+        raise InputError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
     motions = _checked(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
@@ -288,22 +289,22 @@ def _checked(
 ) -> np.ndarray:
     """Return the motions, (M, 3, 4) float64, of arguments that fit together."""
     if not others:
-        raise ValueError("others is empty: expected at least one frame")
+        raise InputError("others is empty: expected at least one frame")
     motions = np.asarray(motions, np.float64)
     if motions.shape != (len(others), 3, 4):
-        raise ValueError(
+        raise InputError(
             f"motions is {motions.shape} for {len(others)} frames: expected ({len(others)}, 3, 4)"
         )
     if not np.isfinite(motions).all():
-        raise ValueError("motions has values that are not finite")
+        raise InputError("motions has values that are not finite")
     if not motions[:, :, 3].any(axis=1).all():
-        raise ValueError("motions has one without translation: such a frame says nothing of depth")
+        raise InputError("motions has one without translation: such a frame says nothing of depth")
     arrays = [(f"others[{k}]", frame) for k, frame in enumerate(others)]
     arrays += [("key_mask", key_mask)] if key_mask is not None else []
     arrays += [(f"masks[{k}]", mask) for k, mask in enumerate(masks or []) if mask is not None]
     for name, array in arrays:
         if np.shape(array) != key.shape:
-            raise ValueError(f"{name} is {np.shape(array)} but key is {key.shape}")
+            raise InputError(f"{name} is {np.shape(array)} but key is {key.shape}")
     if masks is not None and len(masks) != len(others):
-        raise ValueError(f"masks has {len(masks)} for {len(others)} frames: expected one each")
+        raise InputError(f"masks has {len(masks)} for {len(others)} frames: expected one each")
     return motions

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.report_file import REPORT, is_report
 
@@ -16,7 +17,7 @@ def refuse_foreign(folder: Path) -> Path:
     """
     path = folder / REPORT
     if path.exists() and not is_report(path):
-        raise ValueError(
+        raise InputError(
             f"{path} is no report of tisfm, and would be replaced: give another folder with -o"
         )
     return path

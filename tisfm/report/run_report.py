@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
@@ -115,7 +116,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             notes=[str(note) for note in record["notes"]],
         )
     except (LookupError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{folder} holds no run that a report can be made of ({error})") from error
+        raise InputError(f"{folder} holds no run that a report can be made of ({error})") from error
 
 
 def _page(folder: Path, run: _Run, source: str | None) -> Page:

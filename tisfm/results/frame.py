@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.errors import OutOfRangeError
 from tisfm.outcome import Status
 
 Floats = NDArray[np.float32]
@@ -134,7 +135,7 @@ class ViewFrame:
         """
         height, width = self.shape
         if not (0 <= row < height and 0 <= column < width):
-            raise IndexError(
+            raise OutOfRangeError(
                 f"the pixel is ({column}, {row}): expected a column below {width} and a row below "
                 f"{height}"
             )

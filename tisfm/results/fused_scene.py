@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.glb import colors_of
 from tisfm.reconstruction.result import Reconstruction
@@ -104,7 +105,7 @@ def fused_whole(result: Reconstruction, kind: WholeKind, number: int) -> Whole:
     piece = int(result.piece[number])
     keyframes = [k for k in result.keyframes if result.piece[k] == piece >= 0]
     if not keyframes:
-        raise ValueError("the piece of this frame has no keyframes to fuse")
+        raise InputError("the piece of this frame has no keyframes to fuse")
     near = sorted(sorted(keyframes, key=lambda k: abs(k - number))[:MOST_VIEWS])
     origin = f"{len(near)} of {len(keyframes)} keyframes, fused"
     if kind == "points":

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tisfm.errors import InputError
 from tisfm.formats.result_folder import is_written_to
 from tisfm.reconstruction.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
@@ -11,7 +12,7 @@ from tisfm.results.run_result import RECORD as RUN
 from tisfm.results.run_result import RunResult
 
 
-class NothingYetError(ValueError):
+class NothingYetError(InputError):
     """A result is being made, and has no frame yet that can be looked at."""
 
 

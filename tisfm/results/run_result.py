@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.formats.records import NAME as RECORD
@@ -98,17 +99,17 @@ class RunResult:
 
     def whole(self, kind: WholeKind, number: int) -> Whole:
         """Raise ValueError: pairs are not fused."""
-        raise ValueError("pairs of tisfm run are not shown together: see tisfm reconstruct")
+        raise InputError("pairs of tisfm run are not shown together: see tisfm reconstruct")
 
     def _take(self, record: Any) -> None:
         """Take over what a record says."""
         pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
         kept = [(name, pair) for name, pair in pairs if _has_npz(pair)]
         if pairs and not kept:
-            raise ValueError("it has no .npz of any pair: run again with npz among --outputs")
+            raise InputError("it has no .npz of any pair: run again with npz among --outputs")
         for name, _ in kept:
             if os.path.basename(name) != name:
-                raise ValueError(f"{name} is not the name of a pair")
+                raise InputError(f"{name} is not the name of a pair")
         motion = record["settings"]["motion"]
         self.names = [name for name, _ in kept]
         self._files = [(name, pair.get("files")) for name, pair in kept]

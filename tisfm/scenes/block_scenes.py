@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats, finite, whole
+from tisfm.errors import InputError
 from tisfm.rigid import rigid_motion
 
 from .geometry import Box, Plane
@@ -197,7 +198,7 @@ def static_scene(
     True
     """
     if kind not in _STATIC_MOTIONS:
-        raise ValueError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
+        raise InputError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
     own, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
     scene = _room(_THREE_BLOCKS, own, motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)

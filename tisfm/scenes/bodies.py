@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats, whole
+from tisfm.errors import InputError
 from tisfm.rigid import pose_matrix
 
 from .geometry import Box
@@ -182,7 +183,7 @@ def bodies_film(
     check_readout(readout)
     whole(0, bodies=bodies)
     if bodies > len(_FLIGHTS):
-        raise ValueError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
+        raise InputError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
     flights = _FLIGHTS[:bodies]
     at_rest = room_at_rest(width, seed, textured=textured)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats, Vector, finite
+from tisfm.errors import InputError
 from tisfm.rigid import rigid_motion
 
 from .texture import Texture
@@ -56,7 +57,7 @@ class Plane:
     def __post_init__(self) -> None:
         normal = finite(self.normal, (3,), "normal")
         if not normal.any():
-            raise ValueError("normal is (0, 0, 0): expected a direction")
+            raise InputError("normal is (0, 0, 0): expected a direction")
         object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
         _freeze(self, point=(3,), normal=(3,), motion=(6,))
 
@@ -122,10 +123,10 @@ class Box:
     def __post_init__(self) -> None:
         _freeze(self, center=(3,), size=(3,), axes=(3, 3), motion=(6,))
         if (self.size <= 0).any():
-            raise ValueError(f"size is {self.size.tolist()}: expected positive edge lengths")
+            raise InputError(f"size is {self.size.tolist()}: expected positive edge lengths")
         gram = self.axes.T @ self.axes
         if not np.allclose(gram, np.eye(3), atol=1e-9) or np.linalg.det(self.axes) < 0:
-            raise ValueError(f"axes is {self.axes.tolist()}: expected a rotation matrix")
+            raise InputError(f"axes is {self.axes.tolist()}: expected a rotation matrix")
 
     def _pose(self) -> tuple[Floats, Floats]:
         return self.axes, self.center

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import Floats, finite, whole
+from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import rigid_twist
 
 from .geometry import Box, Plane, View
@@ -116,11 +117,11 @@ class Scene:
         check_pinhole(self.camera, "scenes are rendered by a pinhole")
         object.__setattr__(self, "objects", tuple(self.objects))
         if not self.objects:
-            raise ValueError("objects is empty: expected at least a background Plane")
+            raise InputError("objects is empty: expected at least a background Plane")
         for index, item in enumerate(self.objects):
             if not isinstance(item, Plane | Box):
                 kind = type(item).__name__
-                raise TypeError(f"objects[{index}] is a {kind}: expected a Plane or a Box")
+                raise InputTypeError(f"objects[{index}] is a {kind}: expected a Plane or a Box")
 
     def render(self, *, samples: int = 3, dtype: str = "uint8") -> SyntheticPair:
         """Cast the rays of both frames and work out the truth.
@@ -202,7 +203,7 @@ class Scene:
         matrix = finite(pose, (4, 4), "pose")
         turn = matrix[:3, :3].T
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
-            raise ValueError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
+            raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
         motion = rigid_twist(turn, -turn @ matrix[:3, 3])
         views = [View(item, motion) for item in self.objects]
         bands = [(depth, labels) for _, depth, labels in self._bands(views, np.zeros((1, 2)))]
@@ -225,7 +226,7 @@ class Scene:
             rays = grid.reshape(3, -1)
             depth, labels = _nearest(views, rays)
             if not np.isfinite(depth).all():
-                raise ValueError(
+                raise InputError(
                     f"objects leave {np.mean(~np.isfinite(depth)):.0%} of a band of rays without "
                     "a surface: expected a background Plane to cover the image"
                 )
@@ -266,7 +267,7 @@ class Scene:
 def check_dtype(dtype: str) -> None:
     """Raise ValueError unless it names a type of the frames."""
     if dtype not in ("uint8", "float32"):
-        raise ValueError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
+        raise InputError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
 
 
 def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats, finite, whole
+from tisfm.errors import InputError
 from tisfm.rigid import pose_matrix, rigid_motion, rigid_twist
 
 from .geometry import Box, Plane
@@ -237,7 +238,7 @@ def check_film(
     _check_picture(height, width, noise, blur)
     path = np.asarray(poses, np.float64)
     if path.ndim != 3 or path.shape[1:] != (4, 4) or len(path) == 0:
-        raise ValueError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
+        raise InputError(f"poses is {path.shape}: expected (N, 4, 4), one at least")
     return path
 
 
@@ -251,13 +252,13 @@ def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
     whole(1, height=height, width=width)
     for name, value in (("noise", noise), ("blur", blur)):
         if not 0 <= value < math.inf:
-            raise ValueError(f"{name} is {value!r}: expected a number of at least 0")
+            raise InputError(f"{name} is {value!r}: expected a number of at least 0")
 
 
 def check_readout(readout: float) -> None:
     """Raise ValueError unless a frame is read within the time to the next."""
     if not -1 <= readout <= 1:
-        raise ValueError(f"readout is {readout!r}: expected a number from -1 to 1")
+        raise InputError(f"readout is {readout!r}: expected a number from -1 to 1")
 
 
 def read_in_turn(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats, finite, whole
+from tisfm.errors import InputError
 
 # The noise tile holds TILE / SAMPLES_PER_WAVE waves a side; octaves are turned and shifted copies.
 TILE = 512
@@ -52,9 +53,9 @@ class Patch:
     def __post_init__(self) -> None:
         finite(self.center, (2,), "center")
         if not (finite(self.size, (2,), "size") > 0).all():
-            raise ValueError(f"size is {self.size}: expected positive edge lengths")
+            raise InputError(f"size is {self.size}: expected positive edge lengths")
         if not 0 <= self.grey <= 255:
-            raise ValueError(f"grey is {self.grey}: expected a grey level in [0, 255]")
+            raise InputError(f"grey is {self.grey}: expected a grey level in [0, 255]")
 
     def covers(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
         """Return whether points of the surface, (n,) each, lie on it."""
@@ -105,12 +106,12 @@ class Texture:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.wavelength) and self.wavelength > 0):
-            raise ValueError(f"wavelength is {self.wavelength}: expected a positive length")
+            raise InputError(f"wavelength is {self.wavelength}: expected a positive length")
         whole(1, octaves=self.octaves)
         whole(0, detail=self.detail, seed=self.seed)
         if not 0 <= self.contrast <= min(self.mean, 255 - self.mean):
             span = f"{self.mean} ± {self.contrast}"
-            raise ValueError(f"mean ± contrast is {span}: expected grey levels in [0, 255]")
+            raise InputError(f"mean ± contrast is {span}: expected grey levels in [0, 255]")
 
     def _grey(self, s: Floats, t: Floats, footprint: Floats, face: int = 0) -> NDArray:
         """Return the grey level, (n,) float32, at coordinates s, t of a face, (n,), length.

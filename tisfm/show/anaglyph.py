@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 from tisfm.show.arrays import as_image, as_rgb, as_uint8, require_same_size
 from tisfm.show.stereo import DISPARITY, stereo_view
@@ -79,7 +80,7 @@ def dubois(
     views = as_image("left", left), as_image("right", right)
     require_same_size("right", views[1], "left", views[0])
     if matrices not in _MATRICES:
-        raise ValueError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
+        raise InputError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
     decode = linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
     # Amounts of light have more steps than coded values, whose darkest ones lie close together.
     most, kind = (65535, cv2.CV_16U) if linear else (255, cv2.CV_8U)

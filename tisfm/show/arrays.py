@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.frames import in_unit_range
 
 
@@ -13,7 +14,7 @@ def as_map(name: str, values: ArrayLike) -> NDArray[np.floating[Any]]:
     """Return an (H, W) map of real numbers as floats, or raise an error that names it."""
     array = _real(name, values)
     if array.ndim != 2 or array.size == 0:
-        raise ValueError(f"{name} is {array.shape}, expected (H, W) with some pixels")
+        raise InputError(f"{name} is {array.shape}, expected (H, W) with some pixels")
     return _as_float(array)
 
 
@@ -21,7 +22,7 @@ def as_flow(name: str, values: ArrayLike) -> NDArray[np.floating[Any]]:
     """Return an (H, W, 2) flow as floats, or raise an error that names it."""
     array = _real(name, values)
     if array.ndim != 3 or array.shape[2] != 2 or array.size == 0:
-        raise ValueError(f"{name} is {array.shape}, expected (H, W, 2) with some pixels")
+        raise InputError(f"{name} is {array.shape}, expected (H, W, 2) with some pixels")
     return _as_float(array)
 
 
@@ -29,7 +30,7 @@ def as_image(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return an (H, W) or (H, W, 3) picture as it is, or raise an error that names it."""
     array = _real(name, values)
     if array.size == 0 or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
-        raise ValueError(f"{name} is {array.shape}, expected (H, W) or (H, W, 3) with some pixels")
+        raise InputError(f"{name} is {array.shape}, expected (H, W) or (H, W, 3) with some pixels")
     return array
 
 
@@ -41,7 +42,7 @@ def is_depth(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
 def require_same_size(name: str, array: NDArray[Any], other_name: str, other: NDArray[Any]) -> None:
     """Raise an error that gives both sizes unless two arrays have the same rows and columns."""
     if array.shape[:2] != other.shape[:2]:
-        raise ValueError(
+        raise InputError(
             f"{name} is {array.shape[:2]} but {other_name} is {other.shape[:2]}: "
             "they must have the same size"
         )
@@ -50,7 +51,7 @@ def require_same_size(name: str, array: NDArray[Any], other_name: str, other: ND
 def check_limit(name: str, limit: float) -> float:
     """Return the top of a range as a float, or raise an error unless it is finite and >= 0."""
     if not (np.isfinite(limit) and limit >= 0):
-        raise ValueError(f"{name} is {limit!r}, expected a finite number, zero or greater")
+        raise InputError(f"{name} is {limit!r}, expected a finite number, zero or greater")
     return float(limit)
 
 
@@ -92,7 +93,7 @@ def _real(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return an array of real numbers, or raise an error that names it."""
     array = unmasked(values, name)
     if array.dtype.kind not in "iuf":
-        raise TypeError(f"{name} has dtype {array.dtype}, expected real numbers")
+        raise InputTypeError(f"{name} has dtype {array.dtype}, expected real numbers")
     return array
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.show.arrays import as_map, check_limit, is_depth
 from tisfm.show.palette import DEPTH_PERCENTILE, colors_of
 
@@ -36,7 +37,7 @@ def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERC
     """
     values = as_map("inverse_depth", inverse_depth)
     if not 0 <= percentile <= 100:
-        raise ValueError(f"percentile is {percentile!r}, expected a number from 0 to 100")
+        raise InputError(f"percentile is {percentile!r}, expected a number from 0 to 100")
     valid = values[is_depth(values)]
     return float(np.percentile(valid, percentile)) if valid.size else 0.0
 

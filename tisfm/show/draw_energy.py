@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.outcome import History
 from tisfm.show.axes import few_ticks, name_axis, plot_axes, style_plot, write_inside
 from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
@@ -67,7 +68,7 @@ def draw_energy(
     """
     if quantity not in get_args(CurveQuantity):
         expected = ", ".join(get_args(CurveQuantity))
-        raise ValueError(f"quantity is {quantity!r}, expected one of {expected}")
+        raise InputError(f"quantity is {quantity!r}, expected one of {expected}")
     target = plot_axes(6.4, 3.2) if axes is None else axes
     sizes = style_plot(target, title)
     energy = quantity == "energy"

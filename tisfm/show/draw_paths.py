@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.metrics import Similarity, align
 from tisfm.show.axes import (
     Sizes,
@@ -101,7 +102,7 @@ def draw_path(
     number = np.zeros(len(given), np.int64) if piece is None else _piece(piece)
     for name, others in (("truth", true), ("piece", number)):
         if others is not None and len(others) != len(given):
-            raise ValueError(f"{name} has {len(others)} frames but poses have {len(given)}")
+            raise InputError(f"{name} has {len(others)} frames but poses have {len(given)}")
     number = np.where(_posed(given), number, -1)
     pieces, counts = np.unique(number[number >= 0], return_counts=True)
     target = plot_axes(4.4, 3.9) if axes is None else axes
@@ -185,7 +186,7 @@ def draw_object_paths(
     """
     _check_view(view)
     if any(number < 0 for number in objects):
-        raise ValueError(f"objects are {sorted(objects)}: expected numbers from 0")
+        raise InputError(f"objects are {sorted(objects)}: expected numbers from 0")
     given = {number: _poses(f"object {number}", poses) for number, poses in objects.items()}
     places = {number: poses[_posed(poses), :3, 3] for number, poses in given.items()}
     places = {number: line for number, line in places.items() if len(line)}
@@ -370,19 +371,19 @@ def _posed(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _poses(name: str, poses: ArrayLike) -> NDArray[np.float64]:
     given = unmasked(poses, name, np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise ValueError(f"{name} has the shape {given.shape}, expected (N, 4, 4)")
+        raise InputError(f"{name} has the shape {given.shape}, expected (N, 4, 4)")
     return given
 
 
 def _piece(piece: ArrayLike) -> NDArray[np.integer]:
     given = unmasked(piece, "piece")
     if given.ndim != 1:
-        raise ValueError(f"piece has the shape {given.shape}, expected (N,)")
+        raise InputError(f"piece has the shape {given.shape}, expected (N,)")
     if given.dtype.kind not in "iu" and given.size:
-        raise ValueError(f"piece has dtype {given.dtype}, expected integers, below 0 for none")
+        raise InputError(f"piece has dtype {given.dtype}, expected integers, below 0 for none")
     return given.astype(np.int64)  # which has room for -1
 
 
 def _check_view(view: str) -> None:
     if view not in _VIEWS:
-        raise ValueError(f"view is {view!r}, expected one of {', '.join(get_args(PathView))}")
+        raise InputError(f"view is {view!r}, expected one of {', '.join(get_args(PathView))}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.show.arrays import as_flow, as_map, check_limit, require_same_size
 from tisfm.show.flow import flow_to_color, usual_length
 from tisfm.show.legends import (
@@ -174,5 +175,5 @@ def check_error_limits(limits: tuple[float, float]) -> tuple[float, float]:
     """Return the ends of a logarithmic scale, or raise an error unless they make one."""
     low, high = limits
     if not (math.isfinite(low) and math.isfinite(high) and 0 < low < high):
-        raise ValueError(f"limits is {limits!r}, expected two finite numbers with 0 < low < high")
+        raise InputError(f"limits is {limits!r}, expected two finite numbers with 0 < low < high")
     return float(low), float(high)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import (
     as_flow,
@@ -230,11 +231,11 @@ def panel_figure(
     """
     shown = [(name, as_uint8(as_image(f"panel {name!r}", image))[0]) for name, image in panels]
     if not shown:
-        raise ValueError("panels is empty, expected at least one (title, picture)")
+        raise InputError("panels is empty, expected at least one (title, picture)")
     if columns is None:
         columns = _pleasant_columns([image for _, image in shown])
     if columns < 1:
-        raise ValueError(f"columns is {columns}, expected 1 or more")
+        raise InputError(f"columns is {columns}, expected 1 or more")
     rows = [shown[first : first + columns] for first in range(0, len(shown), columns)]
     return draw_panels(rows, heading=title)[0]
 
@@ -266,11 +267,11 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
     """
     suffix = os.path.splitext(os.fspath(path))[1].lower()
     if suffix not in _SUFFIXES:
-        raise ValueError(
+        raise InputError(
             f"{os.fspath(path)} has the suffix {suffix!r}, expected one of {', '.join(_SUFFIXES)}"
         )
     if not (math.isfinite(dpi) and dpi > 0):
-        raise ValueError(f"dpi is {dpi!r}, expected a finite positive number")
+        raise InputError(f"dpi is {dpi!r}, expected a finite positive number")
     with atomic_write(path) as file:
         figure.savefig(file, format=suffix[1:], dpi=dpi, metadata=_UNDATED.get(suffix))
 
@@ -298,7 +299,7 @@ def _labels(names: Mapping[str, str] | None) -> dict[str, str]:
     changes = dict(names or {})
     unknown = sorted(set(changes) - set(_NAMES))
     if unknown:
-        raise ValueError(f"names has {', '.join(unknown)}, expected any of {', '.join(_NAMES)}")
+        raise InputError(f"names has {', '.join(unknown)}, expected any of {', '.join(_NAMES)}")
     return {**_NAMES, **changes}
 
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, check_limit
 from tisfm.show.palette import FLOW_PERCENTILE
@@ -147,7 +148,7 @@ def flow_to_color(
     """
     values = as_flow("flow", flow)
     if beyond not in ("darker", "same"):
-        raise ValueError(f"beyond is {beyond!r}, expected darker or same")
+        raise InputError(f"beyond is {beyond!r}, expected darker or same")
     radius = flow_radius(values)
     known = np.isfinite(radius)
     if limit is None:
@@ -191,7 +192,7 @@ def color_wheel(size: int) -> NDArray[np.uint8]:
     (64, 64)
     """
     if size < 1:
-        raise ValueError(f"size is {size}, expected 1 or more pixels")
+        raise InputError(f"size is {size}, expected 1 or more pixels")
     axis = (np.arange(size, dtype=np.float32) - (size - 1) / 2) * (2 / size)
     flow = np.stack(np.meshgrid(axis, axis), axis=2)
     radius = np.hypot(flow[..., 0], flow[..., 1])
@@ -231,7 +232,7 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
     """
     values = as_flow("flow", flow)
     if step < 1:
-        raise ValueError(f"step is {step}, expected 1 or more pixels")
+        raise InputError(f"step is {step}, expected 1 or more pixels")
     rows, columns = (_centred_nodes(length, step) for length in values.shape[:2])
     y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
     tails = values[y, x]

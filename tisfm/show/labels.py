@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 from tisfm.show.palette import category_colors, colors_of_categories
 
@@ -40,7 +41,7 @@ def label_colors(count: int) -> NDArray[np.uint8]:
     (4, 3)
     """
     if count < 1:
-        raise ValueError(f"count is {count}, expected 1 or more labels")
+        raise InputError(f"count is {count}, expected 1 or more labels")
     return category_colors(count)
 
 
@@ -77,12 +78,12 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     (picture,) = as_uint8(as_image("image", image))
     label = unmasked(labels, "labels", advice="fill them first, for instance by labels.filled(0)")
     if label.dtype.kind not in "iu":
-        raise TypeError(f"labels has dtype {label.dtype}, expected integers")
+        raise InputTypeError(f"labels has dtype {label.dtype}, expected integers")
     if label.ndim != 2:
-        raise ValueError(f"labels is {label.shape}, expected (H, W)")
+        raise InputError(f"labels is {label.shape}, expected (H, W)")
     require_same_size("labels", label, "image", picture)
     if label.min() < 0:
-        raise ValueError(f"labels has {label.min()}, expected integers from 0")
+        raise InputError(f"labels has {label.min()}, expected integers from 0")
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     shown = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
     own = label > 0

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError, MissingPackageError
 from tisfm.show.flow import color_wheel, quiver_points
 from tisfm.show.mosaic import HEADING_SIZE, TITLE_SIZE, Box, Layout, arrange, panel_size
 from tisfm.show.ticks import depth_ticks, with_room
@@ -160,7 +161,7 @@ def draw_legend(figure: Figure, layout: Layout, shape: tuple[int, int], limit: f
         Motion at the rim of the wheel, px/frame.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     axes = _draw_wheel_in(figure, layout.legend, LEGEND_SIZE, limit)
     middle = LEGEND_SIZE[0] / 2
     if limit == 0:
@@ -185,7 +186,7 @@ def draw_wheel(figure: Figure, layout: Layout, limit: float) -> None:
         Motion at the rim of the wheel, px/frame.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     _draw_wheel_in(figure, layout.legend, WHEEL_SIZE, limit)
 
 
@@ -213,7 +214,7 @@ def draw_color_bar(
         Unit of the values.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     axes = _inch_axes(figure, layout.legend, BAR_SIZE)
     _, right, bottom, top = box = 0.1, 0.28, 0.08, BAR_SIZE[1] - 0.08
     _draw_ramp(axes, ramp, box)
@@ -252,7 +253,7 @@ def draw_depth_bar(
         What is written above it, in two lines at most, with its unit.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     axes = _inch_axes(figure, layout.legend, DEPTH_BAR_SIZE)
     left, right, bottom, top = box = 0.1, 0.28, 0.08, DEPTH_BAR_SIZE[1] - 0.42
     _draw_ramp(axes, ramp[::-1, None], box)
@@ -291,7 +292,7 @@ def draw_swatches(
         Their names.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     size = swatches_size(len(colors))
     axes = _inch_axes(figure, layout.legend, size)
     left = 0.1
@@ -365,7 +366,9 @@ def new_figure(size: tuple[float, float]) -> Figure:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
-        raise ImportError("figures are drawn by Matplotlib: pip install matplotlib") from error
+        raise MissingPackageError(
+            "figures are drawn by Matplotlib: pip install matplotlib"
+        ) from error
     figure = Figure(figsize=size, facecolor="white")
     FigureCanvasAgg(figure)
     return figure

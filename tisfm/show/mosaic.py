@@ -5,6 +5,8 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from tisfm.errors import InputError
+
 Box = tuple[float, float, float, float]  # left, bottom, width, height, as shares of the figure
 
 WIDE = 2.0  # width over height from which pictures, and legends, go below one another
@@ -80,7 +82,7 @@ def stack_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[
         The layout once for every legend, which it has room for.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     left, bottom, _, height = layout.legend
     top = bottom + height
     layouts = []
@@ -112,7 +114,7 @@ def beside_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list
         The layout once for every legend, which it has room for.
     """
     if layout.legend is None:
-        raise ValueError("layout has no room for a legend: ask draw_panels for it")
+        raise InputError("layout has no room for a legend: ask draw_panels for it")
     left, bottom, _, _ = layout.legend
     layouts = []
     for wide, high in sizes:

@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
+
 Quantity = Literal["depth", "confidence", "error"]
 
 UNKNOWN_COLOR = (200, 200, 200)
@@ -90,7 +92,7 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
     """
     if quantity not in _MAPS:
         expected = ", ".join(get_args(Quantity))
-        raise ValueError(f"quantity is {quantity!r}, expected one of {expected}")
+        raise InputError(f"quantity is {quantity!r}, expected one of {expected}")
     levels = np.arange(256, dtype=np.uint8)[:, None]
     return np.ascontiguousarray(cv2.applyColorMap(levels, _MAPS[quantity])[:, 0, ::-1])
 

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.show.arrays import as_image, as_map, is_depth, require_same_size
 
 _SAME_SURFACE = 1  # px of shift: what differs by less lies as far behind
@@ -71,9 +72,9 @@ def second_view(
     depth = as_map("inverse_depth", inverse_depth)
     require_same_size("inverse_depth", depth, "image", picture)
     if not math.isfinite(displacement):
-        raise ValueError(f"displacement is {displacement!r}, expected a finite number")
+        raise InputError(f"displacement is {displacement!r}, expected a finite number")
     if fill not in ("nearest", "behind"):
-        raise ValueError(f"fill is {fill!r}, expected nearest or behind")
+        raise InputError(f"fill is {fill!r}, expected nearest or behind")
     if displacement < 0:
         # The mirror image of a camera that moves to the right.
         mirrored = second_view(

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tisfm.errors import InputError
 from tisfm.show.arrays import as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.depth import inverse_depth_limit
 from tisfm.show.second_view import second_view
@@ -92,7 +93,7 @@ def stereo_view(
     depth = as_map("inverse_depth", inverse_depth)
     require_same_size("inverse_depth", depth, "image", picture)
     if not -1 <= eye <= 1:
-        raise ValueError(f"eye is {eye!r}, expected a number from -1 to 1")
+        raise InputError(f"eye is {eye!r}, expected a number from -1 to 1")
     parallax = _parallax(
         depth,
         disparity=disparity,
@@ -110,7 +111,7 @@ def stereo_view(
 def check_disparity(disparity: float) -> float:
     """Return a disparity, or raise ValueError if it is no share that eyes could follow."""
     if not 0 < disparity <= MOST_DISPARITY:
-        raise ValueError(
+        raise InputError(
             f"disparity is {disparity!r}: expected a share of the width, above 0, up to "
             f"{MOST_DISPARITY}"
         )
@@ -120,13 +121,13 @@ def check_disparity(disparity: float) -> float:
 def check_screen(screen: float | None, screen_depth: float | None) -> None:
     """Raise ValueError unless at most one of both is given, and in its range."""
     if screen is not None and screen_depth is not None:
-        raise ValueError(
+        raise InputError(
             f"screen is {screen!r} and screen_depth is {screen_depth!r}: give one of them"
         )
     if screen is not None and not 0 <= screen <= 1:
-        raise ValueError(f"screen is {screen!r}, expected a quantile, from 0 to 1")
+        raise InputError(f"screen is {screen!r}, expected a quantile, from 0 to 1")
     if screen_depth is not None and not screen_depth > 0:
-        raise ValueError(f"screen_depth is {screen_depth!r}, expected a depth above 0")
+        raise InputError(f"screen_depth is {screen_depth!r}, expected a depth above 0")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

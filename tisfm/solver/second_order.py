@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tisfm.errors import InputError, InputTypeError
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_empty
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
@@ -70,15 +71,15 @@ class SecondOrderSettings:
         for name in ("alpha", "beta"):
             value = getattr(self, name)
             if not 0 < value < math.inf:
-                raise ValueError(f"{name} is {value}: expected a positive number")
+                raise InputError(f"{name} is {value}: expected a positive number")
         for name in ("gamma", "image_edges"):
             value = getattr(self, name)
             if not 0 <= value < math.inf:
-                raise ValueError(f"{name} is {value}: expected a number of at least 0")
+                raise InputError(f"{name} is {value}: expected a number of at least 0")
         for name in ("bend", "turn", "step", "anchor_scale"):
             value = getattr(self, name)
             if not value > 0:
-                raise ValueError(f"{name} is {value}: expected a positive value, in px")
+                raise InputError(f"{name} is {value}: expected a positive value, in px")
 
 
 class SecondOrderMinimiser:
@@ -125,7 +126,7 @@ class SecondOrderMinimiser:
         cycles: int = 1,
     ) -> None:
         if cycles < 1:
-            raise ValueError(f"cycles is {cycles}: expected at least 1")
+            raise InputError(f"cycles is {cycles}: expected at least 1")
         self.grid, self._spacing, self._cycles = grid, spacing, cycles
         self.rho = grid.allocate(COMPONENTS)
         self.system = SecondOrderSystem(
@@ -234,7 +235,7 @@ def fill(
         target of weight above 0 is not finite, or there is to be no iteration.
     """
     if iterations < 1:
-        raise ValueError(f"iterations is {iterations}: expected at least 1")
+        raise InputError(f"iterations is {iterations}: expected at least 1")
     settings = settings or SecondOrderSettings()
     anchors = _checked(target, weight, frame)
     known = anchors[0].sum(dtype=np.float64)
@@ -305,14 +306,14 @@ def _checked(target: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.nd
     for name, array in (("target", target), ("weight", weight), ("frame", frame)):
         if not isinstance(array, np.ndarray) or array.dtype != np.float32:
             kind = getattr(array, "dtype", type(array).__name__)
-            raise TypeError(f"{name} is {kind}: expected a NumPy array of float32")
+            raise InputTypeError(f"{name} is {kind}: expected a NumPy array of float32")
         if array.shape != frame.shape or array.ndim != 2:
-            raise ValueError(
+            raise InputError(
                 f"{name} is {array.shape} but frame is {frame.shape}: expected one size, (H, W)"
             )
     if not (np.isfinite(weight).all() and (weight >= 0).all()):
-        raise ValueError("weight has values below 0 or not finite: expected numbers of at least 0")
+        raise InputError("weight has values below 0 or not finite: expected numbers of at least 0")
     target = np.where(weight > 0, target, np.float32(0))
     if not np.isfinite(target).all():
-        raise ValueError("target is not finite where weight is above 0")
+        raise InputError("target is not finite where weight is above 0")
     return np.stack([weight, target])

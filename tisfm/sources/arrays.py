@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.sources.frame_reader import RawFrame, is_path
 
 
@@ -25,11 +26,11 @@ class Arrays:
 
     def __init__(self, items: Iterable[Any]) -> None:
         if isinstance(items, np.ndarray) and items.ndim not in (3, 4):
-            raise ValueError(
+            raise InputError(
                 f"frames is {items.shape}: expected (N, H, W) or (N, H, W, 3), or a list of frames"
             )
         if not isinstance(items, Iterable):
-            raise TypeError(
+            raise InputTypeError(
                 f"source is {items!r}: expected a path, a list of paths, or an iterable of arrays"
             )
         self._items = items
@@ -42,7 +43,7 @@ class Arrays:
         items = islice(self._items, chosen.start, chosen.stop, chosen.step)
         for index, item in zip(numbers, items, strict=False):
             if is_path(item):
-                raise TypeError(
+                raise InputTypeError(
                     f"the source yields {item!r}: expected arrays; give paths as a list, in "
                     "the order of the frames"
                 )

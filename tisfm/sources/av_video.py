@@ -14,6 +14,7 @@ from av.stream import Disposition
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.sources.frame_reader import BadFrame, RawFrame, is_chosen
 from tisfm.sources.video_checks import (
@@ -66,27 +67,27 @@ class AvVideo:
                 if container.format.name in _LISTS:
                     raise FormatError(f"{path} is a list of other files, no video")
                 if not container.streams.video or container.format.name == _TEXT:
-                    raise ValueError(f"{path} is no video")
+                    raise InputError(f"{path} is no video")
                 stream = _chosen(container)
                 self._stream = stream.index
                 self.announced: int | None = stream.frames or None
                 self._end = _end(stream)
                 # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
                 if getattr(stream, "codec_context", None) is None:
-                    raise ValueError(f"{path} is of an unknown codec")
+                    raise InputError(f"{path} is of an unknown codec")
                 self._aspect = float(stream.sample_aspect_ratio or 1)
                 size = stream.width, stream.height, self._aspect
                 refuse_large_frames(path, *square_size(*size))
                 decoding = _Decoding(container, stream)
                 first = next((item for item in decoding if isinstance(item, VideoFrame)), None)
                 if first is None:
-                    raise ValueError(f"{path} has no frame")
+                    raise InputError(f"{path} has no frame")
                 if first.rotation % 180 == 90:  # as frames are read, upright
                     size = stream.height, stream.width, 1 / self._aspect
                 notes = (_streams_note(path, container, stream), resampling_note(path, *size))
                 self.notes = tuple(filter(None, notes))
         except (av.FFmpegError, OSError) as error:
-            raise ValueError(f"{path} cannot be decoded: {error}") from error
+            raise InputError(f"{path} cannot be decoded: {error}") from error
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Decode the frames of these numbers."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError
 from tisfm.frames import MIN_SIDE, check_frame
 from tisfm.sources.frame_reader import is_whole
 
@@ -37,7 +38,7 @@ class View:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         if self.size is not None and not (is_whole(self.size) and self.size >= MIN_SIDE):
-            raise ValueError(
+            raise InputError(
                 f"size is {self.size!r}: expected the longer side as a whole number of px, at "
                 f"least {MIN_SIDE}"
             )
@@ -115,7 +116,7 @@ class View:
         height, width = shape[:2]
         x, y, part_width, part_height = self.crop or (0, 0, width, height)
         if x + part_width > width or y + part_height > height:
-            raise ValueError(
+            raise InputError(
                 f"crop is {self.crop}, but {name} is {width} px wide and {height} px high: "
                 "expected (left, top, width, height) inside it"
             )
@@ -127,7 +128,7 @@ class View:
             return 1.0
         scale = self.size / max(height, width)
         if round(min(height, width) * scale) < MIN_SIDE:
-            raise ValueError(
+            raise InputError(
                 f"size is {self.size}, which leaves less than {MIN_SIDE} px of the shorter side "
                 f"of {name}, {height} × {width} px: give a larger one"
             )
@@ -142,12 +143,12 @@ def _shrunk(image: np.ndarray, scale: float) -> np.ndarray:
 def _checked_crop(crop: Iterable[int]) -> tuple[int, int, int, int]:
     values = tuple(crop) if isinstance(crop, Iterable) else ()
     if len(values) != 4 or not all(map(is_whole, values)):
-        raise ValueError(
+        raise InputError(
             f"crop is {crop!r}: expected four whole numbers, (left, top, width, height), in px"
         )
     x, y, width, height = map(int, values)
     if min(x, y) < 0 or min(width, height) < MIN_SIDE:
-        raise ValueError(
+        raise InputError(
             f"crop is {(x, y, width, height)}: expected (left, top, width, height) with a corner "
             f"inside the frame and at least {MIN_SIDE} px each way"
         )

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import RunError
 from tisfm.formats import FormatError
 
 
@@ -157,7 +158,7 @@ class Listing:
     def check(self, other: "Listing", title: str) -> None:
         """Refuse what another process sees, with RuntimeError, if it is not the same."""
         if other != self:
-            raise RuntimeError(
+            raise RunError(
                 f"a worker sees other files in {title} ({other.count}) than the process that began "
                 f"({self.count}): wait until all machines see the same, and give --resume"
             )

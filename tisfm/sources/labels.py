@@ -11,6 +11,7 @@ import numpy.typing as npt
 from numpy.typing import NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
 from tisfm.sources.frame_reader import is_path, is_whole
 from tisfm.sources.paths import several_pictures
@@ -87,7 +88,7 @@ class Labels:
         elif isinstance(labels, Mapping):
             self._items = {self._number(key): item for key, item in labels.items()}
         elif isinstance(labels, np.ndarray) and labels.ndim != 3:
-            raise ValueError(
+            raise InputError(
                 f"labels is {labels.shape}: expected (N, H, W), with one for every frame; or, if "
                 "the first frame alone has some, {0: labels}"
             )
@@ -97,7 +98,9 @@ class Labels:
         elif isinstance(labels, Iterable):
             self._items, self.ahead = labels, False
         else:
-            raise TypeError(f"labels is {labels!r}: expected pictures, or an array for every frame")
+            raise InputTypeError(
+                f"labels is {labels!r}: expected pictures, or an array for every frame"
+            )
         known = self._items.values() if isinstance(self._items, Mapping) else ()
         self.files = tuple(Path(os.fspath(item)) for item in known if is_path(item))
         for file in self.files:
@@ -120,10 +123,12 @@ class Labels:
     def _number(self, key: Any) -> int:
         """Return the number of the frame that a key of a mapping names."""
         if not is_whole(key) and not isinstance(key, str):
-            raise TypeError(f"labels has the key {key!r}: expected the number or name of a frame")
+            raise InputTypeError(
+                f"labels has the key {key!r}: expected the number or name of a frame"
+            )
         number = int(key) if is_whole(key) else self._number_of(key)
         if number is None or number < 0 or (self._count is not None and number >= self._count):
-            raise ValueError(f"labels has some of frame {key!r}, but there is no such frame")
+            raise InputError(f"labels has some of frame {key!r}, but there is no such frame")
         return number
 
     def _number_of(self, name: str) -> int | None:
@@ -135,7 +140,7 @@ class Labels:
 
     def _check_count(self, count: int, more: str = "") -> None:
         if self._count is not None and count != self._count:
-            raise ValueError(
+            raise InputError(
                 f"labels has those of {count} frame{'s' * (count != 1)}, but there are "
                 f"{self._count} frames{more}: expected one for every frame"
             )
@@ -177,7 +182,7 @@ class LabelsInTurn:
             labels = checked_labels(item, title)
         sizes = list(dict.fromkeys(shape[:2] for shape in shapes))
         if labels.shape not in sizes:
-            raise ValueError(
+            raise InputError(
                 f"{title}: the size is {labels.shape}, but that of frame {name} is "
                 f"{' or '.join(map(str, sizes))}: expected the same"
             )
@@ -188,7 +193,7 @@ class LabelsInTurn:
     def check(self) -> None:
         """Raise ValueError if the labels so far have pixels that are ignored, but no thing."""
         if self._has_void and not self._has_things:
-            raise ValueError(
+            raise InputError(
                 "labels are 0 or 255 everywhere, which is ignored: expected numbers from 1 to 254 "
                 "for things"
             )
@@ -199,26 +204,26 @@ class LabelsInTurn:
         skipped, self._following = index - self._following, index + 1
         for item in islice(self._items, skipped, None):
             return item
-        raise ValueError(f"labels ended before frame {name}: expected None where a frame has none")
+        raise InputError(f"labels ended before frame {name}: expected None where a frame has none")
 
 
 def checked_labels(values: Any, title: str) -> NDArray[np.uint8]:
     """Return the labels of a frame, (H, W) uint8, or raise TypeError or ValueError."""
     array = unmasked(values, title)
     if array.ndim == 3:
-        raise ValueError(
+        raise InputError(
             f"{title} have the shape {array.shape}, as colours do: expected (H, W) of numbers; a "
             "picture with a palette has them as its indices"
         )
     if array.ndim != 2:
-        raise ValueError(f"{title} have the shape {array.shape}: expected (H, W)")
+        raise InputError(f"{title} have the shape {array.shape}: expected (H, W)")
     if array.dtype.kind not in "biu":
-        raise TypeError(
+        raise InputTypeError(
             f"{title} are of type {array.dtype}: expected whole numbers, 0 for what is at rest, "
             "and 1 to 254 for things"
         )
     if array.size and (array.min() < 0 or array.max() > VOID):
-        raise ValueError(
+        raise InputError(
             f"{title} go from {array.min()} to {array.max()}: expected 0 for what is at rest, 1 to "
             "254 for things, and 255 for what is ignored"
         )
@@ -252,7 +257,7 @@ def holds_labels(mask: Any) -> bool:
     for one in mask:
         numbers |= _numbers_in(one)
     if len(numbers) == 1:
-        raise ValueError(
+        raise InputError(
             f"mask has one number for every pixel that is not 0, {numbers.pop()}: give booleans "
             "if 0 is to be ignored, or labels= if it is the number of a thing that moves"
         )
@@ -269,7 +274,7 @@ def without_labels(masks: Iterable[Any]) -> Iterator[Any]:
     """
     for mask in masks:
         if _numbers_in(mask):
-            raise ValueError(
+            raise InputError(
                 "mask has numbers other than 0 and 255: give them as labels= if they are those of "
                 "things that move, or booleans if 0 is to be ignored"
             )

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from numpy.typing import NDArray
 
 from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError, InputTypeError
 from tisfm.formats import read_image
 from tisfm.sources.frame_reader import is_path
 from tisfm.sources.paths import several_pictures
@@ -91,7 +92,7 @@ class Masks:
         elif isinstance(mask, np.ndarray) and mask.ndim == 2:
             self._items = repeat(mask)
         elif isinstance(mask, np.ndarray) and mask.ndim != 3:
-            raise ValueError(
+            raise InputError(
                 f"mask is {mask.shape}: expected (H, W), or (N, H, W) with one for every frame"
             )
         elif isinstance(mask, Iterable):
@@ -99,11 +100,11 @@ class Masks:
             self._items = mask
             number = len(mask) if isinstance(mask, (Sequence, np.ndarray)) else None
         else:
-            raise TypeError(
+            raise InputTypeError(
                 f"mask is {mask!r}: expected a picture, an array, or one for every frame"
             )
         if number is not None and count is not None and number != count:
-            raise ValueError(
+            raise InputError(
                 f"mask has {number} mask{'s' * (number != 1)}, but there are {count} frames: "
                 "expected one for every frame, or a single one"
             )
@@ -133,7 +134,7 @@ class Ignored:
         item = next(islice(self._items, index - self._following, None), None)
         self._following = index + 1
         if item is None:
-            raise ValueError(f"mask ended before frame {name}: expected one for every frame")
+            raise InputError(f"mask ended before frame {name}: expected one for every frame")
         if isinstance(item, _Picture):
             title, counted = item
         elif is_path(item):
@@ -141,7 +142,7 @@ class Ignored:
         else:
             title, counted = f"the mask of frame {name}", unmasked_mask(item, "mask")
         if counted.shape != shape[:2]:
-            raise ValueError(
+            raise InputError(
                 f"{title} is {counted.shape} but frame {name} is {shape[:2]}: expected a mask of "
                 "the size of the frame as it is read"
             )
@@ -161,7 +162,7 @@ def _by_name(masks: list[Path], frames: Sequence[Path], title: str) -> tuple[Pat
         return tuple(masks)
     for frame, mask in zip(frames, found, strict=True):
         if mask is None:
-            raise ValueError(
+            raise InputError(
                 f"{title} has no mask for {frame.name}: expected {frame.stem}.png or "
                 f"{frame.name}.png"
             )

@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from tisfm.errors import InputError
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.formats.image_names import in_order
 from tisfm.formats.images import natural_order
@@ -36,7 +37,7 @@ def refuse_url(source: str) -> None:
         )
     else:
         instead = "download the file, and give its path"
-    raise ValueError(f"{source} is a URL, and only files are read: {instead}")
+    raise InputError(f"{source} is a URL, and only files are read: {instead}")
 
 
 def _path_of(url: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
+from tisfm.errors import InputError, InputTypeError
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.frames import in_unit_range
 from tisfm.sources.arrays import Arrays
@@ -127,7 +128,7 @@ class FrameSource:
     ) -> None:
         self.chosen = _chosen(start, stop, step)
         if bad_frames not in get_args(BadFrames):
-            raise ValueError(f'bad_frames is {bad_frames!r}: expected "raise" or "skip"')
+            raise InputError(f'bad_frames is {bad_frames!r}: expected "raise" or "skip"')
         self.bad_frames = bad_frames
         self._view = View(crop=crop, size=size)
         reader = _open(source)
@@ -200,7 +201,7 @@ class FrameSource:
         """
         count = self._reader.announced if self.count is None else self.count
         if count is None:
-            raise TypeError(f"the length of {self.title} is not known before it is read")
+            raise InputTypeError(f"the length of {self.title} is not known before it is read")
         return max(0, len(range(count)[self.chosen]) - 1)
 
     def __iter__(self) -> Generator[FramePair, None, None]:
@@ -234,7 +235,7 @@ class FrameSource:
                 previous = frame, digest
         if pairs == 0 and not self._is_rest:
             skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
-            raise ValueError(
+            raise InputError(
                 f"{self.title} ended before there was a pair{skipped}: expected more frames"
             )
 
@@ -291,7 +292,7 @@ class FrameSource:
                 yield raw
                 continue
             if before is not None and raw.image.shape != before[1]:
-                raise ValueError(
+                raise InputError(
                     f"frames {before[0]} and {raw.name}: the first is {before[1]}, the second "
                     f"{raw.image.shape}, but they must have the same size and channels"
                 )
@@ -339,7 +340,7 @@ class FrameSource:
             return
         if count == 1 and len(self._reader.files) == 1 and self._reader.names is not None:
             _refuse_animation(self._reader.files[0])
-        raise ValueError(
+        raise InputError(
             f"{self._reader.title} has {count} frame{'s' * (count != 1)}: expected at least "
             f"{enough}, to make a pair"
         )
@@ -349,12 +350,12 @@ def _refuse_animation(file: Path) -> None:
     """Raise ValueError if a picture has several frames: only the first one would be read."""
     count = frames_in_picture(file)
     if count > 1 and file.suffix.lower() == ".gif":
-        raise ValueError(
+        raise InputError(
             f"{file} is a GIF of {count} frames, which is read as a video: give its path, not a "
             "folder or a pattern"
         )
     if count > 1:
-        raise ValueError(
+        raise InputError(
             f"{file} is a picture of {count} frames, of which only the first can be read: save "
             f"them as files of their own, for instance by `magick {file} -coalesce frame%03d.png` "
             "of ImageMagick, and give their folder"
@@ -368,9 +369,9 @@ def _chosen(start: int, stop: int | None, step: int) -> slice:
         ("start", start, 0, "the number of a frame, from 0"),
     ):
         if not is_whole(value) or value < least:
-            raise ValueError(f"{name} is {value!r}: expected {kind}")
+            raise InputError(f"{name} is {value!r}: expected {kind}")
     if stop is not None and (not is_whole(stop) or stop < start + step + 1):
-        raise ValueError(
+        raise InputError(
             f"stop is {stop!r}: expected at least {start + step + 1}, to make a pair of frames "
             f"from {start} on"
         )

@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.reading import open_file, opencv_memory
 from tisfm.sources.frame_reader import BadFrame, RawFrame, Reader, is_chosen
@@ -68,7 +69,7 @@ class OpenCvVideo:
         finally:
             capture.release()
         if not readable:
-            raise ValueError(
+            raise InputError(
                 f"{path} is not an image or a video that OpenCV can read: it is damaged or of an "
                 "unknown format; copy or record it again, or convert it to MP4 with H.264"
             )

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.formats import FormatError
 
 
@@ -28,7 +29,7 @@ def ends_early(count: int, last: float | None, end: float | None) -> bool | None
 
 def cut_off(path: str, after: str, of: str) -> ValueError:
     """Return the error of a video that ends after less than it stated."""
-    return ValueError(
+    return InputError(
         f"{path} ends after {after} of {of}: the file is cut off or damaged; the results up to "
         "there are complete"
     )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
+from tisfm.errors import InputError
 from tisfm.rigid import is_rotation
 
 
@@ -66,12 +67,12 @@ def check_poses(poses: ArrayLike) -> NDArray[np.float64]:
     """
     given = unmasked(poses, "poses", np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise ValueError(f"poses are {given.shape}: expected (N, 4, 4)")
+        raise InputError(f"poses are {given.shape}: expected (N, 4, 4)")
     missing = np.isnan(given).any(axis=(1, 2))
     for index in np.flatnonzero(~missing):
         pose = given[index]
         if not np.isfinite(pose).all() or not is_rotation(pose[:3, :3]):
-            raise ValueError(
+            raise InputError(
                 f"poses[{index}] is {pose.tolist()}: expected a rotation and a translation, or NaN"
             )
     return np.where(missing[:, None, None], np.nan, given)
@@ -81,11 +82,11 @@ def check_times(times: ArrayLike, count: int) -> NDArray[np.float64]:
     """Return times as float64, or raise ValueError unless there are `count` that increase."""
     given = unmasked(times, "times", np.float64)
     if given.shape != (count,):
-        raise ValueError(f"times are {given.shape}: expected ({count},), one for every pose")
+        raise InputError(f"times are {given.shape}: expected ({count},), one for every pose")
     wrong = np.flatnonzero(~(np.diff(given) > 0))
     if not np.isfinite(given).all() or len(wrong):
         index = int(wrong[0]) + 1 if len(wrong) else 0
-        raise ValueError(
+        raise InputError(
             f"times[{index}] is {given[index]}: expected finite numbers, each above the one before"
         )
     return given

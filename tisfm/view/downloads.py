@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.errors import InputError
 from tisfm.view.html_texts import progress_html, set_html
 from tisfm.view.scene import behind, quaternion
 from tisfm.view.static_page import static_page
@@ -73,7 +74,7 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
                         pose = _swung(pose, depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
                     film.add(_drawn(client, pose))
                 if len(unread) == len(numbers):
-                    raise ValueError(f"no frame can be read: {unread[0]}")
+                    raise InputError(f"no frame can be read: {unread[0]}")
         finally:
             page.show(max(before, 0))
         client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tisfm.errors import InputTypeError
 from tisfm.outcome import STATUSES, UNKNOWN
 from tisfm.results.frame import PixelReading, ViewFrame
 from tisfm.results.result import Result
@@ -50,7 +51,7 @@ def set_html(control: Any, content: Markup) -> None:
         If it is plain text: its characters are not escaped.
     """
     if not isinstance(content, Markup):
-        raise TypeError(f"content is {content!r}: expected Markup, in which texts are escaped")
+        raise InputTypeError(f"content is {content!r}: expected Markup, in which texts are escaped")
     control.content = content.encode("utf-8", "replace").decode()  # names may have lone surrogates
 
 

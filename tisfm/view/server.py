@@ -8,6 +8,8 @@ import socket
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from tisfm.errors import InputError, MissingPackageError
+
 if TYPE_CHECKING:
     from viser import ViserServer
 
@@ -31,11 +33,11 @@ def start_server(host: str, port: int) -> "ViserServer":
     try:
         import viser
     except ImportError as error:
-        raise ImportError(
+        raise MissingPackageError(
             "the viewer needs viser, which is not installed: pip install 'tisfm[view]'"
         ) from error
     if not 0 <= port <= 65535:
-        raise ValueError(f"port is {port}: expected 0 to 65535")
+        raise InputError(f"port is {port}: expected 0 to 65535")
     _require_address(host)
     alone = _from_here_alone() if _is_loopback(host) else contextlib.nullcontext()
     with alone, contextlib.redirect_stdout(io.StringIO()):

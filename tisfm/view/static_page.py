@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from tisfm.errors import InputError
 from tisfm.results.frame import ViewFrame
 from tisfm.results.result import Result
 from tisfm.view.colors import Quantity, Ranges
@@ -104,7 +105,7 @@ def static_page(
             scene.show_things(number, visible=True)
             recording.insert_sleep(1 / frames_per_second)
         if first is None:
-            raise ValueError(f"{result.folder} has no frame that can be read: {unread[0]}")
+            raise InputError(f"{result.folder} has no frame that can be read: {unread[0]}")
         if piece != result.piece[first.number]:  # it begins anew after its end
             scene.show_path(first.number, first, path=True, frusta=True)
         shown = len(numbers) - len(unread)

@@ -15,6 +15,7 @@ from filelock import FileLock
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
+from tisfm.errors import RunError, is_user_error
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
@@ -29,7 +30,6 @@ from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
 from tisfm.sources.frame_reader import SourceWarning
-from tisfm.stated import is_stated
 from tisfm.version import __version__
 
 
@@ -133,7 +133,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
         with _alone(chunk):
             _make(chunk)
     except Exception as error:
-        if not is_stated(error):
+        if not is_user_error(error):
             raise
         return stated(error)
     return None
@@ -186,4 +186,4 @@ def _make(chunk: Chunk) -> None:
 def _go_on(chunk: Chunk) -> None:
     """End a chunk that nobody waits for any more."""
     if not chunk.alive.exists():
-        raise RuntimeError(f"what {chunk.folder} was made for has ended")
+        raise RunError(f"what {chunk.folder} was made for has ended")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera
 from tisfm.camera_file import file_of
+from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats.result_folder import (
     alive_in,
@@ -113,13 +114,15 @@ class ChunkedRun:
     ) -> None:
         settings = checked_settings(settings)
         if settings.motion == "objects":
-            raise ValueError(
+            raise InputError(
                 'motion is "objects", and chunks are asked for: what moves on its own has no '
                 "number that is the same in all of them; reconstruct it in one process"
             )
         check_chunk(chunk)
         if mask is not None and not is_path(mask):
-            raise TypeError(f"mask is {type(mask).__name__}: expected a path, for other processes")
+            raise InputTypeError(
+                f"mask is {type(mask).__name__}: expected a path, for other processes"
+            )
         source = _absolute(source)
         sources = FrameSource(
             source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
@@ -128,7 +131,7 @@ class ChunkedRun:
         _refuse_decimals(sources)
         given = None if poses is None else checked_poses(poses)
         if given is not None and bad_frames == "skip":
-            raise ValueError(
+            raise InputError(
                 'poses are given and bad_frames="skip": they would not fit what is left'
             )
         calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
@@ -304,7 +307,7 @@ def _absolute(source: Source) -> str | list[str]:
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         if webcam_number(name) is not None and not os.path.exists(name):
-            raise ValueError(
+            raise InputError(
                 f"source is {name}, and chunks are asked for: record the camera to a file first"
             )
         if not os.path.exists(name):
@@ -312,7 +315,7 @@ def _absolute(source: Source) -> str | list[str]:
         return os.path.abspath(name)
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
         return [os.path.abspath(item) for item in source]
-    raise TypeError(
+    raise InputTypeError(
         "source is no path, and chunks are asked for: expected a video, a folder, a pattern or "
         "image files, which other processes can read"
     )
@@ -332,7 +335,7 @@ def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
             found.append((frame.index, frame.time))
     last = max([index for index, _ in found] + [index for index, _ in source.skipped], default=-1)
     if not found:
-        raise ValueError(f"{source.title} has no frame that can be read: expected at least 2")
+        raise InputError(f"{source.title} has no frame that can be read: expected at least 2")
     return range(last + 1)[source.chosen], [time for _, time in found]
 
 
@@ -340,7 +343,7 @@ def _refuse_decimals(source: FrameSource) -> None:
     with closing(source.frames()) as frames:
         first = next(frames, None)
     if first is not None and first.image.dtype.kind == "f":
-        raise ValueError(
+        raise InputError(
             f"frame {first.name} has decimals: which scale such frames are on is told by all that "
             "came before, which chunks do not see; reconstruct it in one process"
         )

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tisfm.errors import InputError
 from tisfm.reconstruction.chunked.overlaps import Joint, similarity_of
 from tisfm.reconstruction.chunked.spans import Span
 from tisfm.reconstruction.result import Reconstruction
@@ -39,7 +40,7 @@ class Part:
         skipped = {index for index, _ in result.skipped}
         left = [index for index in taken[span.of(taken)] if index not in skipped]
         if len(left) != len(result):
-            raise ValueError(
+            raise InputError(
                 f"{result.folder} has {len(result)} frames, expected {len(left)}: the source has "
                 "changed meanwhile"
             )

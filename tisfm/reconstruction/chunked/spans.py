@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
+from tisfm.errors import InputError
 from tisfm.sources.frame_reader import is_whole
 
 CHUNK = 150  # frames of a chunk, at most
@@ -38,7 +39,7 @@ class Span:
 def check_chunk(chunk: int) -> None:
     """Raise ValueError if chunks are not to have enough frames."""
     if not is_whole(chunk) or chunk < SMALLEST:
-        raise ValueError(f"chunk is {chunk!r}: expected a number of frames, at least {SMALLEST}")
+        raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {SMALLEST}")
 
 
 def overlap_of(chunk: int) -> int:
