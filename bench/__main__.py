@@ -15,9 +15,19 @@ from typing import get_args
 
 from rich.console import Console
 
-from bench.bars import LANES, LARGE, PAIR_SIZE, SELECTION, SIZE, THREADS, bars
-from bench.report import collect, show, write_markdown
-from bench.shared.machine import RESULTS, ROOT
+from bench.report import (
+    LANES,
+    LARGE,
+    PAIR_SIZE,
+    SELECTION,
+    SIZE,
+    THREADS,
+    bars,
+    collect,
+    show,
+    write_markdown,
+)
+from bench.shared.results import RESULTS, ROOT
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
@@ -122,7 +132,7 @@ def measure_memory() -> dict[str, float]:
     """Return the float32 per pixel of every preset, each from a process of its own."""
     memory = {}
     for preset in get_args(Preset):
-        command = [sys.executable, "-m", "bench.pairs.memory", preset]
+        command = [sys.executable, "-m", "bench.pair_memory", preset]
         output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
         memory[preset] = json.loads(output.stdout)["floats_per_pixel"]
     return memory

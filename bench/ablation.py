@@ -1,6 +1,121 @@
-"""``python -m bench.ablation``, which is `bench.flow.ablation`."""
+"""``python -m bench.ablation``: what each change of a preset does to errors and time, in one run.
 
-from bench.flow.ablation import main
+The changes are in `CHANGES`. All run on the same pairs, in turns; the tables and all numbers are
+left in bench/results.
+"""
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+import argparse
+import sys
+from collections.abc import Mapping
+from typing import Any, get_args
+
+from bench.shared.contest import Contest, interpretation
+from bench.shared.contest_command import (
+    Pairs,
+    add_options,
+    check_counts,
+    choose,
+    hold_with_progress,
+    load_pairs,
+    wide_console,
+)
+from bench.shared.contest_report import show, write
+from bench.shared.results import RESULTS, machine
+from tisfm import runtime
+from tisfm.settings import Preset, Settings
+
+# Name → what differs from the preset. A setting that a change does not name is the preset's.
+CHANGES: dict[str, dict[str, Any]] = {
+    "no gradient constancy": {"gradient": 0.0, "brightness": 1.0},
+    "no brightness constancy": {"brightness": 0.0},
+    # Without robust weights data count for more: λ̂ is the better of 300, 500 and 1000.
+    "quadratic data": {"data_contrast": None, "smoothness": 500.0},
+    "no image-driven edges": {"image_edges": 0.0},
+    "edges per component": {"joint_edges": False},
+    "one stiffness": {"stiffness": (1, 1, 1, 1, 1, 1)},
+    "a stiffer τ3": {"stiffness": (1, 1, 1, 10, 10, 0.3)},
+    "quadratic smoothness": {"contrast": None},
+    "no presmoothing": {"presmoothing": 0.0},
+    "cube derivatives": {"derivatives": "cube"},
+    "translation model": {"model": "translation"},
+    "pyramid factor 0.5": {"pyramid_factor": 0.5},
+    "pyramid factor 0.8": {"pyramid_factor": 0.8},
+    "half the resolution": {"finest_level": 1},
+    "one warp": {"warps": 1},
+    "five warps": {"warps": 5},
+    "as few warps on coarse levels": {"coarse_warps": 2},
+    "twice the warps on coarse levels": {"coarse_warps": 16},
+    "over-relaxation 1.9": {"relaxation": 1.9},
+    "half the smoothness": {"smoothness": 11.0},
+    "twice the smoothness": {"smoothness": 44.0},
+    # On the scale of grey levels, λ̂ and ε are other numbers: λ̂ is the best of 200, 1000, 3000.
+    "not normalised": {"normalization": None, "data_contrast": 1.0, "smoothness": 1000.0},
+}
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.ablation", description=__doc__)
+    add_options(parser)
+    parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
+    options = parser.parse_args(arguments)
+    check_counts(parser, options)
+    return options
+
+
+def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, Settings]:
+    """Return name → settings; raise a ValueError that names a change which is impossible."""
+    settings = {}
+    for name, change in changes.items():
+        try:
+            settings[name] = Settings.preset(preset, **change)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"the change {name!r} is impossible: {error}") from None
+    return settings
+
+
+def compare(options: argparse.Namespace, found: Pairs) -> Contest:
+    """Run the preset and its variants."""
+    base = Settings.preset(options.preset)
+    reference = f"preset {options.preset}"
+    every = variants(options.preset, CHANGES)
+    chosen = choose(list(every), options.only, what="change", name=str)
+    missing = dict(found.missing)
+    missing.update({name: "the same as the preset" for name in chosen if every[name] == base})
+    methods = [interpretation(reference, base)]
+    methods += [interpretation(name, every[name]) for name in chosen if name not in missing]
+    runtime.start(threads=options.threads)
+    return hold_with_progress(
+        methods,
+        found,
+        options,
+        reference=reference,
+        conditions={"pairs": found.source, "threads": options.threads, **machine()},
+        missing=missing,
+    )
+
+
+def remarks() -> list[str]:
+    """Return what each change is, and how to read the percentages."""
+    return [
+        "In parentheses: the difference to the unchanged preset.",
+        *(
+            f"{name}: " + ", ".join(f"{key} = {value!r}" for key, value in change.items())
+            for name, change in CHANGES.items()
+        ),
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Return 0, 1 where a variant failed on a pair, or 2 where nothing could be run."""
+    options = parse(arguments)
+    try:
+        contest = compare(options, load_pairs(options))
+    except (OSError, ValueError) as error:
+        print(f"bench.ablation: {error}", file=sys.stderr)
+        return 2
+    path = RESULTS / (options.output or ("smoke-ablation" if options.smoke else "ablation"))
+    title = f"Changes of the preset {options.preset}"
+    write(contest, path, title=title, remarks=remarks(), changes=True)
+    show(contest, wide_console(), changes=True)
+    return 1 if contest.failures() else 0

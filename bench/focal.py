@@ -1,6 +1,325 @@
-"""``python -m bench.focal``, which is `bench.depth.focal`."""
+"""What a wrong focal length does to depth, motion and flow: ``python -m bench.focal``.
 
-from bench.depth.focal import main
+Scenes are `tisfm.scenes.static_scene`, rendered with focal lengths that are known, and interpreted
+with multiples of them.
+"""
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
+
+import tisfm
+from bench.depth.scores import depth_of
+from bench.depth.two_stage import two_stage
+from bench.shared.figures import CURVES
+from bench.shared.results import RESULTS, machine
+from tisfm import runtime
+from tisfm.evaluation.record import LITTLE_PARALLAX
+from tisfm.metrics import depth_errors, endpoint_error, pose_errors
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import SyntheticPair, static_scene
+from tisfm.scenes.block_scenes import STATIC_KINDS
+from tisfm.settings import Motion, Preset, Settings
+
+FOCALS = (320.0, 600.0, 1000.0)  # px, true
+# 5/3 takes 600 px for 1000 px, 0.6 the other way round: the pair that the paper compares.
+RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
+PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, ratio
+EXACT = 0.01  # px, threshold of the essential matrix of the true flow
+HARDLY = 1.2  # times the error at the true focal length
+NOTES = (
+    "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
+    'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
+    "eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the true flow: what "
+    "an essential matrix and triangulation make of it with the same focal length, so that what "
+    "remains is geometry. A scene is one pair of frames."
+)
+COLUMNS = {
+    "abs_rel": ("abs-rel", ".4f"),
+    "offset": ("offset of 1/Z", "+.3f"),
+    "direction": ("direction, °", ".2f"),
+    "rotation": ("rotation, °", ".4f"),
+    "flow": ("EPE, px", ".4f"),
+    "exact_abs_rel": ("abs-rel from the true flow", ".4f"),
+    "field_abs_rel": ("abs-rel of the field", ".4f"),
+    "field_flow": ("EPE of the field, px", ".4f"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One scene, interpreted with one focal length.
+
+    Attributes
+    ----------
+    kind : str
+        Of the scene's motion.
+    focal : float
+        The true focal length, px.
+    ratio : float
+        What it was multiplied by.
+    status : str
+    abs_rel : float or None
+        Of depth, scaled by the median; None where the status says that there is none.
+    offset : float or None
+        What is added to the inverse depth, as a share of the scene's median: see `offset_of`.
+    direction, rotation : float or None
+        Errors of the motion, degrees.
+    flow : float
+        End-point error, px.
+    exact_abs_rel : float
+        Of the depth that an essential matrix and triangulation give from the true flow.
+    field_abs_rel, field_flow : float
+        The same of the flow field, whose depth is that of eq. 24.
+    """
+
+    kind: str
+    focal: float
+    ratio: float
+    status: str
+    abs_rel: float | None
+    offset: float | None
+    direction: float | None
+    rotation: float | None
+    flow: float
+    exact_abs_rel: float
+    field_abs_rel: float
+    field_flow: float
+
+
+def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Outcome:
+    """Interpret a scene with a multiple of its focal length, as one motion and as a field."""
+    camera = tisfm.Camera(focal=pair.camera.focal * ratio, center=pair.camera.center)
+
+    def interpreted(motion: Motion) -> tisfm.Interpretation:
+        settings = Settings.preset(preset, motion=motion)
+        return tisfm.interpret(pair.frame0, pair.frame1, camera=camera, settings=settings)
+
+    found, field = interpreted("camera"), interpreted("field")
+    seen = found.status not in LITTLE_PARALLAX and found.motions is not None
+    exact = two_stage(pair.flow, camera, threshold=EXACT)
+    errors = None
+    if seen and found.motions is not None:
+        errors = pose_errors(pose_matrix(found.motions[0]), pose_matrix(pair.motions[0]))
+    return Outcome(
+        kind=kind,
+        focal=pair.camera.focal,
+        ratio=ratio,
+        status=str(found.status),
+        abs_rel=depth_errors(found.depth, pair.depth).abs_rel if seen else None,
+        offset=offset_of(found.inverse_depth, pair.inverse_depth) if seen else None,
+        direction=errors.direction if errors else None,
+        rotation=errors.rotation if errors else None,
+        flow=endpoint_error(found.flow, pair.flow),
+        exact_abs_rel=depth_errors(depth_of(exact.inverse_depth), pair.depth).abs_rel,
+        field_abs_rel=depth_errors(field.depth, pair.depth).abs_rel,
+        field_flow=endpoint_error(field.flow, pair.flow),
+    )
+
+
+def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
+    """Return what has to be added to the true inverse depth so that the other is a multiple of it.
+
+    Parameters
+    ----------
+    inverse_depth, truth : (H, W) array
+
+    Returns
+    -------
+    float
+        c of the best inverse_depth = a (truth + c), in medians of the truth.
+    """
+    slope, constant = np.polyfit(truth.ravel(), inverse_depth.ravel().astype(np.float64), 1)
+    return float(constant / slope / np.median(truth))
+
+
+def tables(outcomes: Sequence[Outcome]) -> str:
+    """Return a Markdown table for every true focal length."""
+    lines = []
+    for focal in sorted({outcome.focal for outcome in outcomes}):
+        lines += [f"## True focal length {focal:g} px", ""]
+        titles = ["scene", "taken as, px", "ratio", *(title for title, _ in COLUMNS.values())]
+        lines += ["| " + " | ".join(titles) + " |"]
+        lines += ["| --- |" + " ---: |" * (len(titles) - 1)]
+        for outcome in (o for o in outcomes if o.focal == focal):
+            taken = f"{outcome.focal * outcome.ratio:.0f}"
+            cells = [outcome.kind, taken, f"{outcome.ratio:.2f}"]
+            for name, (_, form) in COLUMNS.items():
+                value = getattr(outcome, name)
+                cells.append(outcome.status if value is None else format(value, form))
+            lines.append("| " + " | ".join(cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def finding(outcomes: Sequence[Outcome]) -> str:
+    """Return in words what the paper's pair of focal lengths comes to, and what all ratios do."""
+    at = {(o.kind, o.focal, round(o.ratio, 3)): o for o in outcomes}
+    kinds = list(dict.fromkeys(o.kind for o in outcomes))
+    sentences = []
+    for focal, ratio in PAPER:
+        keys = [((kind, focal, 1.0), (kind, focal, round(ratio, 3))) for kind in kinds]
+        compared = [(at[right], at[wrong]) for right, wrong in keys if right in at and wrong in at]
+        if compared:
+            sentences.append(_comparison(compared))
+    turned = [o for o in outcomes if "rotation" in o.kind and o.offset is not None]
+    if turned:
+        low, high = (pick(turned, key=lambda o: o.offset or 0.0) for pick in (min, max))
+        ends = " and ".join(
+            f"{o.offset:+.2f} of its median ({o.kind}, {_taken(o)})" for o in (low, high)
+        )
+        sentences.append(
+            "What a rotation leaves unexplained at a wrong focal length is taken for parallax, "
+            f"much as a constant added to 1/Z, between {ends}. Where that brings 1/Z to 0 or "
+            "below, depth is lost, and the direction found may be the opposite; the true flow "
+            "leads there as well."
+        )
+    for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
+        factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
+        sentences.append(
+            f"The field's {title} changes its error by factors of {min(factors):.2f} to "
+            f"{max(factors):.2f} over all ratios."
+        )
+    return " ".join(sentences)
+
+
+def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
+    """Return where depth at the second focal length is about as good as at the first."""
+    same: list[str] = []
+    other: list[str] = []
+    for right, wrong in compared:
+        if right.abs_rel is None or wrong.abs_rel is None:
+            other.append(f"{right.kind} ({right.status} → {wrong.status})")
+            continue
+        text = f"{right.kind} ({right.abs_rel:.4f} → {wrong.abs_rel:.4f}, direction "
+        text += f"{right.direction:.2f}° → {wrong.direction:.2f}°, rotation "
+        text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
+        (same if wrong.abs_rel <= HARDLY * right.abs_rel else other).append(text)
+    return (
+        f"To take {_taken(compared[0][1])} hardly matters to depth (abs-rel at most "
+        f"{HARDLY - 1:.0%} worse) in: {', '.join(same) or 'none'}. It matters in: "
+        f"{', '.join(other) or 'none'}."
+    )
+
+
+def _taken(outcome: Outcome) -> str:
+    return f"{outcome.focal:g} px for {outcome.focal * outcome.ratio:.0f} px"
+
+
+def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
+    """Return all of it as Markdown."""
+    lines = ["# A wrong focal length", ""]
+    lines += [f"- {name}: {value}" for name, value in conditions.items()]
+    lines += ["", NOTES, "", "![Errors over the ratio of the two focal lengths](focal.png)", ""]
+    return "\n".join([*lines, finding(outcomes), "", tables(outcomes)])
+
+
+ROWS = {
+    "abs_rel": "depth, abs-rel",
+    "direction": "direction, °",
+    "rotation": "rotation, °",
+    "field_flow": "flow of the field, EPE, px",
+}
+TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
+MARKERS = ("o", "s", "^", "v")
+FEW_DECADES = 30.0  # ratio of the largest error to the smallest
+LEAST = 1e-4  # of errors on a logarithmic axis
+
+
+def draw(outcomes: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the picture of outcomes, as `bench.focal.Outcome` has them."""
+    picture(outcomes).savefig(path)
+
+
+def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
+    """Return a row of axes for every error and a column for every true focal length."""
+    focals = sorted({outcome["focal"] for outcome in outcomes})
+    kinds = list(dict.fromkeys(outcome["kind"] for outcome in outcomes))
+    size = (3.2 * len(focals) + 0.4, 2.1 * len(ROWS) + 0.8)
+    figure = Figure(figsize=size, dpi=130, layout="constrained")
+    grid = figure.subplots(len(ROWS), len(focals), sharex=True, sharey="row", squeeze=False)
+    for row, (name, title) in enumerate(ROWS.items()):
+        for column, focal in enumerate(focals):
+            axes = grid[row, column]
+            for kind, colour, marker in zip(kinds, CURVES, MARKERS, strict=False):
+                mine = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
+                known = [(o["ratio"], max(o[name], LEAST)) for o in mine if o[name] is not None]
+                if known:
+                    axes.plot(
+                        *zip(*known, strict=True),
+                        marker=marker,
+                        color=colour,
+                        markersize=4,
+                        linewidth=1.2,
+                        label=kind,
+                    )
+            _scale(axes, [o[name] for o in outcomes if o[name] is not None])
+            if row == 0:
+                axes.set_title(f"true focal length {focal:g} px", fontsize=10)
+            if column == 0:
+                axes.set_ylabel(title, fontsize=9)
+            if row == len(ROWS) - 1:
+                axes.set_xlabel("focal length taken / true", fontsize=9)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(kinds), fontsize=9)
+    return figure
+
+
+def _scale(axes: Axes, values: Sequence[float]) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(TICKS))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    if max(values) < FEW_DECADES * max(min(values), LEAST):
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.axvline(1.0, color="0.6", linewidth=0.8, linestyle=":")
+    axes.grid(alpha=0.25, which="major", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print and write the tables and the picture."""
+    parser = argparse.ArgumentParser(prog="python -m bench.focal", description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    parser.add_argument("--height", type=int, default=240)
+    parser.add_argument("--width", type=int, default=320)
+    parser.add_argument("--preset", choices=get_args(Preset), default="balanced")
+    parser.add_argument("--threads", type=int, default=2, metavar="N")
+    options = parser.parse_args(arguments)
+    if options.threads < 1:
+        parser.error(f"--threads is {options.threads}: expected at least 1")
+    runtime.start(threads=options.threads)
+    size = (options.height, options.width)
+    outcomes = []
+    for focal in FOCALS:
+        for kind in STATIC_KINDS:
+            pair = static_scene(kind, *size, focal=focal)
+            outcomes += [measure(pair, kind, ratio, options.preset) for ratio in RATIOS]
+    conditions = {
+        "command": f"`python -m bench.focal --preset {options.preset}`",
+        "scenes": f"`tisfm.scenes.static_scene`, {options.height}×{options.width}",
+        "preset": options.preset,
+        "threads": options.threads,
+        **machine(),
+    }
+    text = report(outcomes, conditions)
+    print(text)
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "focal.md").write_text(text, encoding="utf-8")
+    record = {**conditions, "found": [asdict(outcome) for outcome in outcomes]}
+    (options.output / "focal.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    draw([asdict(outcome) for outcome in outcomes], options.output / "focal.png")
+    return 0

@@ -1,6 +1,336 @@
-"""``python -m bench.solvers``, which is `bench.flow.solvers`."""
+"""How fast the linear system converges: ``python -m bench.solvers``.
 
-from bench.flow.solvers import main
+The system is that of a cold start at one scale: the paper's data term, weights of edges fixed by
+the image, ρ̂ = 0 at first. Its energy is compared with the least one after so much work.
+"""
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import cv2
+from matplotlib.figure import Figure
+
+from bench.shared.figures import CURVES
+from bench.shared.results import RESULTS, machine
+from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pairs
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.frames import grey_pair
+from tisfm.kernels.layout.lanes import LaneGrid
+from tisfm.kernels.solve.linear_system import LinearSystem
+from tisfm.settings import PAPER_SMOOTHNESS
+from tisfm.solver.data_term import Constancy, DataTerm
+from tisfm.solver.multigrid import Multigrid
+from tisfm.solver.sampling import spline_taps
+from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
+from tisfm.solver.unknowns import Unknowns
+
+SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))
+ALPHA = PAPER_SMOOTHNESS
+IMAGE_EDGES = 2.0
+FOCAL = 600 / 640  # of the width
+RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
+SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
+CYCLES = 12
+CONVERGED = 30  # cycles with conjugate gradients, for the least energy
+GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
+BUDGET = 16.0  # sweeps
+TURNS = 9
+
+# Work, in sweeps of the finest grid, by the memory that has to be moved (a sweep: 29 words a
+# pixel). On every level, a quarter of the pixels of the one before: two sweeps, the residual and
+# its restriction (counted as a sweep, 25 words), the correction (counted as half, 14 words).
+LEVELS = 4 / 3
+CYCLE = LEVELS * 3.5
+SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
+PLANE = 2.5  # conjugate gradients beside the cycle: 35 words for the scalars, 36 for the step
+
+
+CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the energy fell.
+
+    Attributes
+    ----------
+    pair, method : str
+    size : (int, int)
+    work : list of float
+        Sweeps of the finest grid.
+    gap : list of float
+        (E − E*)/(E(0) − E*) after it.
+    """
+
+    pair: str
+    method: str
+    size: tuple[int, int]
+    work: list[float]
+    gap: list[float]
+
+    def work_to(self, gap: float) -> float:
+        """Return the least work that leaves such a gap, infinity where there is none."""
+        return next((w for w, g in zip(self.work, self.gap, strict=True) if g <= gap), math.inf)
+
+
+class System:
+    """The linear system of a pair, resized."""
+
+    def __init__(self, pair: FlowPair, size: tuple[int, int]) -> None:
+        height, width = size
+        smaller = width < pair.frame0.shape[1]
+        how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+        frame0, frame1 = (
+            cv2.resize(grey, (width, height), interpolation=how)
+            for grey in grey_pair(pair.frame0, pair.frame1)
+        )
+        grid = LaneGrid(height, width, runtime.lanes())
+        self.unknowns = Unknowns(grid, Camera(FOCAL * width), 6)
+        self.unknowns.edges = image_edges_in_lanes(grid, frame0, IMAGE_EDGES)
+        term = DataTerm(grid, frame0, frame1, spline_taps(frame1), CONSTANCY, mean_step(frame0))
+        self.system = LinearSystem(
+            grid=grid,
+            tensor=grid.allocate(6),
+            weights=grid.allocate(2),
+            x_hat=self.unknowns.x_hat,
+            y_hat=self.unknowns.y_hat,
+            alpha=ALPHA,
+            stiffness=(1.0,) * 6,
+        )
+        term.bind_linearise(grid.allocate(2), self.system.tensor)()
+        self._update = self.system.bind_weight_update(
+            self.unknowns.rho,
+            grid.allocate(6),
+            term.constraints,
+            self.unknowns.edges,
+            contrast=math.inf,
+            scales=term.scales,
+        )
+        self.energy()  # leaves the weights, g
+
+    def energy(self) -> float:
+        """Return the energy of ρ̂ as it is."""
+        return self._update().energy
+
+    def sweep(self, relaxation: float, sweeps: int = 1) -> None:
+        """Sweep over ρ̂."""
+        self.system.sweep(self.unknowns.rho, relaxation=relaxation, sweeps=sweeps)
+
+    def multigrid(self) -> Multigrid:
+        """Return multigrid, its systems set up."""
+        multigrid = Multigrid(self.unknowns, self.system, solver="cholesky")
+        multigrid.coarsen()
+        return multigrid
+
+
+def sweeps_of(system: System, relaxation: float) -> Iterator[tuple[float, float]]:
+    """Yield work and energy."""
+    done = 0
+    for count in SWEEPS:
+        system.sweep(relaxation, count - done)
+        done = count
+        yield float(count), system.energy()
+
+
+def cycles_of(system: System, *, conjugate: bool) -> Iterator[tuple[float, float]]:
+    """Yield work and energy."""
+    multigrid = system.multigrid()
+    for count in range(1, CYCLES + 1):
+        if conjugate:
+            multigrid.descend()
+        else:
+            multigrid.cycle()
+        yield SET_UP + count * (CYCLE + PLANE * conjugate), system.energy()
+
+
+def methods() -> dict[str, Callable[[System], Iterator[tuple[float, float]]]]:
+    """Return name → what yields work and energy."""
+    found: dict[str, Callable[[System], Iterator[tuple[float, float]]]] = {}
+    for relaxation in RELAXATIONS:
+        name = "Gauss–Seidel" if relaxation == 1 else f"over-relaxation {relaxation:g}"
+        found[name] = lambda system, value=relaxation: sweeps_of(system, value)  # type: ignore[misc]
+    found["multigrid"] = lambda system: cycles_of(system, conjugate=False)
+    found["multigrid + CG"] = lambda system: cycles_of(system, conjugate=True)
+    return found
+
+
+def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
+    """Return the course of every method on one system."""
+    system = System(pair, size)
+    first = system.energy()
+    multigrid = system.multigrid()
+    for _ in range(CONVERGED):
+        multigrid.descend()
+    least = system.energy()
+    found: dict[str, list[tuple[float, float]]] = {}
+    for name, method in methods().items():
+        system.unknowns.rho[...] = 0
+        found[name] = list(method(system))
+        least = min(least, *(energy for _, energy in found[name]))
+    return [
+        Course(
+            pair=pair.name,
+            method=name,
+            size=size,
+            work=[work for work, _ in points],
+            gap=[(energy - least) / (first - least) for _, energy in points],
+        )
+        for name, points in found.items()
+    ]
+
+
+def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
+    """Return times as multiples of that of a sweep in the same turn, medians."""
+    system = System(pair, size)
+    multigrid = system.multigrid()
+    steps: dict[str, Callable[[], object]] = {
+        "sweep": lambda: system.sweep(1.0),
+        "V-cycle": multigrid.cycle,
+        "V-cycle + CG": multigrid.descend,
+        "set-up": multigrid.coarsen,
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in steps}
+    for turn in range(TURNS + 1):
+        for name, step in steps.items():
+            started = time.perf_counter()
+            step()
+            if turn:  # the first compiles
+                seconds[name].append(time.perf_counter() - started)
+    ratios = {
+        name: median(a / b for a, b in zip(times, seconds["sweep"], strict=True))
+        for name, times in seconds.items()
+    }
+    return ratios | {"sweep, ns/px": 1e9 * median(seconds["sweep"]) / math.prod(size)}
+
+
+def gap_table(found: Sequence[Course]) -> str:
+    """Return a Markdown table: what is left after `BUDGET`, and the work to every gap."""
+    sizes = list(dict.fromkeys(course.size for course in found))
+    names = list(dict.fromkeys(course.method for course in found))
+    columns = [f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
+    lines = ["| | | " + " | ".join(columns) + " |", "|---" * (len(columns) + 2) + "|"]
+    for size in sizes:
+        for name in names:
+            mine = [c for c in found if (c.size, c.method) == (size, name)]
+            left = median(
+                min((g for w, g in zip(c.work, c.gap, strict=True) if w <= BUDGET), default=1.0)
+                for c in mine
+            )
+            works = [median(course.work_to(gap) for course in mine) for gap in GAPS]
+            most = f"> {mine[0].work[-1]:.0f}"
+            cells = [f"{left:.1e}", *(f"{w:.1f}" if w < math.inf else most for w in works)]
+            lines.append(f"| {size[0]}×{size[1]} | {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def time_table(times: dict[tuple[int, int], dict[str, float]]) -> str:
+    """Return a Markdown table of `wall_times`."""
+    names = list(next(iter(times.values())))[1:]
+    lines = ["| | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    for (height, width), values in times.items():
+        cells = [f"{values[name]:.2f}" for name in names]
+        lines.append(f"| {height}×{width} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+LEAST = 1e-8  # of gaps: below, single precision decides
+MOST_WORK = 130.0
+
+
+def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the picture of courses, as `bench.solvers.Course` has them; medians over pairs."""
+    sizes = list(dict.fromkeys(course["size"] for course in found))
+    names = list(dict.fromkeys(course["method"] for course in found))
+    figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
+    grid = figure.subplots(1, len(sizes), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, size in zip(grid, sizes, strict=True):
+        for name, colour in zip(names, CURVES, strict=False):
+            mine = [
+                course for course in found if (course["size"], course["method"]) == (size, name)
+            ]
+            points = [
+                (work, max(median(gaps), LEAST))
+                for work, *gaps in zip(mine[0]["work"], *(c["gap"] for c in mine), strict=True)
+                if work <= MOST_WORK
+            ]
+            axes.plot(
+                *zip(*points, strict=True),
+                color=colour,
+                marker="o",
+                markersize=3,
+                linewidth=1.3,
+                label=name,
+            )
+        axes.set_title(f"{size[0]}×{size[1]}", fontsize=10)
+        axes.set_xlabel("work, sweeps of the finest grid", fontsize=9)
+        axes.set_yscale("log")
+        axes.axhline(1e-3, color="0.6", linewidth=0.8, linestyle=":")
+        axes.axvline(16, color="0.6", linewidth=0.8, linestyle=":")
+        axes.grid(alpha=0.25, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=8)
+    grid[0].set_ylabel("(E − E*) / (E(0) − E*)", fontsize=9)
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(names), fontsize=9)
+    figure.savefig(path)
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m bench.solvers", description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    parser.add_argument("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
+    parser.add_argument("--threads", type=int, default=2, metavar="N")
+    parser.add_argument("--smoke", action="store_true", help="the smallest size alone")
+    options = parser.parse_args(arguments)
+    if options.threads < 1:
+        parser.error(f"--threads is {options.threads}: expected at least 1")
+    return options
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print, and write table and picture."""
+    options = parse(arguments)
+    runtime.start(threads=options.threads)
+    folder = data_folder(options.data)
+    pairs = [pair for pair in find_pairs(folder)[0] if pair.group == "middlebury"] if folder else []
+    pairs = pairs or scene_pairs(240, 320)
+    sizes = SIZES[:1] if options.smoke else SIZES
+    found = [course for size in sizes for pair in pairs for course in courses(pair, size)]
+    times = {size: wall_times(pairs[0], size) for size in sizes}
+    conditions = {
+        "pairs": ", ".join(pair.name for pair in pairs) + ", resized; medians over them",
+        "system": f"brightness, cube derivatives, λ̂ = {ALPHA:.0f}, β = 1, weights of edges by the "
+        f"image (κ = {IMAGE_EDGES:g}) and fixed, f = {FOCAL:g} of the width, from ρ̂ = 0",
+        "threads": options.threads,
+        **machine(),
+    }
+    notes = (
+        "Left: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
+        "moved: a cycle of multigrid is two sweeps, a residual (counted as a sweep) and a "
+        f"correction (half) on every level, {CYCLE:.2f} in all; its set-up, once, {SET_UP:g}; "
+        f"conjugate gradients {PLANE:g} more a cycle.\n"
+    )
+    heading = "# Solvers of the linear system\n\n"
+    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
+    text = gap_table(found) + "\n" + notes
+    text += "\nTime, as multiples of that of one sweep (ω = 1) in the same turn, medians:\n\n"
+    text += time_table(times)
+    print(text)
+    options.output.mkdir(parents=True, exist_ok=True)
+    name = "smoke-solvers" if options.smoke else "solvers"
+    picture = f"\n![Energy over work]({name}.png)\n"
+    (options.output / f"{name}.md").write_text(heading + "\n" + text + picture, encoding="utf-8")
+    records = [asdict(course) for course in found]
+    record = {**conditions, "courses": records}
+    (options.output / f"{name}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    draw(records, options.output / f"{name}.png")
+    return 0

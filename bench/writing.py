@@ -1,6 +1,177 @@
-"""``python -m bench.writing``, which is `bench.sequences.writing`."""
+"""What storing every result costs a sequence: ``python -m bench.writing``.
 
-from bench.sequences.writing import main
+A loop over `tisfm.interpret_sequence`, `tisfm run --no-figures`, and `tisfm run` with a figure of
+every tenth pair take the same frames in turns, in one process, so that all find their kernels
+compiled.
+"""
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+import argparse
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+import tisfm
+from bench.shared.results import RESULTS, Bar, machine
+from tisfm import runtime
+from tisfm.cli.command_line import main as tisfm_command
+from tisfm.formats import write_png
+from tisfm.scenes import static_scene
+from tisfm.settings import Preset
+
+BARS = 1.3, 1.5  # times the loop: without figures, and with every tenth
+OPTIONS = ("--no-figures",), ("--figures", "10")
+NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
+ROUNDS, PAIRS = 7, 30
+HEIGHT, WIDTH = 540, 960
+Times = Sequence[tuple[float, float, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What was measured of one source.
+
+    Attributes
+    ----------
+    source : str
+    pairs : int
+    times : sequence of (float, float, float)
+        The loop and the command line, without figures and with every tenth, s, in every round.
+    size : int
+        Bytes that the command line left without figures.
+    """
+
+    source: str
+    pairs: int
+    times: Times
+    size: int
+
+    def ratios(self, kind: int) -> tuple[float, float, float]:
+        """Lower quartile, median and upper quartile of a kind of command line over the loop."""
+        times = np.array(self.times)
+        low, middle, high = np.quantile(times[:, 1 + kind] / times[:, 0], (0.25, 0.5, 0.75))
+        return float(low), float(middle), float(high)
+
+
+def rendered(folder: Path, pairs: int, height: int, width: int) -> Path:
+    """Write the two frames of a rendered scene in turns, as PNG files."""
+    scene = static_scene("sideways", height, width)
+    frames = scene.frame0, scene.frame1
+    for number in range(pairs + 1):
+        frame = np.clip(np.rint(frames[number % 2]), 0, 255).astype(np.uint8)
+        write_png(folder / f"frame{number:03d}.png", frame)
+    return folder
+
+
+def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
+    """Time the loop and the command line in turns."""
+    settings = tisfm.Settings.preset(preset)
+    pairs = 0
+
+    def loop() -> None:
+        nonlocal pairs
+        pairs = sum(1 for _ in tisfm.interpret_sequence(source, settings=settings))
+
+    with tempfile.TemporaryDirectory() as left:
+        turn = 0
+
+        def run(kind: int) -> None:
+            nonlocal turn
+            turn += 1
+            arguments = ["run", str(source), "-o", f"{left}/{turn}", "--preset", preset]
+            with contextlib.redirect_stdout(io.StringIO()):
+                code = tisfm_command([*arguments, *OPTIONS[kind]])
+            if code != 0:
+                raise RuntimeError(f"tisfm run ended with exit code {code}")
+
+        loop()  # compiles
+        times = []
+        for _ in range(rounds):
+            seconds = _seconds(loop), _seconds(lambda: run(0)), _seconds(lambda: run(1))
+            times.append(seconds)
+            shutil.rmtree(f"{left}/{turn}")  # a long video fills a disk
+            if len(times) < rounds:
+                shutil.rmtree(f"{left}/{turn - 1}")
+        size = sum(file.stat().st_size for file in Path(left, str(turn - 1)).rglob("*"))
+    return Outcome(source=source.name, pairs=pairs, times=times, size=size)
+
+
+def bars(outcome: Outcome) -> list[Bar]:
+    """Return the bars of the ratios."""
+    return [
+        Bar(f"{name} over interpret_sequence", outcome.ratios(kind)[1], bar)
+        for kind, (name, bar) in enumerate(zip(NAMES, BARS, strict=True))
+    ]
+
+
+def report(outcome: Outcome, conditions: dict[str, object]) -> str:
+    """Return the results as Markdown."""
+    loop, *runs = np.median(np.array(outcome.times), axis=0)
+    rows = []
+    for kind, seconds in enumerate(runs):
+        low, middle, high = outcome.ratios(kind)
+        rows.append(
+            f"| {NAMES[kind]} | {outcome.pairs} | {len(outcome.times)} | {loop:.2f} | "
+            f"{seconds:.2f} | {middle:.2f} | {low:.2f}–{high:.2f} |"
+        )
+    return "\n".join(
+        [
+            "# What storing every result costs",
+            "",
+            *(f"- {name}: {value}" for name, value in conditions.items()),
+            "",
+            "| | pairs | rounds | loop, s | run, s | ratio | quartiles |",
+            "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+            *rows,
+            "",
+            f"{outcome.size / 1e6:.0f} MB were written without figures.",
+            "",
+            *(f"- {bar}" for bar in bars(outcome)),
+            "- loop: over `tisfm.interpret_sequence`, nothing stored. Medians, in turns; the "
+            "quartiles are those of the ratio in a round.",
+            "",
+        ]
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, write ``bench/results/writing.md``, and return 1 if the bar is missed."""
+    parser = argparse.ArgumentParser(prog="python -m bench.writing", description=__doc__)
+    parser.add_argument("source", nargs="?", type=Path, help="video or folder; default: rendered")
+    parser.add_argument("--preset", choices=get_args(Preset), default="fast")
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--pairs", type=int, default=PAIRS, help="of the rendered frames")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--smoke", action="store_true", help="small frames, and no bar")
+    parser.add_argument("--output", default="writing", metavar="NAME")
+    options = parser.parse_args(arguments)
+    runtime.start(threads=options.threads)
+    pairs, rounds, size = options.pairs, options.rounds, (HEIGHT, WIDTH)
+    if options.smoke:
+        pairs, rounds, size = 3, 1, (96, 128)
+    with tempfile.TemporaryDirectory() as folder:
+        source = options.source or rendered(Path(folder), pairs, *size)
+        outcome = measure(source, options.preset, rounds)
+    kind = "rendered" if options.source is None else outcome.source
+    text = report(outcome, {"source": kind, "preset": options.preset, **machine()})
+    print(text)
+    if options.smoke:
+        return 0
+    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
+    found = {"source": kind, "pairs": outcome.pairs, "times": outcome.times, "size": outcome.size}
+    (RESULTS / f"{options.output}.json").write_text(json.dumps(found) + "\n", encoding="utf-8")
+    return 0 if all(bar.met for bar in bars(outcome)) else 1
+
+
+def _seconds(function: Callable[[], None]) -> float:
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start

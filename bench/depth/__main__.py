@@ -20,7 +20,7 @@ from bench.depth.contest import DepthContest, hold
 from bench.depth.methods import FlowThenDepth, Joint, Method
 from bench.depth.pairs import Entry, data_entries, scene_entries
 from bench.depth.report import show, write
-from bench.shared import own_methods
+from bench.shared.contest import preset as own_flow
 from bench.shared.contest_command import (
     SMOKE_SIZE,
     add_method_options,
@@ -29,8 +29,8 @@ from bench.shared.contest_command import (
     choose,
     wide_console,
 )
-from bench.shared.machine import RESULTS, machine
 from bench.shared.peer_process import Peer, find_peers
+from bench.shared.results import RESULTS, machine
 from bench.shared.sequences import data_folder
 from tisfm import runtime
 from tisfm.settings import Motion, Preset
@@ -82,7 +82,7 @@ def compare(options: argparse.Namespace) -> DepthContest:
         methods: list[Method] = []
         for preset in presets:
             methods += [Joint(preset, motion) for motion in MOTIONS]
-            methods.append(FlowThenDepth(own_methods.preset(preset)))
+            methods.append(FlowThenDepth(own_flow(preset)))
         for name in FLOWS:
             if name in peers.available:
                 peer = Peer(name, python=python, threads=options.threads, folder=folder)

@@ -5,16 +5,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.depth.matched_truth import depth_of_matches
 from bench.shared.sequences import FlowPair
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
 from tisfm.datasets.calibration import STATED
 from tisfm.datasets.depth_files import read_depth
+from tisfm.frames import grey_pair
 from tisfm.lens import undistort, undistort_depth
+from tisfm.motion.sparse_matches import sparse_matches
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, room, static_scene, two_blocks
 from tisfm.scenes.block_scenes import STATIC_KINDS
@@ -248,3 +250,35 @@ def rendered(
         movers=movers,
         visible=pair.visible,
     )
+
+
+OFF = 0.7  # px, at most, between a point and where it is seen, in both frames
+
+
+def depth_of_matches(
+    frame0: NDArray, frame1: NDArray, camera: Camera, pose: NDArray
+) -> NDArray[np.float32]:
+    """Return the depth of frame 0, (H, W), where a matched point is, NaN elsewhere.
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) or (H, W, 3) uint8
+    camera : Camera
+        A pinhole.
+    pose : (4, 4) array
+        True motion, P₁ = R P₀ + t; depth is in its unit.
+    """
+    matches = sparse_matches(*grey_pair(frame0, frame1))
+    cx, cy = camera.center_for(*frame0.shape[:2])
+    pinhole = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+    views = [np.asarray(pinhole @ motion) for motion in (np.eye(3, 4), pose[:3])]
+    points = cv2.triangulatePoints(views[0], views[1], matches.before.T, matches.after.T)
+    points = points / points[3]
+    met = points[2] > 0
+    for view, seen in zip(views, (matches.before, matches.after), strict=True):
+        image = view @ points
+        met &= np.linalg.norm(image[:2] / image[2] - seen.T, axis=0) <= OFF
+    depth = np.full(frame0.shape[:2], np.nan)
+    columns, rows = np.rint(matches.before[met]).astype(int).T
+    depth[rows, columns] = points[2, met]
+    return depth.astype(np.float32)

@@ -9,14 +9,17 @@ import taichi as ti
 from bench import reference
 from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
 from bench.kernels.operations import FieldOperations
-from bench.kernels.plane_steps import PlaneOperations, PlaneReferences
+from bench.kernels.plane_steps import (
+    PlaneOperations,
+    PlaneReferences,
+    ViewOperations,
+    ViewReferences,
+)
 from bench.kernels.references import FieldReferences
 from bench.kernels.rigid_steps import DepthOperations, DepthReferences
 from bench.kernels.second_order_steps import SecondOrderOperations, SecondOrderReferences
 from bench.kernels.traffic import TRAFFIC
-from bench.kernels.view_steps import ViewOperations, ViewReferences
-from bench.shared.agreement import check
-from bench.shared.problems import ALPHA, RELAXATION, Problem
+from bench.shared.problems import ALPHA, RELAXATION, Problem, check
 from tisfm import runtime
 
 MODELS = {6: "rigid", 3: "translation"}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
-from bench.objects import background, flow_clusters
+from bench.objects import segmentation
 from bench.objects.clips import Clip
 from bench.objects.tracking import as_one, tracked
 from bench.shared.contest import MethodFailure
@@ -24,8 +24,8 @@ NEAREST, VARIANCES = (1, 4), (4.0, 9.0, 16.0)  # frames; squared deviations
 RESIDUALS = (0.5, 1.0, 2.0, 3.0)  # px
 COUNTS = (1, 3)
 MODELS = {
-    "homography": flow_clusters.off_homography,
-    "epipolar lines": flow_clusters.off_epipolar_lines,
+    "homography": segmentation.off_homography,
+    "epipolar lines": segmentation.off_epipolar_lines,
 }
 TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
     "one label": as_one,
@@ -75,9 +75,9 @@ class Differences:
 
     def run(self, clip: Clip) -> Iterator[Found]:
         """Yield what each gap, threshold and tracker finds."""
-        steps, aligning = timed(background.homographies, clip.grey)
+        steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, both in product(GAPS, (True, False)):
-            off, seconds = timed(background.differences, clip.frames, steps, gap, both=both)
+            off, seconds = timed(segmentation.differences, clip.frames, steps, gap, both=both)
             for threshold in DIFFERENCES:
                 masks, cleaning = timed(_above, off, threshold)
                 which = "both" if both else "either"
@@ -92,9 +92,9 @@ class Mixtures:
 
     def run(self, clip: Clip) -> Iterator[Found]:
         """Yield what each gap, threshold and tracker finds."""
-        steps, aligning = timed(background.homographies, clip.grey)
+        steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, threshold in product(NEAREST, VARIANCES):
-            found, seconds = timed(background.mixtures, clip.frames, steps, gap, threshold)
+            found, seconds = timed(segmentation.mixtures, clip.frames, steps, gap, threshold)
             masks, cleaning = timed(_above, found, 0)
             choice = f"from {gap} frames on, varThreshold {threshold:g}"
             yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
@@ -187,7 +187,7 @@ def timed(function: Callable[..., Any], *given: Any, **options: Any) -> tuple[An
 
 def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
     """Return where each frame's values are above a threshold, without specks and holes."""
-    return [background.cleaned(value > threshold) for value in values]
+    return [segmentation.cleaned(value > threshold) for value in values]
 
 
 def _clustered(
@@ -195,7 +195,7 @@ def _clustered(
 ) -> list[NDArray[np.uint8]]:
     """Return the clusters of what moves in each frame."""
     return [
-        flow_clusters.clusters(motion, mask > 0, count)
+        segmentation.clusters(motion, mask > 0, count)
         for (motion, _), mask in zip(left, masks, strict=True)
     ]
 

@@ -35,8 +35,8 @@ from bench.shared.contest_command import (
     choose,
     wide_console,
 )
-from bench.shared.machine import RESULTS, machine
 from bench.shared.peer_process import Peer, find_peers
+from bench.shared.results import RESULTS, machine
 from bench.shared.sequences import data_folder
 from tisfm import runtime
 

@@ -16,13 +16,11 @@ from typing import Any, get_args
 
 from rich.console import Console
 
-from bench.regression.checkout import Checkout
-from bench.regression.compare import difference
+from bench.regression.checkout import Checkout, Paired, interpretation, starts
 from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, recorded, rendered
-from bench.regression.report import Case, Findings, markdown, out_of_bounds
-from bench.regression.timing import Paired, interpretation, starts
+from bench.regression.report import Case, Findings, difference, markdown, out_of_bounds
 from bench.shared.contest_command import check_counts, choose
-from bench.shared.machine import RESULTS, ROOT, machine
+from bench.shared.results import RESULTS, ROOT, machine
 from bench.shared.sequences import data_folder
 from bench.shared.worker import Worker, WorkerDied
 from tisfm.settings import Preset

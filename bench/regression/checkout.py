@@ -2,10 +2,14 @@
 
 import os
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from bench.shared.contest import QUICK
 from bench.shared.worker import Worker
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -66,3 +70,88 @@ class Checkout:
         if "seconds" not in answer:
             raise RuntimeError(f"{self.name}: {answer['status']}")
         return worker.ready["import"], (seconds, answer["process"])
+
+
+Sides = tuple[float, float]  # before, after
+
+
+@dataclass(frozen=True, kw_only=True)
+class Paired:
+    """Wall and processor time of one thing: (before, after) in s, one for each round."""
+
+    name: str
+    seconds: Sequence[Sides]
+    cpu: Sequence[Sides]
+
+    @classmethod
+    def of(cls, name: str, found: Sequence[tuple[Sample, Sample]]) -> "Paired":
+        """Return the times of both sides, (before, after) in each round."""
+        wall, cpu = (tuple((before[k], after[k]) for before, after in found) for k in (0, 1))
+        return cls(name=name, seconds=wall, cpu=cpu)
+
+    @property
+    def medians(self) -> Sides:
+        """Median of each side, s."""
+        before, after = np.median(self.seconds, axis=0)
+        return float(before), float(after)
+
+    def ratios(self, *, cpu: bool = False) -> tuple[float, float, float]:
+        """Return the lower quartile, median and upper quartile of after / before by round."""
+        times = np.array(self.cpu if cpu else self.seconds)
+        low, middle, high = np.quantile(times[:, 1] / times[:, 0], (0.25, 0.5, 0.75))
+        return float(low), float(middle), float(high)
+
+
+def in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[Any, Any]]:
+    """Return what was measured of sides 0 and 1 in each round, in the order 0 1, 1 0, 0 1, …."""
+    found = []
+    for turn in range(rounds):
+        first = turn % 2
+        measured = {side: measure(side) for side in (first, 1 - first)}
+        found.append((measured[0], measured[1]))
+    return found
+
+
+def interpretation(
+    name: str, workers: Sequence[Worker], request: dict[str, Any], rounds: int
+) -> Paired:
+    """Time one request of two running workers.
+
+    A quick one runs once more before every call that is timed, and finds its caches warm.
+    """
+
+    def ask(side: int, times: int = 1) -> Sample:
+        answer = workers[side].ask(request | {"answer": None, "times": times})
+        if "seconds" not in answer:
+            raise RuntimeError(f"{name}: {answer['status']}")
+        return answer["seconds"], answer["cpu"]
+
+    pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first compiles
+    times = 2 if pace < QUICK else 1
+    found = in_turns(rounds, lambda side: ask(side, times))
+    return Paired.of(name, found)
+
+
+def starts(
+    checkouts: Sequence[Checkout], request: dict[str, Any], rounds: int, **options: Any
+) -> list[Paired]:
+    """Time fresh processes: the import, and to the first answer without compiled kernels and with.
+
+    Each cold start finds an empty folder for compiled kernels, and the warm start after it what
+    that one has left there.
+    """
+    exchange = options["exchange"]
+    turns = [0, 0]
+
+    def measure(side: int) -> tuple[Sample, Sample, Sample]:
+        turns[side] += 1
+        cache = exchange / f"cache-{side}-{turns[side]}"
+        _, cold = checkouts[side].start(request, cache=cache, **options)
+        imported, warm = checkouts[side].start(request, cache=cache, **options)
+        return imported, cold, warm
+
+    found = in_turns(rounds, measure)
+    return [
+        Paired.of(name, [(before[k], after[k]) for before, after in found])
+        for k, name in enumerate(("import tisfm", "cold start", "warm start"))
+    ]

@@ -27,7 +27,7 @@ from bench.sequences.contest import (
 from bench.sequences.entries import Entry, data_entries, folder_entries
 from bench.sequences.report import show, write
 from bench.shared.contest_command import check_counts, choose, wide_console
-from bench.shared.machine import RESULTS, machine
+from bench.shared.results import RESULTS, machine
 from bench.shared.sequences import data_folder
 
 

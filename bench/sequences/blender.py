@@ -21,9 +21,8 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 import tisfm
-from bench.sequences.one_sequence import parsed
-from bench.shared.bar import Bar
-from bench.shared.machine import RESULTS, machine
+from bench.sequences.entries import parsed
+from bench.shared.results import RESULTS, Bar, machine
 from tisfm.exports import write_gltf_cameras, write_points
 from tisfm.formats import read_image
 

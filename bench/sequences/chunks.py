@@ -22,7 +22,7 @@ from bench.sequences.entries import FARTHEST
 from bench.sequences.memory import HEIGHT, WIDTH, film
 from bench.sequences.rendered_films import rounds
 from bench.sequences.rendered_scores import path_error
-from bench.shared.machine import RESULTS, machine
+from bench.shared.results import RESULTS, machine
 from bench.shared.sequences import data_folder
 from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequences import compare_sequence

@@ -16,9 +16,8 @@ import pycolmap
 from rich.console import Console
 
 import tisfm
-from bench.sequences.one_sequence import parsed
-from bench.shared.bar import Bar
-from bench.shared.machine import RESULTS, machine
+from bench.sequences.entries import parsed
+from bench.shared.results import RESULTS, Bar, machine
 from tisfm.exports import write_colmap
 
 SEQUENCE = "tartanair"

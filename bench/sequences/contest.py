@@ -16,8 +16,8 @@ import numpy as np
 from bench.sequences.entries import FARTHEST, Entry
 from bench.sequences.stored import Stored, store
 from bench.shared.contest import MethodFailure
-from bench.shared.machine import ROOT
 from bench.shared.peer_process import POOLS
+from bench.shared.results import ROOT
 from bench.shared.worker import LAST_WORDS
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence

@@ -1,10 +1,14 @@
 """The sequences of the comparison: those of a folder of real data, and any that are named."""
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
+from bench.shared.sequences import data_folder
 from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
+from tisfm.settings import Preset
 
 # Folder, and every how many frames. What drives is also seen with every second frame dropped from
 # one on, as if it had become fast.
@@ -77,3 +81,26 @@ def folder_entries(folders: Sequence[Path], steps: Sequence[int]) -> list[Entry]
     """Return the sequences in folders, with every step."""
     found = [sequence for folder in folders for sequence in find_sequences(folder)]
     return [Entry(sequence=sequence, step=step) for sequence in found for step in steps]
+
+
+def parsed(
+    parser: argparse.ArgumentParser,
+    arguments: Sequence[str] | None,
+    *,
+    sequence: str,
+    preset: Preset,
+    output: str,
+) -> tuple[argparse.Namespace, LoadedSequence]:
+    """Return the options and the sequence of that name; end the program if there is none.
+
+    `preset` and `output` are the defaults of the options of these names.
+    """
+    parser.add_argument("--data", type=Path, metavar="DIR", help="the folder of sequences")
+    parser.add_argument("--preset", choices=get_args(Preset), default=preset)
+    parser.add_argument("--output", default=output, metavar="NAME", help="in bench/results")
+    options = parser.parse_args(arguments)
+    data = data_folder(options.data)
+    if data is None:
+        parser.error("no folder of sequences is named: give --data, or set TISFM_DATA")
+    (found,) = find_sequences(data / sequence)
+    return options, found.load(1)

@@ -29,9 +29,8 @@ from typing import Any
 import numpy as np
 
 from bench.sequences.rendered_films import rounds as rounds_of
-from bench.sequences.writing import rendered
-from bench.shared.bar import Bar
-from bench.shared.machine import RESULTS, machine
+from bench.shared.results import RESULTS, Bar, machine
+from bench.writing import rendered
 from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 

@@ -18,10 +18,10 @@ import numpy as np
 from rich.console import Console
 
 import tisfm
-from bench.pairs.memory import peak
+from bench.pair_memory import peak
 from bench.sequences.rendered_films import CACHE, rounds
 from bench.sequences.rendered_scores import path_error
-from bench.shared.machine import RESULTS, machine
+from bench.shared.results import RESULTS, machine
 from tisfm import runtime
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.scenes import room_film

@@ -41,9 +41,8 @@ from bench.sequences.rendered_scores import (
     scale_change,
     share_of_mesh,
 )
-from bench.shared.bar import Bar
-from bench.shared.curves import CURVES
-from bench.shared.machine import RESULTS, machine
+from bench.shared.figures import CURVES
+from bench.shared.results import RESULTS, Bar, machine
 from tisfm import runtime
 from tisfm.scenes import Film
 from tisfm.settings import Preset

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import tisfm
-from bench.pairs.memory import peak, restart
+from bench.pair_memory import peak, restart
 from bench.sequences.chained import chain
 from bench.sequences.stored import store, store_map
 from tisfm import runtime

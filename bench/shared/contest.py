@@ -1,6 +1,7 @@
 """Methods timed and scored on the same pairs, in turns, so that all meet the same machine."""
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from statistics import median
@@ -8,8 +9,11 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+import tisfm
 from bench.shared.sequences import FlowPair
+from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
+from tisfm.settings import Preset, Settings
 
 WARM_UP = (96, 128)  # px, of the first call of every method
 QUICK = 0.5  # s; before a timed call that is quicker comes one that is not timed, so that it
@@ -215,3 +219,36 @@ def score(flow: NDArray, pair: FlowPair, method: str) -> Measurement:
         )
     except ValueError as error:
         raise MethodFailure(f"its flow cannot be scored: {error}") from None
+
+
+@dataclass(frozen=True)
+class Own:
+    """A function of tisfm, on frames as they were read."""
+
+    name: str
+    estimate: Callable[[NDArray, NDArray], NDArray]
+
+    def run(self, pair: FlowPair) -> Call:
+        """Return the flow of a pair, or raise `MethodFailure`."""
+        used, started = time.process_time(), time.perf_counter()
+        try:
+            flow = self.estimate(pair.frame0, pair.frame1)
+        except Exception as error:  # one failure must not lose the others' figures
+            raise MethodFailure(f"{type(error).__name__}: {error}") from error
+        seconds, cpu = time.perf_counter() - started, time.process_time() - used
+        return Call(flow=flow, seconds=seconds, cpu=cpu)
+
+
+def interpretation(name: str, settings: Settings) -> Own:
+    """Return `tisfm.interpret` with settings; its time includes depth, motion and confidence."""
+    return Own(name, lambda *frames: tisfm.interpret(*frames, settings=settings).flow)
+
+
+def preset(name: Preset) -> Own:
+    """Return a preset of `tisfm.interpret`."""
+    return interpretation(f"tisfm {name}", Settings.preset(name))
+
+
+def baseline() -> Own:
+    """Return tisfm's Horn and Schunck."""
+    return Own("tisfm Horn–Schunck", horn_schunck)

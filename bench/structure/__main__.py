@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from bench.shared.machine import RESULTS, ROOT
+from bench.shared.results import RESULTS, ROOT
 from bench.structure.drawing import draw
 from bench.structure.report import comparison, markdown
 from bench.structure.source import lines_by_folder, read

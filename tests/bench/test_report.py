@@ -4,9 +4,8 @@ import pytest
 
 from bench import __main__ as command
 from bench.__main__ import DISAGREED, fault_of, parse
-from bench.bars import bars
 from bench.kernels.traffic import TRAFFIC
-from bench.report import HEAD, collect, describe, write_markdown
+from bench.report import HEAD, bars, collect, describe, write_markdown
 from tisfm.runtime import cpu_lanes
 
 PIXELS = 480 * 640

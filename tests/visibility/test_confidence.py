@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench.flow.untextured import bare_parts
+from bench.untextured import bare_parts
 from tests.noise import moving_noise
 from tests.rendered import bare_patches, two_blocks
 

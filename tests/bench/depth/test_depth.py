@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import tisfm
+from bench import focal
 from bench.depth import __main__ as depth
-from bench.depth import focal, scores
+from bench.depth import scores
 from bench.depth.contest import hold
-from bench.depth.focal_plot import picture
 from bench.depth.methods import Estimate, FlowThenDepth
 from bench.depth.pairs import (
     GIVEN,
@@ -42,6 +42,7 @@ from bench.depth.report import (
 )
 from bench.depth.scores import HORIZON, Score, limited, parallax_of, score
 from bench.depth.two_stage import NoMotion, triangulated, two_stage
+from bench.focal import picture
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors
 from tisfm.metrics.depth_sequence import CERTAIN, WORST

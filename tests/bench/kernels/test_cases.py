@@ -11,8 +11,7 @@ import pytest
 from bench.kernels import bench_kernels
 from bench.kernels.traffic import TRAFFIC
 from bench.kernels.unfused import sweep_unfused
-from bench.shared.agreement import check
-from bench.shared.problems import Problem
+from bench.shared.problems import Problem, check
 from tisfm import kernels
 from tisfm.runtime import cpu_lanes
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench.objects import background, flow_clusters, sequences
+from bench.objects import segmentation, sequences
 from bench.objects.clips import davis_clip, davis_folders, neighbours, rendered_clip
 from bench.objects.sequence_methods import Found, Reconstruct
 from bench.objects.sequence_scores import ClipScore, best, details, scored, table
@@ -47,29 +47,29 @@ def overlap(one, other):
 
 def test_homographies_are_those_of_the_background():
     frames, _ = panned()
-    steps = background.homographies(frames)
+    steps = segmentation.homographies(frames)
     assert len(steps) == 4
     corners = np.array([[[20.0, 20], [160, 20], [160, 100]]])
-    for matrix, shift in ((background.between(steps, 0, 4), -12), (steps[1], -3)):
+    for matrix, shift in ((segmentation.between(steps, 0, 4), -12), (steps[1], -3)):
         moved = cv2.perspectiveTransform(corners, matrix)
         np.testing.assert_allclose(moved - corners, np.full((1, 3, 2), (shift, 0)), atol=1)
-    back = background.between(steps, 4, 0) @ background.between(steps, 0, 4)
+    back = segmentation.between(steps, 4, 0) @ segmentation.between(steps, 0, 4)
     np.testing.assert_allclose(back, np.eye(3), atol=1e-9)
 
 
 def test_what_differs_from_the_background_moves():
     frames, masks = panned(7)
-    steps = background.homographies(frames)
+    steps = segmentation.homographies(frames)
     # In 3 frames it moves by more than its width.
     for both, least in ((True, 0.7), (False, 0.3)):
-        off = background.differences(frames, steps, 3, both=both)
-        assert overlap(background.cleaned(off[3] > 25), masks[3]) > least
+        off = segmentation.differences(frames, steps, 3, both=both)
+        assert overlap(segmentation.cleaned(off[3] > 25), masks[3]) > least
         before = (masks[0] > 0) & (masks[3] == 0)
         shown = np.roll(before, -9, axis=1)  # where it was, in the axes of frame 3
         assert (np.median(off[3][shown]) < 10) == both
-    (alone,) = background.differences(frames[:1], [], 1, both=True)
+    (alone,) = segmentation.differences(frames[:1], [], 1, both=True)
     assert not alone.any()
-    mixture = background.mixtures(frames, steps, 3, 16.0)[3]
+    mixture = segmentation.mixtures(frames, steps, 3, 16.0)[3]
     assert mixture[masks[3] > 0].mean() > 4 * mixture[masks[3] == 0].mean()
     assert list(neighbours(10, 1, 1, 4)) == [4, 3, 0, 2]
 
@@ -78,10 +78,10 @@ def test_flow_off_the_background_is_what_is_left():
     flow = np.zeros((60, 80, 2), np.float32)
     flow[..., 0] = 2 + 0.01 * np.arange(80)
     flow[20:40, 30:50] += (3, -1)
-    left, length = flow_clusters.off_homography(flow)
+    left, length = segmentation.off_homography(flow)
     np.testing.assert_allclose(left[30, 40], (3, -1), atol=0.05)
     assert length[5, 5] < 0.05 and length[30, 40] == pytest.approx(np.sqrt(10), abs=0.05)
-    _, off = flow_clusters.off_epipolar_lines(flow)
+    _, off = segmentation.off_epipolar_lines(flow)
     assert off[5, 5] < 0.1 < 0.3 < off[30, 40]
 
 
@@ -90,12 +90,12 @@ def test_clusters_are_of_one_motion():
     moving[10:30, 5:25] = moving[10:30, 30:50] = True
     left = np.zeros((40, 60, 2), np.float32)
     left[:, :28, 0], left[:, 28:, 0] = 4, -4
-    labels = flow_clusters.clusters(left, moving, 2)
+    labels = segmentation.clusters(left, moving, 2)
     assert ((labels > 0) == moving).all()
     assert len(np.unique(labels[10:30, 5:25])) == len(np.unique(labels[10:30, 30:50])) == 1
     assert len(np.unique(labels)) == 3
-    assert (flow_clusters.clusters(left, moving, 1) == moving).all()
-    assert not flow_clusters.clusters(left, np.zeros_like(moving), 3).any()
+    assert (segmentation.clusters(left, moving, 1) == moving).all()
+    assert not segmentation.clusters(left, np.zeros_like(moving), 3).any()
 
 
 def test_parts_keep_their_label_where_they_overlap():

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 from bench.regression import __main__ as regression
-from bench.regression.compare import Difference, difference, relative
-from bench.regression.report import Case, Findings, markdown, out_of_bounds
-from bench.regression.timing import Paired, in_turns
-from bench.shared.machine import ROOT
+from bench.regression.checkout import Paired, in_turns
+from bench.regression.report import (
+    Case,
+    Difference,
+    Findings,
+    difference,
+    markdown,
+    out_of_bounds,
+    relative,
+)
+from bench.shared.results import ROOT
 
 SHAPE = (6, 8)
 ALTERED = """

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import pytest
 
 from bench.scaling import __main__ as scaling
-from bench.scaling import bars as scaling_bars
 from bench.scaling import worker as scaling_worker
 
 
@@ -76,7 +75,7 @@ def large(preset="balanced", *, middle=400.0, floats=50.0):
     ],
 )
 def test_bars(given, met):
-    held = list(scaling_bars.bars(large(**given)))
+    held = list(scaling.bars(large(**given)))
     assert [bar.met for bar in held] == met
     assert [bar.bound for bar in held] == [57.0, 1.15, 3.0]
     assert held[0].value == pytest.approx(40)  # the median, of the same rounds
@@ -85,10 +84,10 @@ def test_bars(given, met):
 
 def test_the_fast_preset_stands_beside_the_peer_at_its_size_without_a_bar():
     run = large("fast")
-    assert [bar.bound for bar in scaling_bars.bars(run)] == [None, 1.15, 3.0]
+    assert [bar.bound for bar in scaling.bars(run)] == [None, 1.15, 3.0]
     for entry in run["runs"]:
         entry["peer"]["times"] = [0.01] * 3
-    beside = next(scaling_bars.bars(run))
+    beside = next(scaling.bars(run))
     assert beside.value == pytest.approx(MIDDLE * 400e-9 / 0.01)
     assert str(beside).startswith("also")
 
@@ -101,7 +100,7 @@ def test_growth_is_that_of_the_same_rounds():
             entry["times"][size] = [
                 t * factor for t, factor in zip(entry["times"][size], factors, strict=True)
             ]
-    (growth,) = (bar for bar in scaling_bars.bars(run) if "growth" in bar.name)
+    (growth,) = (bar for bar in scaling.bars(run) if "growth" in bar.name)
     assert growth.value == pytest.approx(1)
 
 

@@ -25,7 +25,7 @@ from bench.sequences.rendered_scores import (
     path_error,
     scale_change,
 )
-from bench.shared.bar import Bar
+from bench.shared.results import Bar
 
 
 def similar(poses, scale=1.0):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.sequences import writing
+from bench import writing
 
 
 def outcome(*times):

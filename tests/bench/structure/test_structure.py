@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.shared.machine import ROOT
+from bench.shared.results import ROOT
 from bench.structure import __main__ as structure
 from bench.structure.drawing import draw
 from bench.structure.source import code_lines, cycles, lines_by_folder, read, storeys

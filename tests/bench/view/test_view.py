@@ -2,8 +2,7 @@
 
 import pytest
 
-from bench.view import report
-from bench.view.__main__ import main
+from bench.view import __main__ as view
 from bench.view.long_results import lengthened_reconstruction, lengthened_run
 from bench.view.opening import Opening, browser_path
 from tests.view.results import write_reconstruction, write_run
@@ -33,11 +32,11 @@ def test_long_results_have_all_frames(tmp_path):
 
 def test_report():
     found = {"run": [opening(2.0), opening(2.6), opening(2.2)], "reconstruction": [opening(3.1)]}
-    text = report.report(found, 1000, {"processor": "x"})
+    text = view.report(found, 1000, {"processor": "x"})
     row = "| `tisfm run` | 1000 | 1.00 | 2.20 | 2.60 | 1.50 | 4.00 | 0.20 | 1.00 | 150 | 400 |"
     assert row in text and "- processor: x" in text
-    assert [bar.met for bar in report.bars(found)] == [True, False]
-    unknown = report.report({"run": [opening(2.0, memory=None)]}, 10, {})
+    assert [bar.met for bar in view.bars(found)] == [True, False]
+    unknown = view.report({"run": [opening(2.0, memory=None)]}, 10, {})
     assert "| – | 400 |" in unknown
 
 
@@ -47,6 +46,6 @@ def test_smoke(capsys):
     pytest.importorskip("playwright", reason="playwright is not installed")
     if browser_path() is None:
         pytest.skip("no Chromium: Debian has it as the package chromium")
-    assert main(["--smoke"]) == 0
+    assert view.main(["--smoke"]) == 0
     text = capsys.readouterr().out
     assert "| `tisfm run` | 30 |" in text and "| `tisfm reconstruct` | 30 |" in text

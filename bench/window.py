@@ -1,4 +1,4 @@
-"""Three frames against two: ``python -m bench.flow.window --data DIR``.
+"""Three frames against two: ``python -m bench.window --data DIR``.
 
 Frames t−1, t and t+1; the flow from t to t+1 by the pair alone, and with `window=3`. Errors are
 apart for what is occluded at t+1 (hidden there, or outside of the image) and for all else. Times
@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 import tisfm
-from bench.shared.machine import RESULTS, machine
+from bench.shared.results import RESULTS, machine
 from tisfm import runtime
 from tisfm.formats import read_flo, read_image
 from tisfm.scenes import SyntheticPair, room, room_film, three_blocks, two_blocks
@@ -197,7 +197,7 @@ HEAD = (
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print and write the tables."""
-    parser = argparse.ArgumentParser(prog="python -m bench.flow.window", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m bench.window", description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
     parser.add_argument("--data", type=Path, help="folder with sintel_alley and sintel_cave")
     parser.add_argument("--presets", nargs="+", default=["balanced", "fast", "accurate"])

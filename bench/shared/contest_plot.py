@@ -13,7 +13,7 @@ from matplotlib.transforms import Bbox
 
 from bench.shared.columns import STANDARD_SIZE, Column, present, standard_time
 from bench.shared.contest import Contest
-from bench.shared.curves import BLUE, VERMILION
+from bench.shared.figures import BLUE, VERMILION
 
 OURS, THEIRS = VERMILION, BLUE
 DIRECTIONS = 16

@@ -12,8 +12,7 @@ import pytest
 import taichi as ti
 
 from bench import reference
-from bench.shared.agreement import check_quantile
-from bench.shared.problems import Problem, problem_at
+from bench.shared.problems import Problem, check_quantile, problem_at
 from tisfm import runtime
 from tisfm.kernels.layout.lanes import LaneGrid
 from tisfm.motion.problems import flow_problem, pyramid_of

@@ -1,6 +1,6 @@
 """Peak memory of one interpretation, in a process of its own.
 
-``python -m bench.pairs.memory PRESET [HxW]`` prints it.
+``python -m bench.pair_memory PRESET [HxW]`` prints it.
 
 What the process holds after a first interpretation of a tiny pair (libraries, compiled kernels)
 and the two frames, uint8, exist before and do not count; the result does.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.depth.matched_truth import depth_of_matches
+from bench.depth.pairs import depth_of_matches
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 

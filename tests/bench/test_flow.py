@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.flow import ablation, peers, untextured, window
-from bench.flow.peer_plot import picture
-from bench.flow.untextured import Method
+from bench import ablation, peers, untextured, window
+from bench.shared.contest_plot import picture
+from bench.untextured import Method
 from tests.bench.shared.fakes import Fake, contest, flow_pair
 from tisfm.scenes import bare_patches
 from tisfm.settings import Settings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.shared.agreement import check, check_quantile, disagreement
+from bench.shared.problems import check, check_quantile, disagreement
 
 
 def test_disagreement_is_relative_to_each_component():
