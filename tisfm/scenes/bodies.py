@@ -205,9 +205,12 @@ def bodies_film(
         return Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
 
     for k, pose in enumerate(path):
-        frame, depth[k], seen = later(k, 0.0).seen_with_labels(pose, samples=samples)
+        scene = later(k, 0.0)
+        depth[k], seen = scene.depth_and_labels(pose)
         if readout:
             frame = read_in_turn(partial(later, k), path, k, readout, samples)
+        else:
+            frame = scene.frame_from(pose, samples=samples)
         frames[k] = taken(frame, random, noise, 0.0, "uint8")
         labels[k] = np.maximum(seen - len(at_rest) + 1, 0)
     return BodiesFilm(

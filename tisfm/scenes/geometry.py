@@ -1,20 +1,23 @@
 """The objects of a scene: planes and boxes, where rays meet them and what grey they find."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats, Vector, finite
 from tisfm.errors import InputError
-from tisfm.rigid import rigid_motion
 
 from .texture import Texture
 
 # Surfaces farther than this count as missed, which keeps grazing rays finite.
 FARTHEST_SURFACE = 1e9
+# Relative to the largest coordinate of a box: far more than rounding.
+BOUNDS_MARGIN = 1e-6
 # Shade by direction of a box's face, -X +X -Y +Y -Z +Z: the top light, one side in the shade.
 FACE_SHADES = (0.66, 0.76, 1.16, 0.6, 0.98, 0.86)
+_CORNER_SIGNS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8) - 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,11 +65,19 @@ class Plane:
         _freeze(self, point=(3,), normal=(3,), motion=(6,))
 
     def _pose(self) -> tuple[Floats, Floats]:
+        return self._axes, self.point
+
+    @cached_property
+    def _axes(self) -> Floats:
         # The in-plane axes start from the camera axis most nearly in the plane.
         across = np.eye(3)[np.argmin(np.abs(self.normal))]
         across = across - (across @ self.normal) * self.normal
         across /= np.linalg.norm(across)
-        return np.stack([across, np.cross(self.normal, across), self.normal], -1), self.point
+        return np.stack([across, np.cross(self.normal, across), self.normal], -1)
+
+    @property
+    def _corners(self) -> None:
+        """A plane has none."""
 
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
         depth = -origin[2] / ray[2]
@@ -131,6 +142,11 @@ class Box:
     def _pose(self) -> tuple[Floats, Floats]:
         return self.axes, self.center
 
+    @cached_property
+    def _corners(self) -> Floats:
+        """The corners, (3, 8), in the box's own axes, from its centre."""
+        return _CORNER_SIGNS * (self.size / 2)[:, None]
+
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
         # By slabs: inside the box is inside all three pairs of planes.
         enter, leave = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
@@ -164,17 +180,25 @@ class Box:
 
 
 class View:
-    """An object as the camera sees it after a rigid motion, the identity where none is given.
+    """An object as the camera sees it after a rigid motion P1 = R P0 + t.
 
     Rays are (x̂, ŷ, 1), shape (3, n), and depths, shape (n,), along the camera's Z axis.
     """
 
-    def __init__(self, item: Plane | Box, motion: Vector = (0.0,) * 6) -> None:
+    def __init__(self, item: Plane | Box, rotation: Floats, translation: Floats) -> None:
         axes, center = item._pose()
-        self.rotation, self.translation = rigid_motion(motion)
-        axes, center = self.rotation @ axes, self.rotation @ center + self.translation
+        self.rotation, self.translation = rotation, translation
+        axes, center = rotation @ axes, rotation @ center + translation
         # The object's own coordinates of a point P are turn P + origin.
         self.item, self.turn, self.origin = item, axes.T, -axes.T @ center
+        self._bounds = _bounds_of(item._corners, axes, center)
+
+    def is_beside(self, first: Floats, last: Floats) -> bool:
+        """Return whether no ray meets the object whose (x̂, ŷ) are between the first and last."""
+        if self._bounds is None:
+            return False
+        left, top, right, bottom = self._bounds
+        return first[0] > right or last[0] < left or first[1] > bottom or last[1] < top
 
     def hit(self, rays: Floats) -> Floats:
         """Return the depth at which rays meet the object, infinite where they miss it."""
@@ -192,6 +216,24 @@ class View:
     def _turned(self, rays: Floats) -> Floats:
         # A component of exactly zero would divide by zero where slabs are met.
         return self.turn @ rays + 1e-150
+
+
+def _bounds_of(
+    corners: Floats | None, axes: Floats, center: Floats
+) -> tuple[float, float, float, float] | None:
+    """Return the rectangle in which a box is seen, with a margin: (left, top, right, bottom).
+
+    Its sides are x̂ and ŷ. None without corners, and where some are not in front of the camera.
+    """
+    if corners is None:
+        return None
+    x, y, z = axes @ corners + center[:, None]
+    if z.min() <= BOUNDS_MARGIN * corners.max():
+        return None
+    x, y = x / z, y / z
+    left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
+    margin = BOUNDS_MARGIN * (1 + max(-left, -top, right, bottom))
+    return left - margin, top - margin, right + margin, bottom + margin
 
 
 def _freeze(item: Plane | Box, **shapes: tuple[int, ...]) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import Floats, finite, whole
 from tisfm.errors import InputError, InputTypeError
-from tisfm.rigid import rigid_twist
+from tisfm.rigid import rigid_motion, rigid_twist
 
 from .geometry import Box, Plane, View
 
@@ -145,8 +145,8 @@ class Scene:
         """
         whole(1, samples=samples)
         check_dtype(dtype)
-        before = [View(item) for item in self.objects]
-        after = [View(item, item.motion) for item in self.objects]
+        before = [View(item, np.eye(3), np.zeros(3)) for item in self.objects]
+        after = [View(item, *rigid_motion(item.motion)) for item in self.objects]
         frames = [self._frame(views, samples) for views in (before, after)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
@@ -199,19 +199,31 @@ class Scene:
         self, pose: ArrayLike, *, samples: int = 3
     ) -> tuple[NDArray, Floats, NDArray[np.int32]]:
         """Cast the rays of one view, as `seen_from` does; return the labels, (H, W), as well."""
+        depth, labels = self.depth_and_labels(pose)
+        return self.frame_from(pose, samples=samples), depth, labels
+
+    def frame_from(self, pose: ArrayLike, *, samples: int = 3) -> NDArray:
+        """Return the frame of one view alone, (H, W) float32, as `seen_from` does."""
         whole(1, samples=samples)
-        matrix = finite(pose, (4, 4), "pose")
-        turn = matrix[:3, :3].T
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
-            raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
-        motion = rigid_twist(turn, -turn @ matrix[:3, 3])
-        views = [View(item, motion) for item in self.objects]
+        return self._frame(self._views_from(pose), samples)
+
+    def depth_and_labels(self, pose: ArrayLike) -> tuple[Floats, NDArray[np.int32]]:
+        """Return the depth and the labels of one view alone, (H, W), as `seen_with_labels` does."""
+        views = self._views_from(pose)
         bands = [(depth, labels) for _, depth, labels in self._bands(views, np.zeros((1, 2)))]
         depth, labels = (
             np.concatenate(part).reshape(self.height, self.width)
             for part in zip(*bands, strict=True)
         )
-        return self._frame(views, samples), depth, labels
+        return depth, labels
+
+    def _views_from(self, pose: ArrayLike) -> list[View]:
+        matrix = finite(pose, (4, 4), "pose")
+        turn = matrix[:3, :3].T
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+            raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
+        rotation, translation = rigid_motion(rigid_twist(turn, -turn @ matrix[:3, 3]))
+        return [View(item, rotation, translation) for item in self.objects]
 
     def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
         """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""
@@ -272,9 +284,16 @@ def check_dtype(dtype: str) -> None:
 
 def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the depth and the label of the nearest object along rays."""
-    depths = np.stack([view.hit(rays) for view in views])
-    labels = depths.argmin(axis=0)
-    return depths.min(axis=0), labels.astype(np.int32)
+    nearest = np.full(rays.shape[1], np.inf)
+    labels = np.zeros(rays.shape[1], np.int32)
+    first, last = rays[:2].min(axis=1), rays[:2].max(axis=1)
+    for label, view in enumerate(views):
+        if not view.is_beside(first, last):
+            depth = view.hit(rays)
+            closer = depth < nearest
+            np.copyto(nearest, depth, where=closer)
+            labels[closer] = label
+    return nearest, labels
 
 
 def _sample_offsets(samples: int) -> Floats:

@@ -224,9 +224,11 @@ def room_film(
     frames = np.empty((len(path), height, width), np.uint8)
     depth = np.empty((len(path), height, width), np.float32)
     for k, pose in enumerate(path):
-        frame, depth[k] = scene.seen_from(pose, samples=samples)
+        depth[k], _ = scene.depth_and_labels(pose)
         if readout:
             frame = read_in_turn(lambda late: scene, path, k, readout, samples)
+        else:
+            frame = scene.frame_from(pose, samples=samples)
         frames[k] = taken(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
@@ -277,7 +279,7 @@ def read_in_turn(
         scene = scene_at(late)
         camera = replace(scene.camera, center=(cx, cy - top))
         part = replace(scene, camera=camera, height=rows)
-        parts.append(part.seen_from(_between(path, number, late), samples=samples)[0])
+        parts.append(part.frame_from(_between(path, number, late), samples=samples))
     return np.concatenate(parts)
 
 

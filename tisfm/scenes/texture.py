@@ -119,18 +119,24 @@ class Texture:
         A footprint, (n,), length, is the size of a pixel's patch of surface: a wave shorter than
         two of them is left out, one longer than three is whole.
         """
-        random = np.random.default_rng([self.seed, face])
+        draws = iter(_draws(self.seed, face, 2 + self.octaves + self.detail))
+        finest = footprint.min() if s.size else math.inf
 
-        def wave(at: tuple[Floats, Floats], octave: int) -> NDArray:
-            wavelength = self.wavelength * 2.0**octave
+        def wave(at: tuple[Floats, Floats], octave: int) -> NDArray | float:
+            wavelength, draw = self.wavelength * 2.0**octave, next(draws)
+            if wavelength / finest <= 2:  # it is left out at every point
+                return 0.0
             kept = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
             strength = STRENGTHS[min(octave, len(STRENGTHS) - 1)] if octave >= 0 else 1.0
-            return strength * kept * kept * (3 - 2 * kept) * _noise(*at, wavelength, random)
+            return strength * kept * kept * (3 - 2 * kept) * _noise(*at, wavelength, draw)
 
         # Bending the blotches by the longest wave gives the veins of marble.
         longest = self.wavelength * 2 ** (self.octaves - 1)
         bend = 0.05 * longest
-        bent = (s + bend * _noise(s, t, longest, random), t + bend * _noise(s, t, longest, random))
+        bent = (
+            s + bend * _noise(s, t, longest, next(draws)),
+            t + bend * _noise(s, t, longest, next(draws)),
+        )
         blotches, fine = np.zeros((2, s.size), np.float32)
         for octave in range(self.octaves):
             blotches += wave((s, t) if octave < 2 else bent, octave)
@@ -152,9 +158,16 @@ class Texture:
         return plain
 
 
-def _noise(s: Floats, t: Floats, wavelength: float, random: np.random.Generator) -> NDArray:
-    """Look up one octave of noise, unit variance, turned and shifted at random."""
-    angle, *shift = random.uniform(0, 1, 3) * (2 * math.pi, TILE, TILE)
+@lru_cache(maxsize=256)
+def _draws(seed: int, face: int, count: int) -> Floats:
+    """Return the random numbers of octaves, (count, 3): angle, rad, and shifts, samples."""
+    random = np.random.default_rng([seed, face])
+    return random.uniform(0, 1, (count, 3)) * (2 * math.pi, TILE, TILE)
+
+
+def _noise(s: Floats, t: Floats, wavelength: float, draw: Floats) -> NDArray:
+    """Look up one octave of noise, unit variance, turned and shifted as drawn."""
+    angle, *shift = draw
     across = math.cos(angle) * SAMPLES_PER_WAVE / wavelength
     along = math.sin(angle) * SAMPLES_PER_WAVE / wavelength
     column = across * s - along * t + shift[0]
