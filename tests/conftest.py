@@ -11,7 +11,7 @@ from filelock import FileLock
 
 import tisfm
 from bench import reference
-from tests import draws
+from tests import draws, rendered
 from tisfm import runtime
 
 # Real sequences are no part of the project: a folder of them may lie beside the checkout.
@@ -70,6 +70,19 @@ def shared_data():
     if not SHARED_DATA.is_dir():
         pytest.skip("no real sequences: TISFM_DATA is not set, and none lie beside the checkout")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session", autouse=True)
+def folder_of_films(tmp_path_factory):
+    """Name the folder of rendered films, one for all processes of a run."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    folder = folder / "films"
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(rendered.FOLDER, str(folder))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.rendered import room_film
 from tisfm.formats import write_png
-from tisfm.scenes import room_film
 
 HEIGHT, WIDTH, FOCAL, RATE = 240, 320, 192.0, 25
 

@@ -10,9 +10,10 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import assert_one_line
+from tests.rendered import bodies_film
 from tisfm.formats import write_png
 from tisfm.formats.label_picture import read_label_picture, write_label_png
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 
 COUNT = 6
 OPTIONS = ("--preset", "fast", "--depth-of", "none", "--focal", "96", "--motion", "objects")

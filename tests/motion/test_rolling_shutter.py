@@ -8,9 +8,9 @@ import pytest
 
 import tisfm
 from tests.motion.one_motion import FAST
+from tests.rendered import room_film
 from tisfm.metrics import pose_errors
 from tisfm.rigid import pose_matrix, rigid_motion
-from tisfm.scenes import room_film
 from tisfm.shutter import UnrolledPixels, nodes_of
 from tisfm.unrolled_pair import _in_next
 

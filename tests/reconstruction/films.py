@@ -1,12 +1,11 @@
 """Films of a room, small, with exact truth."""
 
-from functools import cache
-
 import numpy as np
 
+from tests.rendered import room_film, shared
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import Box, Film, Scene, Texture, bodies_path, room_film
+from tisfm.scenes import Box, Film, Scene, Texture, bodies_path
 from tisfm.scenes.room import FOCAL, room_at_rest, taken, wavelength_at
 
 STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
@@ -17,13 +16,12 @@ def along(count, step=STEP):
     return np.array([pose_matrix(k * np.asarray(step)) for k in range(count)])
 
 
-@cache
 def walk(count=9, height=180, width=240):
     """Return a film of so many frames."""
     return room_film(along(count), height, width, samples=2)
 
 
-@cache
+@shared
 def board_film(count=20, height=240, width=320, *, with_board=True):
     """Return a film of a papered room, and where a board is seen, (N, H, W) bool.
 

@@ -8,6 +8,7 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tests.rendered import bodies_film
 from tisfm.evaluation.object_paths import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
 from tisfm.reconstruction.carried_labels import carried_labels
@@ -16,7 +17,7 @@ from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sequence_labels import SequenceLabels
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 COUNT = 16

@@ -10,6 +10,7 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tests.rendered import bodies_film
 from tisfm.camera import Camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.lens import Undistortion
@@ -19,7 +20,7 @@ from tisfm.reconstruction.path_at_rest import path_at_rest
 from tisfm.reconstruction.self_calibration import FocalEstimate
 from tisfm.reconstruction.sequence_labels import SequenceLabels
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 from tisfm.shutter import Rolling
 from tisfm.sources.frame_reader import SourceFrame
 

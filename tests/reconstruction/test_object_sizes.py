@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tisfm
+from tests.rendered import bodies_film
 from tisfm.reconstruction.own_scale import longest_side, reach
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 COUNT, LENGTH = 16, 0.6  # m, of the first body

@@ -11,12 +11,13 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tests.rendered import bodies_film
 from tisfm.formats import FormatError
 from tisfm.reconstruction.image_motion import ImageMotion
 from tisfm.reconstruction.moving_object import MovingObject
 from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 DATA = Path(__file__).parents[3] / "shared" / "data"

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.rendered import bodies_film
 from tisfm.camera import Camera
 from tisfm.reconstruction import own_path
 from tisfm.reconstruction.depths import PieceDepths, effort_of
@@ -14,7 +15,7 @@ from tisfm.reconstruction.path import TRACKING
 from tisfm.reconstruction.sparse_points import triangulated
 from tisfm.reconstruction.tracks import Tracker
 from tisfm.reconstruction.way import Piece
-from tisfm.scenes import bodies_film, bodies_path
+from tisfm.scenes import bodies_path
 from tisfm.settings import Settings
 from tisfm.sources.frame_reader import SourceFrame
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.rendered import room_film
 from tisfm.reconstruction.path import PathFinder
 from tisfm.reconstruction.places import OnePlace
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
 
 TURN = slice(10, 26)
 

@@ -9,10 +9,10 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tests.rendered import room_film
 from tisfm import Settings
 from tisfm.reconstruction.stream import Stream
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
 from tisfm.sources import FrameSource
 
 FAST = Settings.preset("fast", motion="camera")

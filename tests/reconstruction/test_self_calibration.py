@@ -15,6 +15,7 @@ from PIL import ExifTags, Image
 
 import tisfm
 from tests.reconstruction.films import along, path_error
+from tests.rendered import room_film
 from tisfm import Camera, Reconstruction, Settings
 from tisfm.camera_file import read_camera, write_camera
 from tisfm.cli.command_line import main
@@ -25,7 +26,6 @@ from tisfm.reconstruction import self_calibration
 from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
 from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
 from tisfm.rigid import pose_matrix
-from tisfm.scenes import room_film
 
 FAST = Settings.preset("fast", motion="camera")
 SIZE = 180, 240

@@ -9,11 +9,11 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import depth_error, path_error
+from tests.rendered import room_film
 from tisfm import Camera, Settings
 from tisfm.reconstruction import mapping, stream, streaming
 from tisfm.reconstruction.sliding_path import ANCHORS, REMEMBERED, SlidingPath
 from tisfm.reconstruction.stream import Stream
-from tisfm.scenes import room_film
 from tisfm.sources import FrameSource
 
 FAST = Settings.preset("fast", motion="camera")

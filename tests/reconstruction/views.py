@@ -1,11 +1,11 @@
 """Several views of the ready scenes, with true depth and motions."""
 
 from dataclasses import dataclass
-from functools import cache
 from unittest import mock
 
 import numpy as np
 
+from tests.rendered import shared
 from tisfm.camera import Camera
 from tisfm.rigid import rigid_motion
 from tisfm.scenes import block_scenes, room, static_scene
@@ -33,7 +33,7 @@ class Views:
         return np.abs(1 / found.inverse_depth - self.depth) / self.depth
 
 
-@cache
+@shared
 def views(kind, height=120, width=160, count=4):
     """Return views of a room, or of the static scene of a kind."""
     pairs = []

@@ -1,10 +1,9 @@
 """A camera that walks through a rendered room: frames and exact poses."""
 
-from functools import cache
-
 import cv2
 import numpy as np
 
+from tests.rendered import shared
 from tisfm import scenes
 
 HEIGHT, WIDTH = 240, 320
@@ -19,7 +18,7 @@ def pose(forward=0.0, sideways=0.0, turn=0.0):
     return matrix
 
 
-@cache
+@shared
 def _view(seed, forward, sideways, turn):
     at = pose(forward, sideways, turn)
     # The twist whose exponential is this pose: its translation is linear in V.

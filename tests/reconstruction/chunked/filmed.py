@@ -7,7 +7,7 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
-from tisfm.scenes import room_film
+from tests.rendered import room_film
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 COUNT, CHUNK = 24, 12  # frames of the film, and of a chunk: it has three
