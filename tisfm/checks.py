@@ -1,12 +1,15 @@
 """Checks of values that are given."""
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from tisfm.errors import InputError, InputTypeError
+
+_LEAST_SIMILARITY = 0.6  # ratio of `difflib`, 0 to 1, of a suggested word; the default of `difflib`
 
 Floats = NDArray[np.float64]
 # Of a field: array_like when it is given, a read-only float64 array once it is checked.
@@ -84,3 +87,23 @@ def _masked(values: object) -> tuple[int, int]:
         return 0, getattr(values, "size", 1)
     counts = [_masked(item) for item in values]
     return sum(hidden for hidden, _ in counts), sum(total for _, total in counts)
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that is most similar to another word; None if none is similar.
+
+    A known word that alone begins with the other word comes first.
+    """
+    words = [name for name in known if name]
+    begun = [name for name in words if name.startswith(word)] if word.strip("-") else []
+    if len(begun) == 1:
+        return begun[0]
+    lower = {name.lower(): name for name in reversed(words)}
+    similar = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=_LEAST_SIMILARITY)
+    return lower[similar[0]] if similar else None
+
+
+def hint(word: str, known: Iterable[str]) -> str:
+    """Return ", did you mean …?" with the nearest known word, for an error; "" without one."""
+    found = nearest(word, known)
+    return f", did you mean {found!r}?" if found else ""

@@ -1,12 +1,13 @@
 """Fixtures of the tests of the command line."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
-from tisfm.cli import foretelling, kernels_start
+from tisfm.cli import console, progress
 from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
 
@@ -24,13 +25,15 @@ def place(tmp_path, monkeypatch):
 @pytest.fixture(autouse=True)
 def no_time_passes_for_forecasts(monkeypatch):
     """On a busy machine a run of a few pairs would print an estimate of its time."""
-    monkeypatch.setattr(foretelling, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    monkeypatch.setattr(
+        progress, "time", SimpleNamespace(monotonic=lambda: 0.0, perf_counter=time.perf_counter)
+    )
 
 
 @pytest.fixture
 def without_vulkan(monkeypatch):
     """A machine without a Vulkan driver: with one, commands print its device."""
-    monkeypatch.setattr(kernels_start, "vulkan_device", lambda: None)
+    monkeypatch.setattr(console, "vulkan_device", lambda: None)
 
 
 @pytest.fixture

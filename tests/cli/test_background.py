@@ -14,9 +14,9 @@ import pytest
 from tests.cli.command_line import assert_one_line, files, promised, record
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import pair
-from tisfm.cli import pair_files, run_record
-from tisfm.cli.background import Background
 from tisfm.formats.atomic import atomic_write
+from tisfm.running import pair_files, run_record
+from tisfm.running.background import Background
 
 
 def test_pieces_are_done_in_order_in_one_other_thread():
@@ -186,7 +186,7 @@ def test_a_second_interrupt_ends_the_process():
 import sys
 import threading
 import time
-from tisfm.cli.background import Background
+from tisfm.running.background import Background
 
 begun = threading.Event()
 

@@ -11,7 +11,8 @@ from tests.cli.command_line import TISFM, assert_one_line
 from tests.reconstruction.chunked.filmed import COUNT, contents, film, in_turn, write_frames
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import Reconstruction
-from tisfm.cli import crew, reconstruct_runs
+from tisfm.cli import reconstruct_runs
+from tisfm.running import pool
 from tisfm.trajectory import read_kitti
 
 CHUNKS = ("--preset", "fast", "--depth-of", "keyframes", "--chunk", "12")
@@ -46,7 +47,7 @@ def in_this_process(monkeypatch):
             items = [item.__class__(**{**vars(item), "threads": None}) for item in items]
             return in_turn(function, items)
 
-    monkeypatch.setattr(crew, "crew", Here)
+    monkeypatch.setattr(pool, "open_pool", Here)
     return asked
 
 

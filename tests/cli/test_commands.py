@@ -11,7 +11,7 @@ import tisfm
 from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera_file import write_camera
-from tisfm.cli import commands
+from tisfm.cli import figures
 from tisfm.formats import read_image
 from tisfm.settings import Settings
 
@@ -51,17 +51,17 @@ def test_ctrl_c_ends_the_demo_before_it_is_done(place):
     code = """
 import sys
 from pathlib import Path
-from tisfm.cli import demo_parts
+from tisfm.cli import demo_scenes
 from tisfm.cli.command_line import main
 
-interpret = demo_parts.interpret
+interpret = demo_scenes.interpret
 
 def endless(*frames, **options):
     Path("begun").touch()
     while True:
         interpret(*frames, **options)
 
-demo_parts.interpret = endless  # in the workers too, which import this file
+demo_scenes.interpret = endless  # in the workers too, which import this file
 if __name__ == "__main__":
     sys.exit(main(["demo", "--height", "60", "--width", "80", "-o", "out"]))
 """
@@ -103,7 +103,7 @@ def test_figures_take_the_camera_of_a_file(tisfm_run, frames, monkeypatch):
         seen.append(camera)
         return [output / "drawn.png"]
 
-    monkeypatch.setattr(commands, "write_paper_figures", draw)
+    monkeypatch.setattr(figures, "write_paper_figures", draw)
     doubt = {"seen": False, "message": "the focal length is a guess"}
     write_camera("lens.json", tisfm.Camera(focal=100.0), (2 * H, 2 * W), doubt)
     pair = frames / "f0.png", frames / "f1.png"

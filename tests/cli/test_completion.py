@@ -14,8 +14,8 @@ from tests.waiting import PATIENCE
 from tisfm.cli.command_line import _parse
 from tisfm.cli.completion import completion_script
 from tisfm.cli.known_options import LISTS, known_options
-from tisfm.cli.run_record import ENDINGS
 from tisfm.exports.formats import FORMATS
+from tisfm.running.run_record import ENDINGS
 
 # Asks bash as a user does who presses TAB after the words.
 ASK = """

@@ -12,9 +12,10 @@ import pytest
 
 from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid, promised, record
 from tisfm import interpretation_file, pair
-from tisfm.cli import demo, pair_files
+from tisfm.cli import demo
 from tisfm.evaluation import pairs
 from tisfm.formats import float_maps, write_png
+from tisfm.running import pair_files
 
 
 def damaged(kind, place):
@@ -151,7 +152,7 @@ def test_an_output_that_is_no_folder_is_one_line(
     (place / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(pairs, "interpret", forbid)
-    monkeypatch.setattr(demo, "crew", forbid)
+    monkeypatch.setattr(demo, "open_pool", forbid)
     source = {
         "run": ["frames"],
         "demo": [],

@@ -9,7 +9,7 @@ import pytest
 import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.evaluation.reconstructed import PATH, N, Result, make_sequence
-from tisfm.cli import foretelling
+from tisfm.cli import progress
 from tisfm.settings import Settings
 from tisfm.trajectory import read_tum, write_kitti, write_tum
 
@@ -63,7 +63,7 @@ def test_a_motion_of_pairs_is_refused(tisfm_run, wall, reconstruct):
 
 def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(foretelling.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     finds = tisfm.reconstruct
 
     def slow(source, *, progress, **options):

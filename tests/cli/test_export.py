@@ -12,7 +12,7 @@ import tisfm
 from tests.cli.command_line import assert_one_line
 from tests.exports.made import made
 from tests.exports.runs import run_of
-from tisfm.cli import export_command
+from tisfm.cli import export
 from tisfm.exports.formats import FORMATS
 from tisfm.reconstruction.folder import write_record
 from tisfm.trajectory import read_tum
@@ -67,7 +67,7 @@ def test_a_path_and_its_camera(tisfm_run, place):
 
 
 def _slash():
-    return str(export_command.Path("a/b"))[1]
+    return str(export.Path("a/b"))[1]
 
 
 def test_frames_and_unit_are_chosen(tisfm_run, place):
@@ -274,9 +274,9 @@ def test_an_earlier_export_is_replaced(tisfm_run, place):
 
 def test_long_work_is_announced(tisfm_run, place, monkeypatch):
     made(place / "walk")
-    monkeypatch.setattr(export_command, "MUCH", 1000)
-    monkeypatch.setattr(export_command, "_LONG", 0)
-    monkeypatch.setattr(export_command, "_SOON", 0)
+    monkeypatch.setattr(export, "MUCH", 1000)
+    monkeypatch.setattr(export, "_LONG", 0)
+    monkeypatch.setattr(export, "_SOON", 0)
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
     assert code == 0
     told = err.splitlines()

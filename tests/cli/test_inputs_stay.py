@@ -10,10 +10,11 @@ import pytest
 
 from tests.cli.command_line import FRAMES, H, W, assert_one_line, files, forbid, promised
 from tisfm import pair
-from tisfm.cli import demo, outputs
+from tisfm.cli import demo
 from tisfm.evaluation import pairs
 from tisfm.formats import write_flo, write_png
 from tisfm.formats.result_folder import LOCK, InputFiles
+from tisfm.running import pair_writer
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def d(place):
 def nothing_interpreted(monkeypatch):
     for module in (pair, pairs):
         monkeypatch.setattr(module, "interpret", forbid)
-    monkeypatch.setattr(demo, "crew", forbid)
+    monkeypatch.setattr(demo, "open_pool", forbid)
 
 
 def everything(place):
@@ -146,13 +147,13 @@ def test_what_comes_between(tisfm_run, d, place, monkeypatch):
     """A link that appears while a run is on its way is met when the file is written."""
     (place / "out").mkdir()
     before = files("d")
-    original = outputs.PairWriter.write
+    original = pair_writer.PairWriter.write
 
     def write(self, *arguments, **options):
         os.symlink(os.path.abspath("d/y.png"), "out/x_anaglyph.png")
         return original(self, *arguments, **options)
 
-    monkeypatch.setattr(outputs.PairWriter, "write", write)
+    monkeypatch.setattr(pair_writer.PairWriter, "write", write)
     code, _, err = tisfm_run("run", "d/x.png", "d/y.png", "-o", "out", "--no-figures")
     assert_one_line(code, err, "would replace", "x_anaglyph.png")
     assert files("d") == before

@@ -3,8 +3,8 @@
 import pytest
 
 from tisfm import runtime
-from tisfm.cli import kernels_start
-from tisfm.cli.kernels_start import start_kernels, tell_device
+from tisfm.cli import console
+from tisfm.cli.console import start_kernels, tell_device
 from tisfm.machine.vulkan import VulkanDevice
 
 LAVAPIPE = VulkanDevice(name="llvmpipe (LLVM 15)", is_software=True, score=400)
@@ -21,7 +21,7 @@ CARD = VulkanDevice(name="A card", is_software=False, score=1400)
 )
 def test_the_device_is_printed_once(monkeypatch, capsys, device, said):
     started = []
-    monkeypatch.setattr(kernels_start, "vulkan_device", lambda: device)
+    monkeypatch.setattr(console, "vulkan_device", lambda: device)
     monkeypatch.setattr(runtime, "start", lambda arch, threads: started.append((arch, threads)))
     start_kernels("vulkan", threads=3)
     err = capsys.readouterr().err
@@ -30,7 +30,7 @@ def test_the_device_is_printed_once(monkeypatch, capsys, device, said):
 
 
 def test_other_archs_are_not_printed(monkeypatch, capsys):
-    monkeypatch.setattr(kernels_start, "vulkan_device", lambda: LAVAPIPE)
+    monkeypatch.setattr(console, "vulkan_device", lambda: LAVAPIPE)
     monkeypatch.setenv("TI_ARCH", "vulkan")
     tell_device("cpu")
     assert capsys.readouterr().err == ""

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.cli.command_line import TISFM, assert_one_line
-from tisfm.cli import foretelling, reconstruct_command
+from tisfm.checks import hint, nearest
+from tisfm.cli import progress, reconstruct
 from tisfm.cli.command_line import _parse
-from tisfm.cli.foretelling import Foretelling
-from tisfm.cli.frame_options import FrameOptions
 from tisfm.cli.known_options import known_options
-from tisfm.cli.nearest import hint, nearest
+from tisfm.cli.options import FrameOptions
+from tisfm.cli.progress import Foretelling
 
 WRONG = {
     "rnu frames -o out": ("no command rnu", "did you mean run?"),
@@ -141,8 +141,8 @@ def test_what_is_nearest_is_known(word, known):
 
 def test_how_long_it_takes_is_foretold_once(monkeypatch):
     now, told = [100.0], []
-    monkeypatch.setattr(foretelling.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(foretelling, "tell", told.append)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "tell", told.append)
     foretold = Foretelling("pairs")
     for count in range(1, 40):
         foretold.done(count, 1000)
@@ -159,15 +159,15 @@ def test_how_long_it_takes_is_foretold_once(monkeypatch):
 def test_what_a_sequence_takes_is_told_before(frames, capsys, monkeypatch):
     def announced(start=0):
         frames_taken = FrameOptions(start=start)
-        reconstruct_command._announce(str(frames), Path("out"), frames_taken, "all")
+        reconstruct._announce(str(frames), Path("out"), frames_taken, "all")
         return capsys.readouterr().err
 
     assert announced() == ""
-    monkeypatch.setattr(reconstruct_command, "MUCH", 100)  # bytes, fewer than they take
+    monkeypatch.setattr(reconstruct, "MUCH", 100)  # bytes, fewer than they take
     assert announced() == "about 0 MB for 4 frames in out\n"
     assert "for 2 frames" in announced(start=2)
     usage = SimpleNamespace(free=1e3)
-    monkeypatch.setattr(reconstruct_command.shutil, "disk_usage", lambda folder: usage)
+    monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda folder: usage)
     assert announced() == "about 0 MB for 4 frames, but 0 MB are free\n"
 
 
@@ -177,13 +177,13 @@ def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypa
     (tmp_path / "large").mkdir()
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"large/f{k}.png"), np.zeros(shape, np.uint8))
-    monkeypatch.setattr(reconstruct_command, "MUCH", 1e6)
+    monkeypatch.setattr(reconstruct, "MUCH", 1e6)
     about = (str(tmp_path / "large"), tmp_path / "out", FrameOptions(), "all")
-    reconstruct_command._announce(*about)
+    reconstruct._announce(*about)
     said = capsys.readouterr().err
-    assert float(said.split()[1]) > reconstruct_command._DEPTH * 3 * 1.2  # MB
+    assert float(said.split()[1]) > reconstruct._DEPTH * 3 * 1.2  # MB
     (tmp_path / "large/f0.png").write_bytes(b"none")
-    reconstruct_command._announce(*about)
+    reconstruct._announce(*about)
     assert capsys.readouterr().err == ""
-    reconstruct_command._announce(*about[:2], FrameOptions(start=1), "all")
+    reconstruct._announce(*about[:2], FrameOptions(start=1), "all")
     assert "for 2 frames" in capsys.readouterr().err

@@ -8,11 +8,12 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
-from tisfm.cli import demo_parts, outputs, pair_files, paper_figures
-from tisfm.cli.motion_text import motion_rows
+from tisfm.cli import demo_scenes, figures
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.outcome import Status
 from tisfm.rigid import pose_matrix
+from tisfm.running import pair_files, pair_writer
+from tisfm.running.pair_files import motion_rows
 from tisfm.scenes import two_blocks
 from tisfm.show import depth_grey
 
@@ -114,7 +115,9 @@ def test_negative_inverse_depth_is_no_depth(tmp_path):
     changed[:, : W // 2] = -100 * changed[:, : W // 2]
     np.testing.assert_array_less(0, result.inverse_depth)
     signed = replaced(result, inverse_depth=changed)
-    writer = outputs.PairWriter(tmp_path / "out", camera=result.camera, settings=result.settings)
+    writer = pair_writer.PairWriter(
+        tmp_path / "out", camera=result.camera, settings=result.settings
+    )
     writer.write("pair", signed)
     behind = np.arange(W) < W // 2
     for ending in ("_depth.png", "_depth16.png"):
@@ -192,14 +195,16 @@ def test_several_motions_are_lines_of_one_file(tmp_path):
     labels[20:40, 30:60] = 1
     second = np.array([0.6, 0, 0.8, 0, 0.1, 0])
     several = replaced(result, labels=labels, motions=np.vstack([result.motions, second]))
-    writer = outputs.PairWriter(tmp_path / "out", camera=result.camera, settings=result.settings)
+    writer = pair_writer.PairWriter(
+        tmp_path / "out", camera=result.camera, settings=result.settings
+    )
     writer.write("pair", several)
     rows = np.loadtxt(tmp_path / "out" / "pair_pose.txt")
     np.testing.assert_allclose(rows[1].reshape(3, 4), pose_matrix(second)[:3], atol=1e-8)
     assert record(tmp_path / "out")["pairs"]["pair"]["motions"] == motion_rows(several).tolist()
     one, two = (
         draw_size(tmp_path / name, writer_of, value)
-        for name, writer_of, value in (("one", outputs, result), ("two", outputs, several))
+        for name, writer_of, value in (("one", pair_writer, result), ("two", pair_writer, several))
     )
     assert two[1] > one[1]  # a panel more
 
@@ -215,7 +220,7 @@ def test_motions_that_are_not_numbers_are_null(tmp_path):
         camera=tisfm.Camera(W),
     )  # fmt: skip
     wild = replaced(result, motions=np.full((1, 6), np.nan), status=Status("diverged"))
-    writer = outputs.PairWriter(
+    writer = pair_writer.PairWriter(
         tmp_path / "out", camera=result.camera, settings=result.settings, figures=False
     )
     writer.write("pair", wild)
@@ -415,17 +420,17 @@ def test_demo_compares_readings_of_motion(tisfm_run):
 def test_demo_interprets_no_pair_twice(place, monkeypatch):
     height, width = 150, 100  # more than what compiles
     seen = []
-    original = demo_parts.interpret
+    original = demo_scenes.interpret
 
     def interpret(frame0, frame1, *, camera, settings):
         seen.append((frame0.tobytes(), settings))
         return original(frame0, frame1, camera=camera, settings=settings)
 
-    monkeypatch.setattr(demo_parts, "interpret", interpret)
-    monkeypatch.setattr(paper_figures, "interpret", interpret)
+    monkeypatch.setattr(demo_scenes, "interpret", interpret)
+    monkeypatch.setattr(figures, "interpret", interpret)
     for work in ("blocks", "camera", "objects"):
-        rows = demo_parts.done(
-            demo_parts.Part(
+        rows = demo_scenes.done(
+            demo_scenes.Part(
                 work=work,
                 output=place / "out",
                 height=height,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import tisfm
-from tisfm.cli import paper_figures
+from tisfm.cli import figures
 
 
 def test_both_panels_of_a_figure_have_one_grey_scale(tmp_path, monkeypatch):
@@ -20,10 +20,10 @@ def test_both_panels_of_a_figure_have_one_grey_scale(tmp_path, monkeypatch):
         limits.append(limit)
         return np.zeros(depth.shape, np.uint8)
 
-    monkeypatch.setattr(paper_figures, "interpret", interpret)
-    monkeypatch.setattr(paper_figures, "depth_grey", grey)
-    monkeypatch.setattr(paper_figures, "panel_figure", lambda pictures, title: None)
-    monkeypatch.setattr(paper_figures, "save_figure", lambda path, figure: None)
+    monkeypatch.setattr(figures, "interpret", interpret)
+    monkeypatch.setattr(figures, "depth_grey", grey)
+    monkeypatch.setattr(figures, "panel_figure", lambda pictures, title: None)
+    monkeypatch.setattr(figures, "save_figure", lambda path, figure: None)
     frame = np.zeros((8, 9), np.uint8)
-    paper_figures.write_paper_figures(tmp_path, frame, frame, camera=tisfm.Camera(focal=9.0))
+    figures.write_paper_figures(tmp_path, frame, frame, camera=tisfm.Camera(focal=9.0))
     assert limits == [10.0, 10.0, 100.0, 100.0, 1e4, 1e4]

@@ -253,7 +253,7 @@ def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film, place):
 def test_a_wrong_scale_of_a_source_of_unknown_length_loses_nothing(
     tisfm_run, film, place, monkeypatch
 ):
-    monkeypatch.setattr("tisfm.cli.reconstruct_command._count", lambda source, frames: None)
+    monkeypatch.setattr("tisfm.cli.reconstruct._count", lambda source, frames: None)
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
     told, last = err.splitlines()
     assert "9 of 9 frames have a pose" in told

@@ -23,10 +23,10 @@ from tests.cli.command_line import (
 )
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import interpretation_file, pair, runtime
-from tisfm.cli import pair_work
 from tisfm.cli.command_line import main
 from tisfm.formats import FormatError, write_png
 from tisfm.results.opening import open_result
+from tisfm.running import pairs
 
 PLAIN = ("run", "frames", "-o", "out", "--preset", "fast")
 
@@ -35,7 +35,7 @@ def test_resume_skips_what_is_finished(tisfm_run, frames, monkeypatch):
     assert tisfm_run("run", "frames", "-o", "out")[0] == 0
     before = files("out")
     monkeypatch.setattr(pair, "interpret", forbid)
-    monkeypatch.setattr(pair_work, "horn_schunck", forbid)
+    monkeypatch.setattr(pairs, "horn_schunck", forbid)
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--resume")
     assert code == 0 and err.startswith("3 pairs: ") and "median" not in err
     assert files("out") == before
@@ -144,8 +144,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeyp
     module, name = {
         "interpret": (pair, "interpret"),
         "first": (pair, "interpret"),
-        "write_depth_png": (tisfm.cli.pair_files, "write_depth_png"),
-        "save_figure": (tisfm.cli.pair_files, "save_figure"),
+        "write_depth_png": (tisfm.running.pair_files, "write_depth_png"),
+        "save_figure": (tisfm.running.pair_files, "save_figure"),
         "write_npz": (np.lib.format, "write_array_header_1_0"),
     }[when]
     original, calls = getattr(module, name), []

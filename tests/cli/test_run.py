@@ -20,9 +20,9 @@ from tests.cli.command_line import (
     promised,
     record,
 )
-from tisfm.cli import pair_work
 from tisfm.formats import read_depth_png, read_flo, read_image
 from tisfm.lens import undistort
+from tisfm.running import pairs
 from tisfm.settings import Settings
 from tisfm.show import depth_grey
 
@@ -219,7 +219,7 @@ def test_the_baseline_is_of_the_same_frames(tisfm_run, frames, monkeypatch, lens
         seen.extend(frames)
         return np.zeros((H, W, 2), np.float32)
 
-    monkeypatch.setattr(pair_work, "horn_schunck", baseline)
+    monkeypatch.setattr(pairs, "horn_schunck", baseline)
     options = [] if lens is None else ["--distortion", ",".join(map(str, lens))]
     (frames / "f3.png").unlink()
     (frames / "f2.png").unlink()
@@ -308,7 +308,7 @@ def test_the_printed_focal_length_is_that_of_the_source_frames(tisfm_run, frames
 
 
 def test_without_figures(tisfm_run, frames, monkeypatch):
-    monkeypatch.setattr(pair_work, "horn_schunck", None)  # not needed then
+    monkeypatch.setattr(pairs, "horn_schunck", None)  # not needed then
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
     assert set(files("out")) == promised("f0", "f1", "f2", figures=False)
 

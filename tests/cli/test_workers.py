@@ -24,11 +24,10 @@ from tests.cli.command_line import (
 )
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
-from tisfm.cli.chunk_work import Chunk, chunks_of, interpret_chunk
-from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.pair_files import USUAL, PairFiles
-from tisfm.cli.pair_work import PairSource, PairWork
 from tisfm.formats import write_png
+from tisfm.running.pair_chunks import Chunk, chunks_of, interpret_chunk
+from tisfm.running.pair_files import USUAL, PairFiles
+from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.settings import Settings
 from tisfm.sources import Listing
 
@@ -176,7 +175,7 @@ def chunk(folder, **changes):
     files_ = PairFiles(folder=folder, outputs=USUAL, figures=0, has_pose=False)
     settings = Settings.preset("fast")
     about = dict(
-        source=PairSource(source="film", frames=FrameOptions(), settings=settings),
+        source=PairSource(source="film", frames=FrameSelection(), settings=settings),
         work=PairWork(camera=Camera(600.0), settings=settings, files=files_),
         first=1,
         end=COUNT - 1,
@@ -262,7 +261,7 @@ import sys
 import time
 from pathlib import Path
 from tisfm.cli.command_line import main
-from tisfm.cli.pair_work import PairWork
+from tisfm.running.pairs import PairWork
 
 interpret = PairWork.interpret
 

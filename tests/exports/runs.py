@@ -7,9 +7,9 @@ import numpy as np
 
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
-from tisfm.cli.motion_text import motion_rows
 from tisfm.formats.records import FORMAT
 from tisfm.outcome import History, Status
+from tisfm.running.pair_files import motion_rows
 
 TWIST = np.array([1.0, 0, 0, 0, 0.01, 0])
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tisfm.cli.console import progress_bar, tell
-from tisfm.cli.foretelling import Foretelling
-from tisfm.cli.run_record import RECORD
+from tisfm.cli.console import tell
+from tisfm.cli.progress import Foretelling, progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.reconstruction.folder import ASKED
 from tisfm.reconstruction.renewal import CHUNKS
+from tisfm.running.run_record import RECORD
 
 Command = Literal["run", "reconstruct"]
 

@@ -15,18 +15,18 @@ import tyro
 from tyro.conf import Positional, arg, subcommand
 
 from tisfm.cli.console import tell_error
-from tisfm.cli.demo_arguments import Demo
-from tisfm.cli.doctor_arguments import Doctor
-from tisfm.cli.evaluate_arguments import Eval
-from tisfm.cli.export_arguments import Export
-from tisfm.cli.figures_arguments import Figures
+from tisfm.cli.demo import Demo
+from tisfm.cli.doctor import Doctor
+from tisfm.cli.evaluate import Eval
+from tisfm.cli.export import Export
+from tisfm.cli.figures import Figures
 from tisfm.cli.known_options import SHELLS, known_options
 from tisfm.cli.mistakes import explained
-from tisfm.cli.reconstruct_arguments import Reconstruct
-from tisfm.cli.report_arguments import Report
-from tisfm.cli.run_arguments import Run
-from tisfm.cli.shared_options import SettingsOptions
-from tisfm.cli.view_arguments import View
+from tisfm.cli.options import SettingsOptions
+from tisfm.cli.reconstruct import Reconstruct
+from tisfm.cli.report import Report
+from tisfm.cli.run import Run
+from tisfm.cli.view import View
 from tisfm.errors import InputError, TisfmError, is_user_error
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
@@ -64,7 +64,7 @@ class Batch:
         return batch(
             self.jobs,
             self.command,
-            check=_refuse_wrong,
+            check=refuse_wrong,
             workers=self.workers,
             threads=self.threads,
             resume=self.resume,
@@ -173,7 +173,7 @@ def _parse(arguments: list[str]) -> Command:
     return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
 
 
-def _refuse_wrong(arguments: list[str]) -> None:
+def refuse_wrong(arguments: list[str]) -> None:
     """Raise ValueError if the parser refuses arguments, with what is wrong about them."""
     said = io.StringIO()
     try:

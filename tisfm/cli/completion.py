@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from tisfm.checks import hint
 from tisfm.cli.known_options import LISTS, OF_TISFM, SHELLS, Known, takes_numbers, values_in
-from tisfm.cli.nearest import hint
 from tisfm.errors import InputError
 
 _BASH = """\

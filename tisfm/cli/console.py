@@ -1,30 +1,27 @@
-"""Output of commands: lines and progress on standard error, tables on standard output.
+"""Output of commands: lines, tables and progress bars."""
 
-Texts from files go through `printable` here. Rich does not read markup in them.
-"""
-
+import os
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console, ConsoleOptions
 from rich.measure import Measurement
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.camera_file import doubt_of, read_camera
+from tisfm.focal_guess import at_size, guess_focal
 from tisfm.machine.terminal import printable
+from tisfm.machine.vulkan import vulkan_device
+from tisfm.runtime import Arch
 
 
 def tell(line: str) -> None:
@@ -62,28 +59,6 @@ def print_whole(table: Table) -> None:
     Console(width=width, markup=False, emoji=False).print(_Printable(table))
 
 
-def progress_bar() -> Progress:
-    """Return a progress bar on standard error, which a log gets nothing of."""
-    console = Console(stderr=True)
-    return Progress(
-        _Description(),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,  # it would leave blank lines in a log
-    )
-
-
-class _Description(ProgressColumn):
-    """The task of a progress bar, or its last finished item, made printable."""
-
-    def render(self, task: Task) -> Text:
-        return Text(printable(task.description))
-
-
 class _Printable:
     """A table whose texts are made printable."""
 
@@ -94,3 +69,39 @@ class _Printable:
         for text, style, control in console.render(self._table, options):
             lines = "\n".join(map(printable, text.split("\n")))
             yield Segment(lines, style, control)
+
+
+def start_kernels(arch: Arch | None, *, threads: int | None) -> None:
+    """Start Taichi as `tisfm.runtime.start` does, and say which device Vulkan runs on."""
+    tell_device(arch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", runtime.SoftwareVulkanWarning)  # tell_device printed it
+        runtime.start(arch, threads=threads)
+
+
+def tell_device(arch: Arch | None) -> None:
+    """Print which device Vulkan runs on, if kernels run on Vulkan."""
+    if (arch or os.environ.get("TI_ARCH")) != "vulkan":
+        return
+    device = vulkan_device()
+    if device is not None and device.is_software:
+        tell(runtime.software_said(device.name))
+    elif device is not None:
+        tell(f"vulkan runs on {device.name}")
+
+
+def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
+    """Return the camera in a file for frames of a shape; say so if it is not to be relied on."""
+    camera = read_camera(file, shape)
+    doubt = doubt_of(file)
+    if doubt:
+        tell(f"{file}: {doubt}")
+    return camera
+
+
+def guessed_camera(camera: Camera, first: Path | tuple[int, ...]) -> Camera:
+    """Return the camera with a focal length guessed by the first frame, or its shape; say so."""
+    guess = guess_focal(first)
+    told = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
+    tell(f"focal length guessed: {told}; give --focal if known")
+    return replace(camera, focal=guess.focal)

@@ -1,15 +1,17 @@
-"""The demonstration: rendered scenes whose truth is known, interpreted and compared with it."""
+"""``tisfm demo``: rendered scenes whose truth is known, interpreted and compared with it."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import NamedTemporaryFile
+from typing import Annotated
 
 from rich.table import Table
+from tyro.conf import arg
 
-from tisfm.cli.console import print_whole, progress_bar, tell
-from tisfm.cli.crew import crew
+from tisfm.cli.console import print_whole, tell
 from tisfm.cli.demo_animation import ANIMATION
-from tisfm.cli.demo_parts import (
+from tisfm.cli.demo_scenes import (
     BALANCED,
     BASELINE,
     CAMERA,
@@ -22,12 +24,45 @@ from tisfm.cli.demo_parts import (
     Rows,
     done,
 )
-from tisfm.cli.paper_figures import PAPER_FIGURES
-from tisfm.cli.run_record import ENDINGS, read_record
+from tisfm.cli.figures import PAPER_FIGURES
+from tisfm.cli.progress import progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.formats.result_folder import LOCK, make_folder, make_inner_folder
+from tisfm.running.pool import open_pool
+from tisfm.running.run_record import ENDINGS, read_record
+
+
+@dataclass(kw_only=True)
+class Demo:
+    """Render scenes whose truth is known, interpret them, and compare.
+
+    Two textured blocks move each on its own, in front of a background and on a floor, before a
+    camera that moves sideways: errors against the truth of the preset "paper", the default preset
+    and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
+    errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
+    scene and the paper's comparisons of settings, DIR/camera and DIR/objects those of the
+    motions "camera" and "objects".
+    """
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")
+    """Folder for the results; made if need be."""
+    height: int = 240
+    """Height of the rendered frames, px."""
+    width: int = 320
+    """Width of the rendered frames, px."""
+    seed: int = 0
+    """Seed of the textures."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        return demo(
+            self.output, height=self.height, width=self.width, seed=self.seed, threads=self.threads
+        )
+
 
 MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
 
@@ -67,7 +102,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         make_inner_folder(folder)
     workers, each = _shares(threads)
     rows: Rows = {}
-    with progress_bar() as progress, crew(workers) as processes, NamedTemporaryFile() as alive:
+    with progress_bar() as progress, open_pool(workers) as processes, NamedTemporaryFile() as alive:
         parts = [
             Part(
                 work=work,

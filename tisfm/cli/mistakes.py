@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterable, Sequence
 from itertools import takewhile
 
+from tisfm.checks import nearest
 from tisfm.cli.known_options import OF_TISFM, Help, known_options
-from tisfm.cli.nearest import nearest
 
 _FRAME = " │|╭╰─╮╯"
 _NUMBERS = re.compile(r"\b(?:INT|FLOAT)\b")

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import tisfm
-from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.kernels_start import start_kernels, tell_device
+from tisfm.cli.console import start_kernels, tell_device
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.formats.result_folder import locked_folder
@@ -25,6 +24,7 @@ from tisfm.reconstruction.chunked.shared_camera import Finished
 from tisfm.reconstruction.progress import Progress
 from tisfm.reconstruction.renewal import CHUNKS
 from tisfm.reconstruction.result import Reconstruction
+from tisfm.running.pairs import FrameSelection
 from tisfm.runtime import Arch
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
@@ -52,7 +52,7 @@ class WholeRun:
     folder : Path
     options : mapping
         Of `tisfm.reconstruct`, those that say which frames are taken apart.
-    frames : FrameOptions
+    frames : FrameSelection
     others : mapping
         What else is asked for, as JSON has it.
     arch, threads
@@ -65,7 +65,7 @@ class WholeRun:
         folder: Path,
         options: Mapping[str, Any],
         *,
-        frames: FrameOptions,
+        frames: FrameSelection,
         others: Mapping[str, Any],
         arch: Arch | None,
         threads: int | None,
@@ -144,7 +144,7 @@ class ChunksRun:
         folder: Path,
         options: Mapping[str, Any],
         *,
-        frames: FrameOptions,
+        frames: FrameSelection,
         others: Mapping[str, Any],
         arch: Arch | None,
         threads: int | None,
@@ -187,9 +187,9 @@ def _finished(workers: int, cluster: str | None) -> Iterator[Finished]:
     if workers == 1 and cluster is None:
         yield _one_after_the_other
         return
-    from tisfm.cli.crew import crew
+    from tisfm.running.pool import open_pool
 
-    with crew(workers=workers, cluster=cluster) as executor:
+    with open_pool(workers=workers, cluster=cluster) as executor:
         yield executor.finished
 
 

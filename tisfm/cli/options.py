@@ -1,4 +1,4 @@
-"""Options that several commands have: the camera, and what is minimised."""
+"""Options that several commands share: the frames, the camera, the settings."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +8,20 @@ from tyro.conf import arg
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError
+from tisfm.running.pairs import FrameSelection
 from tisfm.settings import Motion, Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions(FrameSelection):
+    """The frames that are taken, and what part of them."""
+
+    crop: Annotated[tuple[int, int, int, int] | None, arg(metavar="LEFT TOP WIDTH HEIGHT")] = None
+    """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
+
+    def selection(self) -> FrameSelection:
+        """Return the selection itself, which other processes read without the command line."""
+        return FrameSelection(**asdict(self))
 
 
 @dataclass(kw_only=True)

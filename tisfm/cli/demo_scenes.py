@@ -12,8 +12,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.cli.demo_animation import ANIMATION, write_animation
-from tisfm.cli.outputs import USUAL, PairWriter
-from tisfm.cli.paper_figures import write_paper_figures
+from tisfm.cli.figures import write_paper_figures
 from tisfm.errors import is_user_error
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
@@ -29,6 +28,7 @@ from tisfm.metrics import (
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
+from tisfm.running.pair_writer import USUAL, PairWriter
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 

@@ -1,26 +1,86 @@
-"""What `tisfm export` does."""
+"""``tisfm export``."""
 
 import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from rich.progress import Progress
+from tyro.conf import Positional, UseAppendAction, arg
 
-from tisfm.cli.console import progress_bar, tell
-from tisfm.cli.foretelling import MUCH
-from tisfm.cli.nearest import hint
+from tisfm.checks import hint
+from tisfm.cli.console import tell
+from tisfm.cli.progress import MUCH, progress_bar
 from tisfm.errors import InputError
-from tisfm.exports.clock import check_rate
-from tisfm.exports.export_request import Export
-from tisfm.exports.formats import FORMATS, Format
-from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
 from tisfm.formats.result_folder import make_folder
 from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.folder import DEPTH, RECORD
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen
+
+if TYPE_CHECKING:  # their import takes seconds: it imports Taichi and SciPy
+    from tisfm.exports.export_request import Export as ExportRequest
+    from tisfm.exports.formats import Format
+    from tisfm.exports.result_frames import PairFrames, SequenceFrames
+
+
+@dataclass(kw_only=True)
+class Export:
+    """Write a result in the files that other programs read.
+
+    DIR is what `tisfm reconstruct` or `tisfm run` wrote. FORMAT is, of the path: tum, kitti,
+    gltf-camera, chan, and with the frames and points measured in them colmap, colmap-text,
+    nerfstudio; of what was seen: ply, glb, mesh-ply, mesh-glb; of the lens: undistortion,
+    undistortion-tiff; of every frame: depth-tum, depth-kitti, depth-exr, depth-tiff, depth-pfm,
+    depth-dpt, masks; videos: video-depth, video-flow, video-side-by-side, video-anaglyph,
+    video-wiggle. A path and a surface are of reconstructions alone, video-flow is of runs. Where a
+    sequence fell into pieces, each has a file, that of the largest first.
+    """
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder of a reconstruction or a run."""
+    to: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FORMAT")]
+    """What to write: give it once for each, or several with commas."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+    """Folder for the files, another than DIR; made if need be. Files of the same name are
+    replaced."""
+    start: int = 0
+    """Number of the first frame that is taken, as DIR counts them, from 0."""
+    stop: int | None = None
+    """Number of the first frame that is not taken any more; by default all are."""
+    step: int = 1
+    """Take every STEP-th frame."""
+    fps: float | None = None
+    """Frames a second, of videos, the moving camera and the times of the path. By default what the
+    times of the frames say; where there are none 25, and numbers of frames as times of the path."""
+    scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
+    """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
+    disparity: float | None = None
+    """Of anaglyphs and the swinging camera: how far the nearest moves against the farthest from one
+    view to the other, as a share of the width. By default 0.03, and 0.015 to either side."""
+    screen: float | None = None
+    """Of the same: the plane of the screen, which stays in place, as a quantile of the depth, 0 for
+    the farthest and 1 for the nearest. By default it is half as near as the nearest."""
+    screen_depth: float | None = None
+    """The same as a depth, in the unit of the result."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        return export(
+            self.folder,
+            self.output,
+            formats=[name for word in self.to for name in word.replace(" ", "").split(",") if name],
+            frames=(self.start, self.stop, self.step),
+            frames_per_second=self.fps,
+            scale=self.scale,
+            disparity=self.disparity,
+            screen=self.screen,
+            screen_depth=self.screen_depth,
+        )
+
 
 _WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
 _LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
@@ -43,6 +103,9 @@ def export(
     `frames` are start, stop and step; `scale` are two frames and the distance of the camera's
     places. All is checked, as far as it can be, before anything is written.
     """
+    from tisfm.exports.clock import check_rate
+    from tisfm.exports.export_request import Export as ExportRequest
+
     wanted = _formats(formats)
     if frames_per_second is not None:
         check_rate(frames_per_second)
@@ -63,7 +126,7 @@ def export(
             f"--screen-depth is a depth, and each pair of {folder} has a unit of its own: give "
             "--screen, a quantile"
         )
-    asked = Export(
+    asked = ExportRequest(
         result=result,
         frames=found,
         chosen=_chosen(len(found), *frames),
@@ -96,8 +159,10 @@ def export(
     return 0
 
 
-def _formats(names: Sequence[str]) -> dict[str, Format]:
+def _formats(names: Sequence[str]) -> "dict[str, Format]":
     """Return formats by their names, each once, or raise ValueError."""
+    from tisfm.exports.formats import FORMATS
+
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
         meant = hint(unknown[0], FORMATS) if unknown else ""
@@ -109,8 +174,10 @@ def _formats(names: Sequence[str]) -> dict[str, Format]:
 
 def _opened(
     folder: Path, scale: tuple[int, int, float] | None
-) -> tuple[Reconstruction | None, SequenceFrames | PairFrames]:
+) -> "tuple[Reconstruction | None, SequenceFrames | PairFrames]":
     """Return the reconstruction in a folder, if it is one, and the frames in it."""
+    from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
+
     if not folder.is_dir():
         raise FileNotFoundError(
             f"there is no folder {folder}: give one that tisfm reconstruct or tisfm run wrote"
@@ -150,7 +217,7 @@ def _refuse_inside(output: Path, folder: Path) -> None:
         raise InputError(f"{output} lies in {folder}, which is read: give another folder with -o")
 
 
-def _announce(wanted: dict[str, Format], asked: Export) -> None:
+def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
     """Say how much will be written, where it is much, and whether the disk has room for it."""
     height, width = asked.frames.shape
     pixels = len(asked.chosen) * height * width

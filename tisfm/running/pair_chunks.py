@@ -10,12 +10,12 @@ from time import perf_counter
 from typing import Any
 
 from tisfm import runtime
-from tisfm.cli.pair_files import Ranges, Sums
-from tisfm.cli.pair_work import PairSource, PairWork
-from tisfm.cli.run_record import is_unchanged
 from tisfm.errors import is_user_error
 from tisfm.formats.result_folder import InputFiles
 from tisfm.machine.workers import check_worker, stated
+from tisfm.running.pair_files import Ranges, Sums
+from tisfm.running.pairs import PairSource, PairWork
+from tisfm.running.run_record import is_unchanged
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.version import __version__

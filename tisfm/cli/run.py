@@ -1,4 +1,4 @@
-"""What `tisfm run` does."""
+"""``tisfm run``."""
 
 import fnmatch
 import glob
@@ -10,24 +10,17 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.background import Background
-from tisfm.cli.chunk_work import Chunk, FinishedChunk, chunks_of, interpret_chunk
-from tisfm.cli.console import tell
-from tisfm.cli.crew import Crew, check_workers, crew
-from tisfm.cli.foretelling import MUCH, Foretelling
-from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.kernels_start import start_kernels
-from tisfm.cli.outputs import PairWriter
-from tisfm.cli.pair_files import USUAL
-from tisfm.cli.pair_work import PairSource, PairWork
-from tisfm.cli.report_command import report_run
-from tisfm.cli.run_progress import RunProgress
-from tisfm.cli.run_record import RECORD
-from tisfm.cli.stated_camera import guessed_camera, stated_camera
+from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
+from tisfm.cli.options import CameraOptions, FrameOptions, SettingsOptions
+from tisfm.cli.progress import MUCH, Foretelling, RunProgress
+from tisfm.cli.report import report_run
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.formats.float_maps import require_writable_flow
@@ -35,12 +28,123 @@ from tisfm.formats.result_folder import InputFiles, alive_in
 from tisfm.interpretation import Interpretation
 from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign
+from tisfm.running.background import Background
+from tisfm.running.pair_chunks import Chunk, FinishedChunk, chunks_of, interpret_chunk
+from tisfm.running.pair_files import USUAL
+from tisfm.running.pair_writer import PairWriter
+from tisfm.running.pairs import FrameSelection, PairSource, PairWork
+from tisfm.running.pool import WorkerPool, check_workers, open_pool
+from tisfm.running.run_record import RECORD
 from tisfm.runtime import Arch
-from tisfm.settings import Settings
+from tisfm.settings import Preset, Settings
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.window import Window, WindowSize, window_of
+
+
+@dataclass(kw_only=True)
+class Run:
+    """Interpret every pair of consecutive frames of a sequence.
+
+    SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
+    or webcam:0 for a camera, with --stop. For a pair named NAME after its first frame, DIR receives
+    NAME_depth.png (grey levels, near is bright), NAME_depth16.png (16-bit depth, its scale in the
+    file and in run.json), NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera' or
+    'objects' NAME_pose.txt, with --flo NAME_flow.flo, with --ply NAME.ply and, when all is written,
+    NAME.npz for tisfm.Interpretation.load: everything, rounded a little.
+    """
+
+    source: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SOURCE [SOURCE ...]", help_behavior_hint="(required)"),
+    ]
+    """Two or more images, a folder, a quoted glob, a video, or a webcam such as webcam:0."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the results; made if need be."""
+    preset: Preset = "balanced"
+    """Settings to start from; the settings below show its values, and change them."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
+    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
+    mask: Annotated[str | None, arg(metavar="MASK")] = None
+    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    window: WindowSize = 2
+    """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
+    resume: bool = False
+    """Continue a run that was interrupted: skip the pairs it finished."""
+    outputs: str | None = None
+    """What is written of each pair, with commas: some of depth, depth16, flow, anaglyph, figure,
+    ply, pose, npz. By default all but flow and ply, which are large."""
+    figures: int = 1
+    """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
+    no_figures: Annotated[bool, FlagCreatePairsOff] = False
+    """Draw none: the same as --figures 0."""
+    disparity: float | None = None
+    """Of anaglyphs: how far the nearest moves against the farthest from one eye's view to the
+    other's, as a share of the width. By default 0.03."""
+    screen: float | None = None
+    """Of anaglyphs: the plane of the screen, as a quantile of the depth of the first pair that
+    shows some, 0 for the farthest and 1 for the nearest. By default it is half as near as the
+    nearest."""
+    flo: bool = False
+    """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
+    ply: bool = False
+    """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
+    report: bool = False
+    """Write report.html, one page for a browser: summary, statuses with advice, pictures."""
+    workers: int = 1
+    """Processes that share the pairs. Results do not depend on it."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """The scheduler of a Dask cluster whose workers share the pairs, such as tcp://10.0.0.1:8786.
+    They see the frames and DIR by the same paths."""
+    arch: Arch | None = None
+    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    threads: int | None = None
+    """Most CPU threads, of each worker if there are several; by default all cores, or its share of
+    them. Results do not depend on it."""
+    frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+    settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        if not self.source:
+            raise InputError(
+                "SOURCE is missing: give two or more images, a folder, a quoted glob or a video, "
+                "as in: tisfm run FOLDER -o DIR"
+            )
+        return run(
+            self.source[0] if len(self.source) == 1 else self.source,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess(self.settings.motion),
+            settings=self.settings.settings(),
+            frames=self.frames.selection(),
+            poses=self.poses,
+            mask=self.mask,
+            window=self.window,
+            resume=self.resume,
+            outputs=self._outputs(),
+            figures=0 if self.no_figures else self.figures,
+            disparity=self.disparity,
+            screen=self.screen,
+            report=self.report,
+            workers=self.workers,
+            cluster=self.cluster,
+            arch=self.arch,
+            threads=self.threads,
+        )
+
+    def _outputs(self) -> tuple[str, ...]:
+        """Return what is written, or raise ValueError."""
+        from tisfm.running.pair_writer import USUAL, checked_outputs
+
+        if self.figures < 0:
+            raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
+        chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
+        more = ["flow"] * self.flo + ["ply"] * self.ply
+        return checked_outputs([*filter(None, chosen), *more])
 
 
 def run(
@@ -50,7 +154,7 @@ def run(
     camera: Camera | Path,
     guess: bool = False,
     settings: Settings,
-    frames: FrameOptions,
+    frames: FrameSelection,
     poses: Path | None = None,
     mask: str | None = None,
     window: WindowSize = 2,
@@ -147,7 +251,7 @@ def run(
     )
     work = PairWork(camera=camera, settings=settings, files=writer.files)
     skipped: dict[int, str] = {}
-    others = crew(workers, cluster) if is_shared else nullcontext()
+    others = open_pool(workers, cluster) if is_shared else nullcontext()
     with closing(posed), writer, others as many, RunProgress(total) as progress:
         here = _Here(writer, work, opened, progress, kept, total)
         done = here.interpret(following, until_ranges=is_shared)
@@ -243,7 +347,7 @@ class _Here:
             _announce(self.writer, self.total)
 
 
-def _shared(whole: Chunk, writer: PairWriter, many: Crew) -> Iterator[FinishedChunk]:
+def _shared(whole: Chunk, writer: PairWriter, many: WorkerPool) -> Iterator[FinishedChunk]:
     """Let other processes do what is left, and yield what they have done, in any order.
 
     An error of one of them is raised when what is under way is done and yielded.

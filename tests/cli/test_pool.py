@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tisfm.cli.crew import crew
+from tisfm.running.pool import open_pool
 
 
 def square(number):
@@ -33,7 +33,7 @@ def refuse(number):
 
 
 def test_all_is_done_once():
-    with crew(2) as two:
+    with open_pool(2) as two:
         assert sorted(two.finished(square, range(7))) == [(k, k**2) for k in range(7)]
         assert list(two.finished(square, [])) == []
 
@@ -41,17 +41,17 @@ def test_all_is_done_once():
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
 def test_what_died_is_done_again(tmp_path):
     items = [(k, str(tmp_path), 2) for k in range(6)]
-    with crew(2) as two:
+    with open_pool(2) as two:
         assert sorted(two.finished(square_or_die, items)) == [(k, k**2) for k in range(6)]
     assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
 def test_what_always_dies_is_said(tmp_path):
-    with crew(2) as two, pytest.raises(RuntimeError, match="a worker was killed, and 3 times"):
+    with open_pool(2) as two, pytest.raises(RuntimeError, match="a worker was killed, and 3 times"):
         list(two.finished(square_or_die, [(2, str(tmp_path), 100)]))
 
 
 def test_an_error_is_raised_here():
-    with crew(2) as two, pytest.raises(ValueError, match="one is refused"):
+    with open_pool(2) as two, pytest.raises(ValueError, match="one is refused"):
         list(two.finished(refuse, range(3)))

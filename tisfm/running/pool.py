@@ -28,7 +28,7 @@ TRIES = 3  # of what was under way when a process was killed
 _AHEAD = 2  # pieces for each process: one that it does, one that waits
 
 
-class Crew:
+class WorkerPool:
     """Does pieces of work in other processes, and again those that died with one.
 
     Attributes
@@ -119,7 +119,7 @@ def check_workers(workers: int, cluster: str | None) -> None:
         )
 
 
-def crew(workers: int, cluster: str | None = None) -> AbstractContextManager[Crew]:
+def open_pool(workers: int, cluster: str | None = None) -> AbstractContextManager[WorkerPool]:
     """Return so many processes of this machine, or those of a Dask cluster.
 
     Leaving the block waits for what is under way. Processes of this machine end with this one,
@@ -142,8 +142,8 @@ def crew(workers: int, cluster: str | None = None) -> AbstractContextManager[Cre
 
 
 @contextmanager
-def _here(workers: int) -> Iterator[Crew]:
-    made = Crew(workers, lambda: _processes(workers))
+def _here(workers: int) -> Iterator[WorkerPool]:
+    made = WorkerPool(workers, lambda: _processes(workers))
     try:
         yield made
     finally:
@@ -155,7 +155,7 @@ def _processes(workers: int) -> Executor:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Crew]:
+def _cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
@@ -170,7 +170,7 @@ def _cluster(address: str) -> Iterator[Crew]:
         threads = sum(client.nthreads().values())
         if threads == 0:
             raise OSError(f"the cluster {address} has no worker: start some")
-        made = Crew(threads, lambda: client.get_executor(pure=False))
+        made = WorkerPool(threads, lambda: client.get_executor(pure=False))
         try:
             yield made
         except (KilledWorker, CancelledError) as error:

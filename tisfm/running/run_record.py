@@ -9,9 +9,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tisfm.cli.csv_table import csv_table
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
+from tisfm.formats.csv_table import csv_table
 from tisfm.formats.records import FORMAT, NAME, check_sum, differing, refuse_other_format, said
 from tisfm.outcome import Status
 from tisfm.reconstruction.report_file import TIMINGS

@@ -1,6 +1,7 @@
 """The files of one pair, as `tisfm run` and `tisfm demo` write them."""
 
 import math
+import os
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tisfm.cli.motion_text import motion_rows, write_motions
-from tisfm.cli.nearest import hint
-from tisfm.cli.run_record import ENDINGS
+from tisfm.checks import hint
 from tisfm.errors import InputError
 from tisfm.formats import (
+    atomic_write,
     choose_depth_scale,
     write_depth_png,
     write_flo,
@@ -22,6 +22,8 @@ from tisfm.formats.records import check_sum
 from tisfm.formats.result_folder import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.machine.terminal import printable
+from tisfm.rigid import rigid_motion
+from tisfm.running.run_record import ENDINGS
 from tisfm.show import (
     anaglyph,
     comparison_figure,
@@ -35,6 +37,7 @@ from tisfm.show.stereo import DISPARITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 USUAL = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
 """What is written by default: what is large and in the ``.npz`` as well is not."""
@@ -324,3 +327,50 @@ def _level(result: Interpretation, posed: bool) -> float:
 def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
     """Return numbers as JSON can hold them; it has no NaN."""
     return None if numbers is None or not np.isfinite(numbers).all() else numbers.tolist()
+
+
+def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np.ndarray | None:
+    """Return the rigid motions of a result as rows of numbers.
+
+    Parameters
+    ----------
+    result : Interpretation
+    pose : (4, 4), optional
+        The motion that the interpretation was given. It stands for the first one, because
+        `Interpretation.motions` has lost its length.
+
+    Returns
+    -------
+    (K, 12) float64 or None
+        The rows of (R | t), one after the other: P₁ = R P₀ + t, with t in the unit of
+        `Interpretation.depth`; NaN where the interpretation diverged. None for
+        ``motion="field"``.
+    """
+    if result.motions is None:
+        return None
+    rows = np.full((len(result.motions), 12), np.nan)
+    for row, twist in zip(rows, result.motions, strict=True):
+        if np.isfinite(twist).all():
+            rotation, translation = rigid_motion(twist)
+            row[:] = np.column_stack([rotation, translation]).ravel()
+    if pose is not None:
+        rows[0] = np.asarray(pose, np.float64)[:3].ravel()
+    return rows
+
+
+def write_motions(path: str | os.PathLike[str], rows: np.ndarray) -> None:
+    """Write motions as text, a line of twelve numbers for each, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    rows : (K, 12)
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    lines = (" ".join(f"{number:.9g}" for number in row) for row in rows)
+    with atomic_write(path) as file:
+        file.write("".join(f"{line}\n" for line in lines).encode("ascii"))

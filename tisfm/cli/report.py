@@ -1,14 +1,35 @@
-"""What `tisfm report` does, and `--report` of other commands."""
+"""``tisfm report``, and `--report` of other commands."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
 
 from tisfm.cli.console import tell
-from tisfm.cli.run_record import RECORD, read_record
 from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
 from tisfm.reconstruction.result import Reconstruction
 from tisfm.report import write_reconstruction_report, write_run_report
+from tisfm.running.run_record import RECORD, read_record
 from tisfm.sources import Source
+
+
+@dataclass(kw_only=True)
+class Report:
+    """Show a run or a reconstruction on one page.
+
+    DIR is the folder that tisfm run or tisfm reconstruct wrote. It receives report.html, which
+    needs no network and no other file: a summary, the path of the camera, statuses with advice,
+    pictures of the frames with a slider, and settings.
+    """
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder of a run or a reconstruction."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        return report(self.folder)
 
 
 def report(folder: Path) -> int:

@@ -1,7 +1,7 @@
 """What is done with every pair of a run, whichever process does it."""
 
 from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -9,18 +9,40 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.cli.frame_options import FrameOptions
-from tisfm.cli.pair_files import PairFiles
 from tisfm.datasets.pose_files import motion_between, read_poses
 from tisfm.errors import InputError
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
+from tisfm.running.pair_files import PairFiles
 from tisfm.sequence import with_poses
 from tisfm.settings import Settings
-from tisfm.sources import FramePair, FrameSource, Source
+from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.window import Window
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameSelection:
+    """The frames of a source that are used, and the part of each frame."""
+
+    step: int = 1
+    """Take every STEP-th frame, for slow motion."""
+    start: int = 0
+    """Number of the first frame that is taken; the first of the source is 0."""
+    stop: int | None = None
+    """Number of the first frame that is not taken any more. By default all are."""
+    size: int | None = None
+    """Longer side of the frames, px: larger frames are shrunk. Give the camera and --focal for the
+    frames before shrinking."""
+    crop: tuple[int, int, int, int] | None = None
+    """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
+    bad_frames: BadFrames = "raise"
+    """What becomes of damaged frames: an error, or they are left out."""
+
+    def open(self, source: Source, *, mask: str | None = None) -> FrameSource:
+        """Open a source, with its masks."""
+        return FrameSource(source, mask=mask, **asdict(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +52,7 @@ class PairSource:
     Attributes
     ----------
     source : Source
-    frames : FrameOptions
+    frames : FrameSelection
     settings : Settings
     mask : str or None
         A picture, or a folder or pattern of one for every frame.
@@ -39,7 +61,7 @@ class PairSource:
     """
 
     source: Source
-    frames: FrameOptions
+    frames: FrameSelection
     settings: Settings
     mask: str | None = None
     poses: Path | None = None

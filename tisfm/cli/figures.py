@@ -1,17 +1,74 @@
-"""The paper's comparisons of settings, as figures (its Fig. 6 and 8)."""
+"""``tisfm figures``: the comparisons of settings in the figures 6 and 8 of the paper."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
+from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
+from tisfm.cli.options import CameraOptions
 from tisfm.formats.result_folder import InputFiles, make_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
+from tisfm.sources import FrameSource
+
+
+@dataclass(kw_only=True)
+class Figures:
+    """Draw the paper's comparisons of settings (its Fig. 6 and 8) for two frames of yours.
+
+    Depth for λ = 1e8 and 1e9, with and without smoothing the frames first, and with the paper's
+    contrast, which is inert, beside the default one.
+    """
+
+    frames: Annotated[Positional[tuple[str, str]], arg(metavar="FRAME FRAME")]
+    """Two images."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder for the figures; made if need be."""
+    threads: int | None = None
+    """Most CPU threads; by default all cores."""
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        return figures(
+            self.frames,
+            self.output,
+            camera=self.camera.camera(),
+            guess=self.camera.guess("field"),
+            threads=self.threads,
+        )
+
+
+def figures(
+    frames: Sequence[str],
+    output: Path,
+    *,
+    camera: Camera | Path,
+    guess: bool = False,
+    threads: int | None,
+) -> int:
+    """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
+    pairs = FrameSource(tuple(frames))
+    inputs = InputFiles(pairs.files)
+    start_kernels(None, threads=threads)
+    for pair in pairs:
+        if isinstance(camera, Path):
+            camera = stated_camera(camera, pair.frame0.shape[:2])
+        elif guess:
+            camera = guessed_camera(camera, pairs.files[0])
+        written = write_paper_figures(
+            output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
+        )
+        tell("wrote " + ", ".join(map(str, written)))
+    return 0
+
 
 PAPER_FIGURES = ("figure_lambda.png", "figure_presmoothing.png", "figure_contrast.png")
 PRESMOOTHING = 1.5  # px; the paper does not say which Gaussian it used
