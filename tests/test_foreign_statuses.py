@@ -9,7 +9,7 @@ from tests.view.results import write_reconstruction, write_run
 from tisfm.exports.result_frames import PairFrames
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.opening import open_result
 from tisfm.running.run_record import read_record
 

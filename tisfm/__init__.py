@@ -19,10 +19,10 @@ from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
 from tisfm.pair import interpret
 from tisfm.reconstruction.entry import reconstruct
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.streamed_frame import StreamedFrame
-from tisfm.reconstruction.streaming import reconstruct_stream
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.streaming.entry import reconstruct_stream
+from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.sequence import interpret_sequence
 from tisfm.settings import Settings
 from tisfm.version import __version__

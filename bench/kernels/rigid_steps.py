@@ -24,7 +24,7 @@ from tisfm.kernels.rigid import (
     several_frames,
     shared_depth,
 )
-from tisfm.reconstruction.adjustment import OUTLYING
+from tisfm.reconstruction.depth.pose_adjustment import OUTLYING
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs

@@ -26,7 +26,7 @@ from bench.shared.results import RESULTS, machine
 from bench.shared.sequences import data_folder
 from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequences import compare_sequence
-from tisfm.reconstruction.chunked.entry import ChunkedRun
+from tisfm.reconstruction.chunks.entry import ChunkedRun
 
 SELECTED = (
     ("new_tsukuba", (36, 60)),

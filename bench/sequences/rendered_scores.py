@@ -6,7 +6,7 @@ import numpy as np
 
 import tisfm
 from tisfm.metrics import absolute_errors, align, path_length
-from tisfm.reconstruction.window_depth import window_depth
+from tisfm.reconstruction.depth.window_depth import window_depth
 from tisfm.scenes import Film
 
 COUNTS = (2, 3, 4, 6, 8)  # frames that the depth of a keyframe is found from

@@ -12,8 +12,8 @@ import numpy as np
 
 from tisfm.cli.command_line import main as tisfm_command
 from tisfm.formats import write_png
-from tisfm.reconstruction.folder import DEPTH, PICTURES, depth_path, write_record
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import DEPTH, PICTURES, depth_path, write_record
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
 

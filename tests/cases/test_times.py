@@ -11,7 +11,7 @@ import tisfm
 from tests.cases.inputs import room, sliding, write_film
 from tests.cli.conftest import place, tisfm_run  # noqa: F401
 from tisfm.exports import write_kitti_paths, write_tum_paths
-from tisfm.reconstruction.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.sources.frame_reader import SourceWarning
 from tisfm.trajectory import Trajectory, read_tum
 from tisfm.trajectory.times import do_rise, times_note, times_or_numbers

@@ -14,7 +14,7 @@ from tests.exports.made import made
 from tests.exports.runs import run_of
 from tisfm.cli import export
 from tisfm.exports.formats import FORMATS
-from tisfm.reconstruction.folder import write_record
+from tisfm.reconstruction.result.folder import write_record
 from tisfm.trajectory import read_tum
 
 LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))

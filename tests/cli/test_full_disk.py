@@ -34,10 +34,10 @@ from pathlib import Path
 import numpy as np
 
 import tisfm
-from tisfm.reconstruction import shelf
-from tisfm.reconstruction.folder import write_depth, write_labels
-from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.renewal import copy_folder
+from tisfm.reconstruction.frames import disk_cache as shelf
+from tisfm.reconstruction.result.folder import write_depth, write_labels
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.result.renewal import copy_folder
 from tisfm.sources.frame_reader import SourceFrame
 
 folder = Path(sys.argv[1])

@@ -6,8 +6,14 @@ import numpy as np
 import tisfm
 from tests.trajectory.paths import random_path
 from tisfm.outcome import Status
-from tisfm.reconstruction.folder import DEPTH, PICTURES, write_depth, write_labels, write_record
-from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.result.folder import (
+    DEPTH,
+    PICTURES,
+    write_depth,
+    write_labels,
+    write_record,
+)
+from tisfm.reconstruction.result.moving_object import MovingObject
 
 SHAPE = (31, 45)  # odd
 CAMERA = tisfm.Camera(40.0)

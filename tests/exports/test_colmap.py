@@ -19,7 +19,7 @@ from tisfm.exports import colmap, write_colmap
 from tisfm.exports.colmap_files import check_whole, write_model
 from tisfm.exports.tracks import Tracks, measured_tracks
 from tisfm.formats import FormatError
-from tisfm.reconstruction.folder import depth_path, read_depth, write_depth, write_labels
+from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth, write_labels
 
 
 def test_pycolmap_reads_all_images_and_the_camera(found, exported):

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from tests.exports.made import SHAPE, made
 from tests.trajectory.paths import PATIENT
 from tisfm.exports import SequenceFrames, write_masks
-from tisfm.reconstruction.folder import write_labels
+from tisfm.reconstruction.result.folder import write_labels
 
 
 def test_what_moves_is_black_and_its_own_mask_white(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.exports.exported import predicted, true_places
 from tisfm.exports.guided_matching import Pose, is_smooth, measured, positions_of
-from tisfm.reconstruction.tracks import seeds
+from tisfm.reconstruction.tracks.tracker import seeds
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tisfm import Camera
 from tisfm.exports import nerfstudio, write_colmap, write_nerfstudio
 from tisfm.exports.tracks import measured_tracks
-from tisfm.reconstruction.folder import write_labels
+from tisfm.reconstruction.result.folder import write_labels
 from tisfm.rigid import pose_matrix
 
 

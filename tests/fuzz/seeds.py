@@ -19,7 +19,7 @@ from tisfm.formats.label_picture import write_label_png
 from tisfm.formats.npz import write_npz
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import History, Status
-from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.trajectory import write_kitti, write_tum
 
 H, W = 8, 11

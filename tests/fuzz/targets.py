@@ -15,8 +15,8 @@ from tisfm.datasets import calibration, depth_files, pose_files
 from tisfm.datasets.depth_files import read_disparity
 from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
 from tisfm.interpretation import Interpretation
-from tisfm.reconstruction import folder as record
-from tisfm.reconstruction.calibration import calibration_in
+from tisfm.reconstruction.result import folder as record
+from tisfm.reconstruction.result.calibration import calibration_in
 from tisfm.sources.labels import Labels
 from tisfm.sources.masks import Masks
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tests.reconstruction.films import path_error, walk
-from tisfm.reconstruction.adjustment import adjusted, star_of
+from tisfm.reconstruction.depth.pose_adjustment import adjusted, star_of
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 

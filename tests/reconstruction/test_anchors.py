@@ -10,7 +10,7 @@ from tisfm import Camera
 
 
 def window_of(key, others, motions, camera):
-    from tisfm.reconstruction.window_planes import Window
+    from tisfm.reconstruction.depth.window_planes import Window
 
     return Window(key, others, motions, camera, cells=2**17)
 
@@ -26,7 +26,7 @@ def noisy(frame):
 
 
 def test_sureness_is_that_of_slopes_along_epipolar_lines():
-    from tisfm.reconstruction.anchors import CLOSE, deviation_of_match
+    from tisfm.reconstruction.depth.match_deviation import CLOSE, deviation_of_match
 
     ramp = np.broadcast_to(8 * np.arange(60, dtype=np.float32) % 240, (40, 60))
     steep = noisy(ramp)
@@ -41,7 +41,7 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
 
 
 def test_directions_are_derivatives_of_places():
-    from tisfm.reconstruction.anchors import _moved
+    from tisfm.reconstruction.depth.match_deviation import _moved
 
     key, others, motions, camera = views("room").first(3)
     window = window_of(key, others, motions, camera)
@@ -62,8 +62,8 @@ def test_directions_are_derivatives_of_places():
 
 
 def test_bare_cells_beside_an_outline_do_not_count():
-    from tisfm.reconstruction.anchors import anchors_of
-    from tisfm.reconstruction.window_planes import WindowPlanes
+    from tisfm.reconstruction.depth.match_deviation import anchors_of
+    from tisfm.reconstruction.depth.window_planes import WindowPlanes
 
     step = np.full((40, 60), 60, np.float32)
     step[:, 30:] = 180
@@ -85,8 +85,8 @@ def test_bare_cells_beside_an_outline_do_not_count():
 
 @pytest.mark.parametrize("kind", ["sideways", "room"])
 def test_sure_anchors_are_better(kind):
-    from tisfm.reconstruction.anchors import anchors_of
-    from tisfm.reconstruction.window_planes import window_planes
+    from tisfm.reconstruction.depth.match_deviation import anchors_of
+    from tisfm.reconstruction.depth.window_planes import window_planes
 
     scene = views(kind)
     window = window_of(*scene.first(3))

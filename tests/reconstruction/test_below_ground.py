@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.scenes import Box, Plane, Scene, Texture
 
 HEIGHT, WIDTH, FRAMES = 160, 400, 16

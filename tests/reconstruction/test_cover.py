@@ -7,10 +7,11 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import board_film, path_error
-from tisfm.reconstruction.colmap import pycolmap
-from tisfm.reconstruction.cover import Cover, places_in
-from tisfm.reconstruction.database import View, colmap_camera
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.coverage import Cover, places_in
+from tisfm.reconstruction.mapping.database import colmap_camera
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
 
 SHAPE = (120, 160)

@@ -8,8 +8,10 @@ import pytest
 import tisfm
 from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
-from tisfm.reconstruction import depths
-from tisfm.reconstruction.compared_depth import (
+from tisfm.reconstruction.depth import segment_depth as depths
+from tisfm.reconstruction.depth.edge_alignment import on_own_edges
+from tisfm.reconstruction.depth.segment_depth import effort_of
+from tisfm.reconstruction.depth.view_fusion import (
     GUESSED,
     MOST_APART,
     apart_from,
@@ -18,8 +20,6 @@ from tisfm.reconstruction.compared_depth import (
     together,
     unsure_where_apart,
 )
-from tisfm.reconstruction.depths import effort_of
-from tisfm.reconstruction.own_edges import on_own_edges
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
-from tisfm.reconstruction import growing
-from tisfm.reconstruction.database import View
-from tisfm.reconstruction.mapping import Shared, models_of
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.mapping import incremental as growing
+from tisfm.reconstruction.mapping.models import Shared, models_of
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.views import View
 
 CAMERA, SHAPE = Camera(focal=770.0), (360, 640)
 VIEWS, STEP = 8, 1.2  # m from view to view

@@ -11,12 +11,12 @@ from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.evaluation.object_paths import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
-from tisfm.reconstruction.carried_labels import carried_labels
-from tisfm.reconstruction.folder import write_objects
-from tisfm.reconstruction.image_motion import ImageMotion
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.objects.label_propagation import carried_labels
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
+from tisfm.reconstruction.result.folder import write_objects
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.reconstruction.films import along
-from tisfm.reconstruction.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.trajectory import Trajectory
 
 PATH = along(6)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tisfm.reconstruction import growing
+from tisfm.reconstruction.mapping import incremental as growing
 
 MATCHES = 1000
 

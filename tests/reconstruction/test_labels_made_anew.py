@@ -14,11 +14,11 @@ from tests.rendered import bodies_film
 from tisfm.camera import Camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.lens import Undistortion
-from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.path import CameraPath
-from tisfm.reconstruction.path_at_rest import path_at_rest
-from tisfm.reconstruction.self_calibration import FocalEstimate
-from tisfm.reconstruction.sequence_labels import SequenceLabels
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
+from tisfm.reconstruction.objects.static_path import path_at_rest
+from tisfm.reconstruction.path.path_finder import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
 from tisfm.shutter import Rolling

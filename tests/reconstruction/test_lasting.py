@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tisfm.reconstruction import lasting as module
-from tisfm.reconstruction.lasting import CELLS, ENOUGH, lasting
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.tracks import long_tracks as module
+from tisfm.reconstruction.tracks.long_tracks import CELLS, ENOUGH, lasting
+from tisfm.reconstruction.tracks.tracker import Seen
 
 SIDE = 400  # px: of the frames
 CELL = SIDE / CELLS[0]

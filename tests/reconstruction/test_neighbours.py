@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tisfm import Camera
-from tisfm.reconstruction.neighbours import choose_neighbours
+from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 

@@ -13,10 +13,10 @@ import tisfm
 from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.formats import FormatError
-from tisfm.reconstruction.image_motion import ImageMotion
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.sequence_labels import SequenceLabels, enlarged_labels
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarged_labels
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")

@@ -7,14 +7,14 @@ import pytest
 
 from tests.rendered import bodies_film
 from tisfm.camera import Camera
-from tisfm.reconstruction import own_path
-from tisfm.reconstruction.depths import PieceDepths, effort_of
-from tisfm.reconstruction.frames import PreparedFrames
-from tisfm.reconstruction.own_path import ALIGNED, own_depths
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.sparse_points import triangulated
-from tisfm.reconstruction.tracks import Tracker
-from tisfm.reconstruction.way import Piece
+from tisfm.reconstruction.depth.segment_depth import PieceDepths, effort_of
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.objects import object_path as own_path
+from tisfm.reconstruction.objects.object_path import ALIGNED, own_depths
+from tisfm.reconstruction.tracks.tracker import Tracker
+from tisfm.reconstruction.tracks.triangulation import triangulated
 from tisfm.scenes import bodies_path
 from tisfm.settings import Settings
 from tisfm.sources.frame_reader import SourceFrame

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tisfm.reconstruction.parallax import beyond_homography, beyond_rotation
+from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
 
 NOISE = 3e-4  # rad
 

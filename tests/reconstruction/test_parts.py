@@ -10,11 +10,13 @@ import pytest
 
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.walks import CAMERA, centres, frames, residual
-from tisfm.reconstruction import parts, path, similarity_graph
-from tisfm.reconstruction.growing import SMALLEST
-from tisfm.reconstruction.parts import focal_from_parts, parts_of
-from tisfm.reconstruction.path import PathFinder
-from tisfm.reconstruction.self_calibration import FocalEstimate
+from tisfm.reconstruction.geometry import sim3_graph as similarity_graph
+from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.path import path_finder as path
+from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.submaps import joining as parts
+from tisfm.reconstruction.submaps.joining import focal_from_parts, parts_of
 
 WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
 

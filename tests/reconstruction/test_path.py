@@ -7,7 +7,7 @@ import pytest
 
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.walks import CAMERA, centres, frames, residual
-from tisfm.reconstruction.path import PathFinder
+from tisfm.reconstruction.path.path_finder import PathFinder
 
 WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.rendered import room_film
-from tisfm.reconstruction.path import PathFinder
-from tisfm.reconstruction.places import OnePlace
+from tisfm.reconstruction.mapping.low_parallax import OnePlace
+from tisfm.reconstruction.path.path_finder import PathFinder
 from tisfm.rigid import pose_matrix
 
 TURN = slice(10, 26)

@@ -12,7 +12,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along, depth_error, path_error, walk
 from tisfm import Camera, Reconstruction, Settings
-from tisfm.reconstruction.depths import PieceDepths
+from tisfm.reconstruction.depth.segment_depth import PieceDepths
 
 FAST = Settings.preset("fast", motion="camera")
 

@@ -10,8 +10,8 @@ import pytest
 
 import tisfm
 from tisfm.formats.result_folder import FolderInUseError, locked_folder
-from tisfm.reconstruction import renewal
-from tisfm.reconstruction.renewal import EARLIER, renewed_folder
+from tisfm.reconstruction.result import renewal
+from tisfm.reconstruction.result.renewal import EARLIER, renewed_folder
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 

@@ -11,9 +11,9 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.films import path_error
 from tests.rendered import room_film
 from tisfm.camera_file import read_camera
-from tisfm.reconstruction.path import PathFinder
-from tisfm.reconstruction.shutter_estimate import ReadoutEstimate
-from tisfm.reconstruction.unrolled_way import _is_seen
+from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate
+from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource

@@ -11,7 +11,7 @@ import tisfm
 from tests.reconstruction.films import path_error
 from tests.rendered import room_film
 from tisfm import Settings
-from tisfm.reconstruction.stream import Stream
+from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.rigid import pose_matrix
 from tisfm.sources import FrameSource
 

@@ -22,9 +22,10 @@ from tisfm.cli.command_line import main
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
 from tisfm.formats import FormatError
 from tisfm.lens import undistort
-from tisfm.reconstruction import self_calibration
-from tisfm.reconstruction.calibration import GIVEN, Calibration, as_json
-from tisfm.reconstruction.self_calibration import FocalEstimate, calibration_of
+from tisfm.reconstruction.calibration import self_calibration
+from tisfm.reconstruction.calibration.self_calibration import calibration_of
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.result.calibration import GIVEN, Calibration, as_json
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")

@@ -7,8 +7,8 @@ import tempfile
 import numpy as np
 import pytest
 
-from tisfm.reconstruction.shelf import Shelf
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.tracks.tracker import Seen
 
 
 def seen_of(count, seed=0):

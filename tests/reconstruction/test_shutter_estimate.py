@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.database import View
-from tisfm.reconstruction.shutter_estimate import estimate_readout
-from tisfm.reconstruction.tracks import Seen
-from tisfm.reconstruction.unrolled_way import _is_seen
+from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
+from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
 from tisfm.shutter import at_middle, rates_of, transported
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tisfm.reconstruction.similarities import (
+from tisfm.reconstruction.geometry.sim3 import (
     agreed,
     fitted,
     mean_pose,
@@ -15,7 +15,7 @@ from tisfm.reconstruction.similarities import (
     scale_of,
     step,
 )
-from tisfm.reconstruction.similarity_graph import BLOCK, Edge, placed, solved
+from tisfm.reconstruction.geometry.sim3_graph import BLOCK, Edge, placed, solved
 
 TRUE = step(np.log(1.7), np.array([0.2, -0.5, 0.1]), np.array([1.0, -2.0, 0.5]))
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from tests.reconstruction.films import along
 from tisfm import Camera
-from tisfm.reconstruction import sparse_points
-from tisfm.reconstruction.sparse_points import TrackPoints, depths_of, located, triangulated
-from tisfm.reconstruction.tracks import Seen
+from tisfm.reconstruction.tracks import triangulation as sparse_points
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.triangulation import TrackPoints, depths_of, located, triangulated
 
 CAMERA, SHAPE = Camera(focal=200.0), (120, 160)
 

@@ -11,9 +11,11 @@ import tisfm
 from tests.reconstruction.films import depth_error, path_error
 from tests.rendered import room_film
 from tisfm import Camera, Settings
-from tisfm.reconstruction import mapping, stream, streaming
-from tisfm.reconstruction.sliding_path import ANCHORS, REMEMBERED, SlidingPath
-from tisfm.reconstruction.stream import Stream
+from tisfm.reconstruction.mapping import models as mapping
+from tisfm.reconstruction.streaming import entry as streaming
+from tisfm.reconstruction.streaming import stream
+from tisfm.reconstruction.streaming.sliding_path import ANCHORS, REMEMBERED, SlidingPath
+from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.sources import FrameSource
 
 FAST = Settings.preset("fast", motion="camera")

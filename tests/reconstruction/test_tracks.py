@@ -7,10 +7,9 @@ import pytest
 from tests.noise import moving_noise
 from tests.reconstruction.walks import CAMERA
 from tisfm import Camera
-from tisfm.reconstruction.found_flow import FoundFlow
-from tisfm.reconstruction.image_motion import ImageMotion
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.tracks import Tracker, seeds, share_of, smaller, spread
+from tisfm.reconstruction.frames.frame_flow import TRACKING, FoundFlow, share_of, smaller
+from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.tracks.tracker import Tracker, seeds, spread
 
 
 def picture(shift):

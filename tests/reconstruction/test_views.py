@@ -3,12 +3,11 @@
 import numpy as np
 
 from tests.reconstruction.walks import CAMERA, frames
-from tisfm.reconstruction import loops
-from tisfm.reconstruction.database import View
-from tisfm.reconstruction.loops import Look, similar
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.tracks import Seen, Tracker
-from tisfm.reconstruction.views import Views
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.tracks import retrieval as loops
+from tisfm.reconstruction.tracks.retrieval import Look, similar
+from tisfm.reconstruction.tracks.tracker import Seen, Tracker
+from tisfm.reconstruction.tracks.views import View, Views
 
 
 def views_with(pairs, count=10):

@@ -13,7 +13,7 @@ SETTINGS = Settings.preset("balanced")
 
 
 def found_in(arguments, **options):
-    from tisfm.reconstruction.window_depth import window_depth
+    from tisfm.reconstruction.depth.window_depth import window_depth
 
     return window_depth(*arguments, SETTINGS, **options)
 
@@ -147,7 +147,7 @@ def test_options_are_checked(options, message):
 
 
 def test_cameras_that_look_at_one_point_are_searched_beyond_it():
-    from tisfm.reconstruction.window_planes import Window
+    from tisfm.reconstruction.depth.window_planes import Window
 
     key, others, _, camera = views("sideways").first(1)
     turn = np.arctan(0.5)  # from 1 beside, at a point 2 ahead

@@ -7,7 +7,7 @@ import numpy as np
 
 import tisfm
 from tisfm.outcome import Status
-from tisfm.reconstruction.folder import write_depth
+from tisfm.reconstruction.result.folder import write_depth
 
 EVIL = "<script>alert(1)</script>\"'&"
 

@@ -10,9 +10,9 @@ import tisfm
 from tests.reconstruction.films import along
 from tisfm.formats.records import FORMAT
 from tisfm.outcome import Status
-from tisfm.reconstruction.folder import PICTURES, write_depth, write_labels, write_record
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import PICTURES, write_depth, write_labels, write_record
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.scenes import room_film
 
 HEIGHT, WIDTH = 45, 61

@@ -10,8 +10,8 @@ from tests.view.results import thing, write_reconstruction
 from tests.waiting import wait_for
 from tisfm.formats import FormatError
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration import GIVEN
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.calibration import GIVEN
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import write_reconstruction_report
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")

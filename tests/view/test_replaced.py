@@ -16,7 +16,7 @@ from tests.view.results import (
     write_run,
 )
 from tisfm.formats.result_folder import locked_folder
-from tisfm.reconstruction.folder import write_depth
+from tisfm.reconstruction.result.folder import write_depth
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 

@@ -12,7 +12,7 @@ from tisfm.formats.glb import glb_surface
 from tisfm.formats.srgb import linear_from_srgb
 from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.fused_scene import Whole, clipped, fused_whole, stored_whole, thinned
 from tisfm.results.opening import open_result
 

@@ -18,8 +18,8 @@ from tisfm.cli.console import tell
 from tisfm.cli.progress import Foretelling, progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
-from tisfm.reconstruction.folder import ASKED
-from tisfm.reconstruction.renewal import CHUNKS
+from tisfm.reconstruction.result.folder import ASKED
+from tisfm.reconstruction.result.renewal import CHUNKS
 from tisfm.running.run_record import RECORD
 
 Command = Literal["run", "reconstruct"]

@@ -17,8 +17,8 @@ from tisfm.cli.progress import MUCH, progress_bar
 from tisfm.errors import InputError
 from tisfm.formats.result_folder import make_folder
 from tisfm.machine.amounts import as_duration, as_size
-from tisfm.reconstruction.folder import DEPTH, RECORD
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import DEPTH, RECORD
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen
 
 if TYPE_CHECKING:  # their import takes seconds: it imports Taichi and SciPy

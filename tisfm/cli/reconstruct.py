@@ -29,11 +29,11 @@ from tisfm.formats.csv_table import csv_table
 from tisfm.formats.result_folder import locked_folder
 from tisfm.fusion.mesh import check_library
 from tisfm.machine.amounts import as_size
-from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.chunked.spans import CHUNK
+from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
-from tisfm.reconstruction.report_file import TIMINGS
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.report import refuse_foreign
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers

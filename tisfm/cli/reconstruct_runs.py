@@ -11,7 +11,12 @@ from tisfm.cli.console import start_kernels, tell_device
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.formats.result_folder import locked_folder
-from tisfm.reconstruction.asked import (
+from tisfm.reconstruction.chunks.entry import ChunkedRun
+from tisfm.reconstruction.chunks.shared_camera import Finished
+from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.renewal import CHUNKS
+from tisfm.reconstruction.result.request import (
     Asked,
     asked_for,
     is_done,
@@ -19,11 +24,6 @@ from tisfm.reconstruction.asked import (
     refuse_differing,
     write_asked,
 )
-from tisfm.reconstruction.chunked.entry import ChunkedRun
-from tisfm.reconstruction.chunked.shared_camera import Finished
-from tisfm.reconstruction.progress import Progress
-from tisfm.reconstruction.renewal import CHUNKS
-from tisfm.reconstruction.result import Reconstruction
 from tisfm.running.pairs import FrameSelection
 from tisfm.runtime import Arch
 from tisfm.sources import Source

@@ -10,9 +10,9 @@ from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.metrics import ObjectPathErrors, object_path_errors
-from tisfm.reconstruction.folder import OBJECTS
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import OBJECTS
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import read_trajectory
 
 POSES = "poses.txt"

@@ -16,7 +16,7 @@ from tisfm.exports.clock import frame_rate
 from tisfm.exports.gltf import camera_document
 from tisfm.exports.pieces import chosen_frames, piece_files, pieces_of
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 GLTF, CHAN, LENS = "camera.gltf", "camera.chan", "lens.json"
 

@@ -20,9 +20,9 @@ from tisfm.exports.frame_files import (
     write_pictures,
 )
 from tisfm.exports.tracks import Tracks, cells_of, measured_tracks
-from tisfm.reconstruction.colmap import pycolmap
-from tisfm.reconstruction.database import CENTRE, colmap_camera
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.database import CENTRE, colmap_camera
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 CAMERA = 1  # the number of the one camera
 FEWEST_FRAMES = 2  # of a piece that is a model

@@ -8,7 +8,7 @@ import numpy as np
 from tisfm.exports.guided_matching import is_smooth, measured, positions_of
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.exports.track_triangulation import consistent
-from tisfm.reconstruction.tracks import seeds
+from tisfm.reconstruction.tracks.tracker import seeds
 
 AROUND = 4  # keyframes to either side that a keyframe is compared with, and all frames to the next
 MOST = 120  # frames to either side

@@ -8,9 +8,9 @@ import numpy as np
 from tisfm.exports.guided_matching import are_held
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.exports.track_triangulation import consistent
-from tisfm.reconstruction.path import TRACKING
-from tisfm.reconstruction.sparse_points import triangulated
-from tisfm.reconstruction.tracks import Seen, Tracker
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.tracks.tracker import Seen, Tracker
+from tisfm.reconstruction.tracks.triangulation import triangulated
 
 LONGEST = 48  # frames of a track; a longer one goes on as another
 RELATIVE_STD = 1.0  # of the depth that points begin at: it hardly holds them

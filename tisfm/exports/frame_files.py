@@ -9,8 +9,8 @@ import numpy as np
 from tisfm.errors import InputError
 from tisfm.formats import FormatError, write_png
 from tisfm.formats.atomic import copy_file, link_or_copy
-from tisfm.reconstruction.folder import PICTURES
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import PICTURES
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Images = Literal["copy", "link", "none"]
 AT_REST = 255  # of a mask: what counts

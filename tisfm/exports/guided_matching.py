@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats
-from tisfm.reconstruction.tracks import BORDER
+from tisfm.reconstruction.tracks.tracker import BORDER
 
 # Of the search for the place where a point looks as before: pyramid levels above the frame itself.
 WINDOW, LEVELS, ROUNDS, STEP = 13, 2, 20, 0.005

@@ -23,8 +23,8 @@ from tisfm.exports.frame_files import (
 from tisfm.exports.tracks import cells_of, measured_tracks
 from tisfm.formats import atomic_write
 from tisfm.point_cloud import PointCloud
-from tisfm.reconstruction.database import CENTRE
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.mapping.database import CENTRE
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 # From our axes, Y down, to those of the trainers' worlds, Z up.
 WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.errors import InputError, OutOfRangeError
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 
 def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:

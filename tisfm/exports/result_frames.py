@@ -16,8 +16,8 @@ from tisfm.formats.records import NAME as RUN
 from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import STATUSES, Status
-from tisfm.reconstruction.folder import DEPTH, depth_path
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import DEPTH, depth_path
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.rigid import rigid_motion
 
 _SAME_LENGTH = 1e-6  # relative

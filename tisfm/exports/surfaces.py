@@ -12,7 +12,7 @@ from tisfm.exports.pieces import piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
 from tisfm.point_cloud import PointCloud
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Suffix = Literal["ply", "glb"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from tisfm.checks import Floats
 from tisfm.exports.frame_files import picture_of
 from tisfm.exports.guided_matching import Pose
-from tisfm.reconstruction.folder import depth_path
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import depth_path
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 FEWEST = 3  # frames that see a point; 2 where a piece has no more
 HELD = 24  # frames in memory

@@ -10,7 +10,7 @@ from tisfm.errors import InputError
 from tisfm.exports.depth_tracks import DepthTracks
 from tisfm.exports.flow_tracks import along_motion
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 CELLS = 80  # along the longer side: a point is begun in every cell that has none
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from tisfm.exports.clock import frame_times
 from tisfm.exports.pieces import piece_files, pieces_of
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import write_kitti, write_tum
 
 TUM, KITTI, KITTI_TIMES = "trajectory.tum", "poses.kitti", "poses.times"

@@ -15,15 +15,15 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import file_of, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
-from tisfm.reconstruction.calibration import Calibrate
-from tisfm.reconstruction.folder import CACHE
-from tisfm.reconstruction.given_poses import poses_of_frames
-from tisfm.reconstruction.object_sizes import checked_object_sizes
+from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
-from tisfm.reconstruction.renewal import renewed_folder
-from tisfm.reconstruction.result import Reconstruction
-from tisfm.reconstruction.result_labels import labels_of_result
-from tisfm.reconstruction.temporary_folder import TemporaryFolder
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.result.earlier_labels import labels_of_result
+from tisfm.reconstruction.result.folder import CACHE
+from tisfm.reconstruction.result.object_sizes import checked_object_sizes
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.renewal import renewed_folder
+from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import warn_of
@@ -216,7 +216,7 @@ def reconstruct(
     if folder is None:
         temporary = TemporaryFolder()
         folder = temporary.name
-    from tisfm.reconstruction.run import Run
+    from tisfm.reconstruction.pipeline import Run
 
     try:
         with renewed_folder(folder) as path:

@@ -5,7 +5,7 @@ May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the to
 `focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
-from tisfm.reconstruction.report_file import REPORT, is_report
+from tisfm.reconstruction.result.report_file import REPORT, is_report
 from tisfm.report.file import refuse_foreign
 from tisfm.report.reconstruction_report import write_reconstruction_report
 from tisfm.report.run_report import write_run_report

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.report_file import REPORT, is_report
+from tisfm.reconstruction.result.report_file import REPORT, is_report
 
 
 def refuse_foreign(folder: Path) -> Path:

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration import focal_in_words
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.calibration import focal_in_words
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.embedded_images import Pictures, chosen
 from tisfm.report.file import refuse_foreign, write_page

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.formats.glb import colors_of
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 WholeKind = Literal["points", "surface"]
 KINDS: tuple[WholeKind, ...] = get_args(WholeKind)

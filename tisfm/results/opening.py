@@ -4,8 +4,8 @@ from pathlib import Path
 
 from tisfm.errors import InputError
 from tisfm.formats.result_folder import is_written_to
-from tisfm.reconstruction.folder import BEGUN, DEPTH, PICTURES
-from tisfm.reconstruction.folder import RECORD as RECONSTRUCTION
+from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
+from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.results.reconstruction_result import ReconstructionResult
 from tisfm.results.result import Result
 from tisfm.results.run_result import RECORD as RUN

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.reconstruction.folder import RECORD
-from tisfm.reconstruction.moving_object import MovingObject
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.folder import RECORD
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.frame import ViewFrame
 from tisfm.results.fused_scene import Whole, WholeKind, fused_whole, stored_whole, thinned
 from tisfm.results.result import Change, as_rgb

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.outcome import Status
-from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ViewFrame
 from tisfm.results.fused_scene import Whole, WholeKind
 

@@ -14,7 +14,7 @@ from tisfm.formats.records import NAME as RECORD
 from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
-from tisfm.reconstruction.moving_object import MovingObject
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ViewFrame
 from tisfm.results.fused_scene import Whole, WholeKind
 from tisfm.results.result import Change, as_rgb

@@ -12,7 +12,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.formats.result_folder import InputFiles, locked_folder, make_folder
 from tisfm.interpretation import Interpretation
-from tisfm.reconstruction.report_file import TIMINGS
+from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import USUAL, PairFiles, Ranges, Sums, checked_outputs
 from tisfm.running.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord

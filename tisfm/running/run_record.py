@@ -14,7 +14,7 @@ from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.records import FORMAT, NAME, check_sum, differing, refuse_other_format, said
 from tisfm.outcome import Status
-from tisfm.reconstruction.report_file import TIMINGS
+from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.trajectory.times import fault_between
 
 RECORD, TABLE = NAME, "run.csv"

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from tisfm.reconstruction.folder import PICTURES, read_picture
+from tisfm.reconstruction.result.folder import PICTURES, read_picture
 from tisfm.results.opening import NothingYetError, how_far, open_result
 from tisfm.results.result import Result, as_rgb
 from tisfm.view.html_texts import set_html, waiting_html

@@ -6,7 +6,7 @@ import pytest
 from bench.sequences.blender import BARS, differences, report
 from tests.view.results import write_reconstruction
 from tisfm.formats.srgb import linear_from_srgb
-from tisfm.reconstruction.result import Reconstruction
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 FRAMES = (0, 2)
 

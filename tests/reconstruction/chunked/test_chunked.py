@@ -21,10 +21,10 @@ from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm import Reconstruction
 from tisfm.camera_file import read_camera
-from tisfm.reconstruction import run as run_module
-from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
-from tisfm.reconstruction.frames_path import FramesPath
-from tisfm.reconstruction.run import NEW_PIECE
+from tisfm.reconstruction import pipeline as run_module
+from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
+from tisfm.reconstruction.path.frames_path import FramesPath
+from tisfm.reconstruction.pipeline import NEW_PIECE
 
 
 @pytest.fixture(scope="module")

@@ -20,12 +20,12 @@ from tests.reconstruction.chunked.filmed import (
     write_frames,
 )
 from tisfm import Reconstruction
-from tisfm.reconstruction import folder as folder_module
-from tisfm.reconstruction import run as run_module
-from tisfm.reconstruction.chunked import chunk as chunk_module
-from tisfm.reconstruction.chunked import entry, joining
-from tisfm.reconstruction.chunked.entry import ChunkedRun, reconstruct_in_chunks
-from tisfm.reconstruction.renewal import CHUNKS
+from tisfm.reconstruction import pipeline as run_module
+from tisfm.reconstruction.chunks import chunk as chunk_module
+from tisfm.reconstruction.chunks import entry, joining
+from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
+from tisfm.reconstruction.result import folder as folder_module
+from tisfm.reconstruction.result.renewal import CHUNKS
 from tisfm.sources import Listing
 
 

@@ -7,15 +7,15 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import along
-from tisfm.reconstruction.chunked import overlaps
-from tisfm.reconstruction.chunked.overlaps import (
+from tisfm.reconstruction.chunks import overlaps
+from tisfm.reconstruction.chunks.overlaps import (
     scale_of_depth,
     scale_of_places,
     similarity_of,
     turn_of,
 )
-from tisfm.reconstruction.folder import write_depth
-from tisfm.reconstruction.similarities import moved_pose, scale_of
+from tisfm.reconstruction.geometry.sim3 import moved_pose, scale_of
+from tisfm.reconstruction.result.folder import write_depth
 from tisfm.rigid import pose_matrix
 
 COUNT, SHAPE = 8, (60, 80)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from tisfm.reconstruction.chunked.spans import (
+from tisfm.reconstruction.chunks.spans import (
     CHUNK,
     OVERLAP,
     SMALLEST,

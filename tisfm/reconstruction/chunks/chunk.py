@@ -1,0 +1,189 @@
+"""A chunk: what it is made of, and how it is made, in whichever process."""
+
+import hashlib
+import json
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.camera_file import record_in
+from tisfm.errors import RunError, is_user_error
+from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.reading import read_json
+from tisfm.formats.result_folder import remove, remove_link
+from tisfm.machine.workers import check_worker, stated
+from tisfm.reconstruction.chunks.spans import Span
+from tisfm.reconstruction.entry import reconstruct
+from tisfm.reconstruction.progress import DepthOf
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.result.request import files_below
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource, Listing, Source
+from tisfm.sources.frame_reader import SourceWarning
+from tisfm.version import __version__
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chunk:
+    """A chunk, as a process is told of it.
+
+    Attributes
+    ----------
+    folder : Path
+        That it is written to, absolute.
+    source : str or list of str
+        Absolute paths.
+    span : Span
+        Its frames.
+    frames : mapping
+        Other options of `tisfm.reconstruct` that say what is taken of the source.
+    camera : Camera, Path or None
+    calibrate : {"nothing", "focal", "radial"}
+    settings : Settings
+    poses : (N, 4, 4) float64, or None
+        Of its frames, if they are given.
+    depth_of : {"all", "keyframes", "none"}
+    asked : str
+        Digest of what the whole was asked for.
+    arch, threads
+        As for `tisfm.runtime.start`.
+    listing : Listing
+        Of the files of the frames, as that process sees them.
+    stop : int or None
+        The frame of the source that they end before.
+    alive : Path
+        A file that is there as long as the process that gives the work waits for it.
+    lanes : int
+        Of the vectors of its CPU.
+    version : str
+        Of tisfm.
+    """
+
+    folder: Path
+    source: Source
+    span: Span
+    frames: Mapping[str, Any]
+    camera: Camera | Path | None
+    calibrate: Calibrate
+    settings: Settings
+    poses: np.ndarray | None = field(repr=False, default=None)
+    depth_of: DepthOf = "all"
+    asked: str
+    listing: Listing
+    stop: int | None = None
+    arch: Arch | None = None
+    threads: int | None = None
+    alive: Path = Path()
+    lanes: int = field(default_factory=runtime.cpu_lanes)
+    version: str = __version__
+
+    @property
+    def account(self) -> Path:
+        """The file that says that it is complete, beside its folder."""
+        return self.folder.with_name(f"{self.folder.name}.json")
+
+    @property
+    def digest(self) -> str:
+        """Of what its result depends on."""
+        camera = self.camera
+        about = [
+            self.asked,
+            asdict(self.span),
+            record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
+            self.calibrate,
+            self.depth_of,
+        ]
+        return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:32]
+
+    def is_complete(self) -> bool:
+        """Return whether it was made, of this, and its files are as they were then."""
+        try:
+            about = read_json(self.account)
+            return bool(
+                about["digest"] == self.digest and about["files"] == files_below(self.folder)
+            )
+        except (FormatError, OSError, LookupError, TypeError):
+            return False
+
+    def with_camera(self, camera: Path) -> "Chunk":
+        """Return the chunk with the camera of a file, without a search for its focal length.
+
+        The file also states whether its focal length is a guess.
+        """
+        return replace(self, camera=camera, calibrate="nothing")
+
+
+def make_chunk(chunk: Chunk) -> Exception | None:
+    """Make a chunk, unless it is complete; return an error that its user is to be told."""
+    try:
+        here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
+        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
+        seen = FrameSource(chunk.source, stop=chunk.stop)
+        chunk.listing.check(seen.listing, seen.title)
+        with _alone(chunk):
+            _make(chunk)
+    except Exception as error:
+        if not is_user_error(error):
+            raise
+        return stated(error)
+    return None
+
+
+@contextmanager
+def _alone(chunk: Chunk) -> Iterator[None]:
+    """Wait until no other process makes a chunk, as one may that has lost who gave it the work."""
+    file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
+    remove_link(file)
+    lock = FileLock(file)
+    try:
+        lock.acquire()
+    except NotImplementedError:  # a file system without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _make(chunk: Chunk) -> None:
+    if chunk.is_complete():
+        return
+    remove(chunk.account)
+    remove(chunk.folder)
+    runtime.start_worker(chunk.arch, threads=chunk.threads)
+    with warnings.catch_warnings():
+        for kind in (GuessedFocalWarning, SourceWarning):  # they are told once, of the whole
+            warnings.simplefilter("ignore", kind)
+        reconstruct(
+            chunk.source,
+            camera=chunk.camera,
+            calibrate=chunk.calibrate,
+            settings=chunk.settings,
+            poses=chunk.poses,
+            depth_of=chunk.depth_of,
+            start=chunk.span.start,
+            stop=chunk.span.stop,
+            folder=chunk.folder,
+            progress=lambda stage, done, total: _go_on(chunk),
+            **chunk.frames,
+        )
+    about = {"digest": chunk.digest, "files": files_below(chunk.folder)}
+    with atomic_write(chunk.account, durable=True) as file:
+        file.write(json.dumps(about, indent=1).encode())
+
+
+def _go_on(chunk: Chunk) -> None:
+    """End a chunk that nobody waits for any more."""
+    if not chunk.alive.exists():
+        raise RunError(f"what {chunk.folder} was made for has ended")

@@ -1,0 +1,349 @@
+"""A sequence in chunks, from the source to the folder; begun anew, or gone on with."""
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from tisfm.camera import Camera
+from tisfm.camera_file import file_of
+from tisfm.errors import InputError, InputTypeError
+from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.formats.result_folder import (
+    alive_in,
+    locked_folder,
+    make_folder,
+    remove,
+    remove_link,
+    remove_temporaries,
+    try_to_remove,
+)
+from tisfm.outcome import Status
+from tisfm.reconstruction.chunks.chunk import Chunk
+from tisfm.reconstruction.chunks.placement import Part, places_of
+from tisfm.reconstruction.chunks.shared_camera import Finished, is_sought, made, shared_camera
+from tisfm.reconstruction.chunks.spans import CHUNK, check_chunk, spans_of
+from tisfm.reconstruction.entry import (
+    checked_calibrate,
+    checked_camera,
+    checked_poses,
+    checked_settings,
+    refuse_inside,
+)
+from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.progress import DepthOf, Progress
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.renewal import CHUNKS, refuse_others, renewed
+from tisfm.reconstruction.result.request import (
+    asked_for,
+    digest_of,
+    is_done,
+    read_asked,
+    refuse_differing,
+    write_asked,
+)
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.frame_reader import is_path, warn_of
+from tisfm.sources.paths import refuse_url
+from tisfm.sources.webcam import webcam_number
+from tisfm.trajectory import Trajectory
+from tisfm.trajectory.times import times_note
+
+
+class ChunkedRun:
+    """A reconstruction in chunks of frames, and what it is asked for.
+
+    Parameters
+    ----------
+    source : path, or sequence of paths
+        A video, a folder of images, a glob pattern, or image files.
+    folder : path
+        Where the result is to lie, and meanwhile its chunks, in ``.tisfm-chunks``.
+    camera, calibrate, settings, poses, depth_of, step, start, stop, size, crop, bad_frames
+        As for `tisfm.reconstruct`. Settings are of ``motion="camera"``.
+    mask : path, optional
+        As for `tisfm.reconstruct`.
+    chunk : int
+        Frames of a chunk, at most.
+    arch, threads
+        As for `tisfm.runtime.start`, of each process.
+    others : mapping, optional
+        What else is asked for, as JSON has it.
+
+    Attributes
+    ----------
+    asked : dict
+        All that the result depends on.
+
+    Raises
+    ------
+    OSError, TypeError, ValueError
+        As `tisfm.reconstruct` does; if the source is a webcam or no files; if chunks are too short;
+        if settings are of ``motion="objects"``.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        folder: str | os.PathLike[str],
+        *,
+        camera: Camera | str | os.PathLike[str] | None = None,
+        calibrate: Calibrate | None = None,
+        settings: Settings | None = None,
+        poses: npt.ArrayLike | Trajectory | None = None,
+        mask: str | os.PathLike[str] | None = None,
+        depth_of: DepthOf = "all",
+        step: int = 1,
+        start: int = 0,
+        stop: int | None = None,
+        size: int | None = None,
+        crop: tuple[int, int, int, int] | None = None,
+        bad_frames: BadFrames = "raise",
+        chunk: int = CHUNK,
+        arch: Arch | None = None,
+        threads: int | None = None,
+        others: Mapping[str, Any] | None = None,
+    ) -> None:
+        settings = checked_settings(settings)
+        if settings.motion == "objects":
+            raise InputError(
+                'motion is "objects", and chunks are asked for: what moves on its own has no '
+                "number that is the same in all of them; reconstruct it in one process"
+            )
+        check_chunk(chunk)
+        if mask is not None and not is_path(mask):
+            raise InputTypeError(
+                f"mask is {type(mask).__name__}: expected a path, for other processes"
+            )
+        source = _absolute(source)
+        sources = FrameSource(
+            source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
+            bad_frames=bad_frames,
+        )  # fmt: skip
+        _refuse_decimals(sources)
+        given = None if poses is None else checked_poses(poses)
+        if given is not None and bad_frames == "skip":
+            raise InputError(
+                'poses are given and bad_frames="skip": they would not fit what is left'
+            )
+        calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
+        camera, self._stated = checked_camera(camera)
+        self.folder = Path(folder).absolute()
+        files = [file_of(camera)] if isinstance(camera, Path) else []
+        refuse_inside([*sources.files, *files], self.folder)
+        self._taken, times = _taken(sources)
+        self._notes = [*sources.notes, *filter(None, [times_note(times)])]
+        self._missing: dict[int, Status] = {}
+        known = None
+        if given is not None:
+            known, self._missing = poses_of_frames(given, times)
+        self.asked = asked_for(
+            sources,
+            camera=camera,
+            settings=settings,
+            poses=given,
+            arch=arch,
+            files={"mask": None if mask is None else os.fspath(mask)},
+            others={
+                "calibrate": calibrate, "depth_of": depth_of, "size": size, "crop": crop,
+                "bad_frames": bad_frames, "chunk": chunk, **(others or {}),
+            },
+        )  # fmt: skip
+        self._chunks = [
+            Chunk(
+                folder=self.folder / CHUNKS / f"{number:03d}",
+                source=source,
+                span=span,
+                frames={
+                    "step": step, "size": size, "crop": crop, "bad_frames": bad_frames,
+                    "mask": None if mask is None else os.path.abspath(mask),
+                },
+                camera=camera.absolute() if isinstance(camera, Path) else camera,
+                calibrate=calibrate,
+                settings=settings,
+                poses=None if known is None else known[span.of(self._taken)],
+                depth_of=depth_of,
+                asked=digest_of(self.asked),
+                listing=sources.listing,
+                stop=stop,
+                arch=arch,
+                threads=threads,
+            )
+            for number, span in enumerate(spans_of(self._taken, stop, chunk))
+        ]  # fmt: skip
+
+    def is_done(self) -> bool:
+        """Return whether the folder holds the complete result.
+
+        Raises
+        ------
+        ValueError
+            If it holds a result, or chunks, of something else.
+        """
+        chunks = read_asked(self.folder / CHUNKS)
+        if chunks is None:
+            return is_done(self.folder, self.asked)
+        refuse_differing(self.folder, chunks["asked"], self.asked)
+        whole = read_asked(self.folder)
+        same = whole is not None and whole["asked"] == self.asked
+        return same and is_done(self.folder, self.asked)
+
+    def result(
+        self, finished: Finished, *, resume: bool = False, progress: Progress | None = None
+    ) -> Reconstruction:
+        """Make the chunks, and of them the whole; chunks stay until `finish`.
+
+        Parameters
+        ----------
+        finished : callable
+            ``finished(function, items)`` calls a function, which can be pickled, with each item,
+            in whichever process, and yields (number of the item, what was returned) as they come.
+        resume : bool
+            Go on with chunks that lie in the folder, as far as they are whole.
+        progress : callable, optional
+            As for `tisfm.reconstruct`.
+
+        Raises
+        ------
+        Exception
+            What `tisfm.reconstruct` raises; ValueError if chunks in the folder are of something
+            else.
+        """
+        from tisfm.reconstruction.chunks.joining import write_whole
+
+        warn_of(self._notes)
+        tell: Progress = progress or (lambda stage, done, total: None)
+        path = make_folder(self.folder)
+        with locked_folder(path), ExitStack() as living:
+            refuse_others(path)
+            self._begin(path / CHUNKS, resume)
+            alive = living.enter_context(alive_in(path / CHUNKS))
+            chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._taken)
+            tell("path", 0, count)
+            found = None  # what the camera is found with
+            if len(chunks) > 1 and is_sought(chunks[0], self._stated):
+                shared = shared_camera(chunks, finished, path / CHUNKS)
+                found = shared.found
+                chunks = [one.with_camera(shared.camera) for one in chunks]
+            elif len(chunks) > 1 and self._stated is None:  # it is guessed, by the first file
+                list(made(chunks[:1], finished))
+                guessed = file_of(chunks[0].folder)
+                chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
+            done = 0
+            for number in made(chunks, finished):
+                done += chunks[number].span.count
+                tell("depth", min(done, count), count)
+            parts = [
+                Part.of(Reconstruction.load(one.folder), one.span, self._taken) for one in chunks
+            ]
+            places = places_of(parts, are_given=chunks[0].poses is not None)
+            with renewed(path):
+                return write_whole(
+                    path,
+                    parts,
+                    places,
+                    camera=found or parts[0].result,
+                    missing=self._missing,
+                    notes=self._notes,
+                )
+
+    def finish(self) -> None:
+        """Say that the result in the folder is complete, and remove the chunks."""
+        with locked_folder(self.folder):
+            write_asked(self.folder, self.asked)
+            try_to_remove(self.folder / CHUNKS)
+
+    def _begin(self, chunks: Path, resume: bool) -> None:
+        remove_link(chunks)  # it would lead elsewhere
+        before = read_asked(chunks) if resume else None
+        if before is not None:
+            refuse_differing(self.folder, before["asked"], self.asked)
+            remove_temporaries(chunks)
+            return
+        remove(chunks)
+        chunks.mkdir()
+        write_asked(chunks, self.asked)
+
+
+def reconstruct_in_chunks(
+    source: Source,
+    folder: str | os.PathLike[str],
+    *,
+    finished: Finished,
+    resume: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Reconstruction:
+    """Reconstruct a sequence in chunks of frames, and return the whole.
+
+    Parameters
+    ----------
+    source, folder, **options
+        As for `ChunkedRun`.
+    finished, resume, progress
+        As for `ChunkedRun.result`.
+    """
+    run = ChunkedRun(source, folder, **options)
+    if resume and run.is_done():
+        run.finish()
+        return Reconstruction.load(run.folder)
+    result = run.result(finished, resume=resume, progress=progress)
+    run.finish()
+    if not result.calibration.seen:
+        warnings.warn(result.calibration.message, GuessedFocalWarning, stacklevel=2)
+    return result
+
+
+def _absolute(source: Source) -> str | list[str]:
+    """Return a source of files as other processes find it."""
+    if isinstance(source, (str, os.PathLike)):
+        name = os.fspath(source)
+        if webcam_number(name) is not None and not os.path.exists(name):
+            raise InputError(
+                f"source is {name}, and chunks are asked for: record the camera to a file first"
+            )
+        if not os.path.exists(name):
+            refuse_url(name)
+        return os.path.abspath(name)
+    if isinstance(source, Sequence) and source and all(map(is_path, source)):
+        return [os.path.abspath(item) for item in source]
+    raise InputTypeError(
+        "source is no path, and chunks are asked for: expected a video, a folder, a pattern or "
+        "image files, which other processes can read"
+    )
+
+
+def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
+    """Return the numbers of the frames that are taken, and their times, as far as these are known.
+
+    Only reading tells how many a video has.
+    """
+    if source.names is not None:
+        chosen = range(len(source.frame_files))[source.chosen]
+        return chosen, list(source.times or (None,) * len(chosen))
+    found: list[tuple[int, float | None]] = []
+    with closing(source.frames()) as frames:
+        for frame in frames:
+            found.append((frame.index, frame.time))
+    last = max([index for index, _ in found] + [index for index, _ in source.skipped], default=-1)
+    if not found:
+        raise InputError(f"{source.title} has no frame that can be read: expected at least 2")
+    return range(last + 1)[source.chosen], [time for _, time in found]
+
+
+def _refuse_decimals(source: FrameSource) -> None:
+    with closing(source.frames()) as frames:
+        first = next(frames, None)
+    if first is not None and first.image.dtype.kind == "f":
+        raise InputError(
+            f"frame {first.name} has decimals: which scale such frames are on is told by all that "
+            "came before, which chunks do not see; reconstruct it in one process"
+        )

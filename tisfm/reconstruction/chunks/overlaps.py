@@ -1,0 +1,174 @@
+"""How two chunks lie to one another, by the frames that both have.
+
+The rotation is that between the poses of these frames. The scale is that between their depth, pixel
+by pixel, and between the camera's places, each as sure as it agrees with itself.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.reconstruction.geometry.sim3 import mean_pose, moved
+from tisfm.reconstruction.result.folder import depth_path
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+
+SURE = 0.25  # relative deviation: depth that is less sure does not count
+SHOWN, PIXELS = 20, 1500  # frames whose depth is compared, and pixels of each, about
+# Pixels whose depth is compared, at least; how many of them agree, and on what.
+FEWEST, AGREE, ALIKE = 100, 0.5, 0.1
+PLACES = 4  # of the camera, at least, where these tell the scale
+DOUBT = 0.1  # of the scale: what is less sure says nothing
+EXACT = 0.01  # of the scale: neither depth nor places are surer, as both drift along a chunk
+
+Shared = Sequence[tuple[int, int]]
+"""Numbers of the same frame in two results."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """How a piece of one chunk lies to a piece of the next.
+
+    Attributes
+    ----------
+    first, second : int
+        The pieces.
+    similarity : (4, 4) float64
+        From the second's coordinates to those of the first.
+    frames : int
+        That both have.
+    """
+
+    first: int
+    second: int
+    similarity: np.ndarray
+    frames: int
+
+
+def similarity_of(
+    first: Reconstruction, second: Reconstruction, shared: Shared
+) -> np.ndarray | None:
+    """Return the similarity from one piece's coordinates to another's; None if nothing tells it.
+
+    Parameters
+    ----------
+    first, second : Reconstruction
+    shared : sequence of (int, int)
+        Frames that both have, with a pose in a piece of each.
+
+    Returns
+    -------
+    (4, 4) float64, or None
+        From coordinates of the second to those of the first.
+    """
+    poses, others = (
+        one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
+    )
+    turn = turn_of(poses, others)
+    told = [
+        one for one in (scale_of_depth(first, second, shared), scale_of_places(poses, others, turn))
+        if one is not None
+    ]  # fmt: skip
+    if not told:
+        return None
+    logs, deviations = np.array(told).T
+    scale = np.exp(np.average(logs, weights=1 / deviations**2))
+    similarity = np.eye(4)
+    similarity[:3, :3] = scale * turn
+    similarity[:3, 3] = np.mean(poses[:, :3, 3] - others[:, :3, 3] @ (scale * turn).T, axis=0)
+    return similarity
+
+
+def turn_of(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the mean rotation from other poses, (N, 4, 4), to poses."""
+    turns = np.tile(np.eye(4), (len(poses), 1, 1))
+    turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
+    return mean_pose(turns, np.ones(len(turns)))[:3, :3]
+
+
+def scale_of_places(
+    poses: np.ndarray, others: np.ndarray, turn: np.ndarray
+) -> tuple[float, float] | None:
+    """Return the logarithm of the scale that places of the camera show, and its deviation."""
+    if len(poses) < PLACES:
+        return None
+    here = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    there = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ turn.T
+    apart, apart_there = (float(np.sqrt((one**2).sum())) for one in (here, there))
+    if min(apart, apart_there) == 0:
+        return None
+    scale = apart / apart_there  # neither is more exact than the other
+    deviation = max(float(np.linalg.norm(here - scale * there)) / apart, EXACT)
+    return None if deviation > DOUBT else (float(np.log(scale)), deviation)
+
+
+def scale_of_depth(
+    first: Reconstruction, second: Reconstruction, shared: Shared
+) -> tuple[float, float] | None:
+    """Return the logarithm of the scale that depth shows, and its deviation."""
+    lots = [_ratios(first, second, shared, at) for at in _with_depth(first, second, shared)]
+    lots = [lot for lot in lots if len(lot)]
+    if not lots:
+        return None
+    ratios = np.log(np.concatenate(lots))
+    if len(ratios) < FEWEST:
+        return None
+    scale = float(np.median(ratios))
+    if np.mean(np.abs(ratios - scale) < ALIKE) < AGREE:
+        return None
+    each = np.array([np.median(np.log(lot)) for lot in lots])
+    deviation = max(float(np.median(np.abs(each - scale))), EXACT)
+    return None if deviation > DOUBT else (scale, deviation)
+
+
+def _with_depth(
+    first: Reconstruction, second: Reconstruction, shared: Shared
+) -> Iterator[tuple[int, int]]:
+    """Give some of the frames that the first has depth of, each with the nearest of the second's.
+
+    Both are numbers of `shared`.
+    """
+    ours, theirs = (
+        [k for k, pair in enumerate(shared) if depth_path(one.folder, pair[side]).exists()]
+        for side, one in enumerate((first, second))
+    )
+    if not ours or not theirs:
+        return
+    for k in np.unique(np.linspace(0, len(ours) - 1, min(len(ours), SHOWN)).astype(int)):
+        yield ours[k], min(theirs, key=lambda one: (abs(one - ours[k]), one))
+
+
+def _ratios(
+    first: Reconstruction, second: Reconstruction, shared: Shared, at: tuple[int, int]
+) -> np.ndarray:
+    """Return the depth of some pixels of a frame as the first has it, over that of the second.
+
+    The first's may be of another frame, whose points are brought into this one.
+    """
+    height, width = first.shape
+    fx, fy = first.camera.focals
+    cx, cy = first.camera.center_for(height, width)
+    lens = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    frame, (ours, theirs) = shared[at[0]][0], shared[at[1]]
+    apart = max(1, int(np.sqrt(height * width / PIXELS)))
+    rows, columns = np.mgrid[apart // 2 : height : apart, apart // 2 : width : apart]
+    rows, columns = rows.ravel(), columns.ravel()
+    depth = _sure_depth(first, frame)[rows, columns]
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
+    points = depth[:, None] * (pixels @ np.linalg.inv(lens).T)
+    if frame != ours:
+        points = moved(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = (points @ lens.T)[:, :2] / np.where(points[:, 2:] > 0, points[:, 2:], np.nan)
+        columns, rows = np.rint(np.nan_to_num(seen, nan=-1.0).clip(-1, 1e6)).astype(int).T
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    ratio = points[inside, 2] / _sure_depth(second, theirs)[rows[inside], columns[inside]]
+    return np.asarray(ratio[np.isfinite(ratio)])
+
+
+def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
+    """Return the depth of a frame, (H, W) float64, NaN where it is not sure."""
+    inverse = result.inverse_depth(frame).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        sure = (inverse > 0) & (result.inverse_depth_std(frame) < SURE * inverse)
+    return 1 / np.where(sure, inverse, np.nan)

@@ -1,0 +1,200 @@
+"""Chunks in one world: which chunk a frame is taken from, and where its pieces lie."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tisfm.errors import InputError
+from tisfm.reconstruction.chunks.overlaps import Joint, similarity_of
+from tisfm.reconstruction.chunks.spans import Span
+from tisfm.reconstruction.geometry.sim3 import moved_pose, scale_of
+from tisfm.reconstruction.geometry.sim3_graph import connected
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """What came of a chunk.
+
+    Attributes
+    ----------
+    result : Reconstruction
+    frames : dict of int to int
+        The number in the result of each frame, by its number in the source.
+    """
+
+    result: Reconstruction
+    frames: dict[int, int]
+
+    @classmethod
+    def of(cls, result: Reconstruction, span: Span, taken: range) -> "Part":
+        """Return the part of a span of the frames that are taken.
+
+        Raises
+        ------
+        ValueError
+            If the result has more frames or fewer.
+        """
+        skipped = {index for index, _ in result.skipped}
+        left = [index for index in taken[span.of(taken)] if index not in skipped]
+        if len(left) != len(result):
+            raise InputError(
+                f"{result.folder} has {len(result)} frames, expected {len(left)}: the source has "
+                "changed meanwhile"
+            )
+        return cls(result=result, frames={index: number for number, index in enumerate(left)})
+
+    def piece(self, index: int) -> int:
+        """Return the piece of a frame; −1 for none."""
+        return int(self.result.piece[self.frames[index]]) if index in self.frames else -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a frame of the whole is from, and where it lies.
+
+    Attributes
+    ----------
+    part, number : int
+        The chunk, and the number of the frame in it.
+    piece : int
+        Of the whole; −1 for none.
+    pose : (4, 4) float64
+        Camera to world; NaN without one.
+    scale : float
+        What depth is multiplied by.
+    """
+
+    part: int
+    number: int
+    piece: int
+    pose: np.ndarray
+    scale: float
+
+
+def places_of(parts: Sequence[Part], *, are_given: bool) -> list[Place]:
+    """Return where the frames of the whole lie, in order.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        In order; each shares frames with the next.
+    are_given : bool
+        Whether poses were given: parts are in one world and one unit then.
+    """
+    owners = _owners(parts)
+    nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
+    if are_given:
+        worlds = [{node: np.eye(4) for node in range(len(nodes))}]
+    else:
+        worlds = _worlds(parts, nodes)
+    of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
+    similarity = {nodes[node]: place for world in worlds for node, place in world.items()}
+    pieces: dict[int, int] = {}
+    bases: dict[int, tuple[np.ndarray, float]] = {}  # the first pose of a piece, and its unit
+    found = []
+    for index, owner in owners.items():
+        part = parts[owner]
+        node, number = (owner, part.piece(index)), part.frames[index]
+        if node[1] < 0:
+            nowhere = np.full((4, 4), np.nan)
+            found.append(Place(part=owner, number=number, piece=-1, pose=nowhere, scale=1.0))
+            continue
+        world = of_node[node]
+        pose = moved_pose(similarity[node], part.result.poses[number])
+        if world not in pieces:
+            pieces[world] = len(pieces)
+            unit = _unit(parts, owners, similarity, of_node, world)
+            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # it is the first frame already
+            bases[world] = (np.eye(4) if begins or are_given else pose), unit
+        base, unit = bases[world]
+        pose = np.linalg.solve(base, pose)
+        pose[:3, 3] /= unit
+        scale = scale_of(similarity[node]) / unit
+        found.append(Place(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale))
+    return found
+
+
+def _owners(parts: Sequence[Part]) -> dict[int, int]:
+    """Return which part a frame is taken from, by its number in the source, in order."""
+    owners: dict[int, int] = {}
+    cuts = [_cut(before, after) for before, after in pairwise(parts)]
+    for k, part in enumerate(parts):
+        for index in part.frames:
+            if k == 0 or index >= cuts[k - 1]:
+                owners[index] = k
+    for k, (before, after) in enumerate(pairwise(parts)):
+        for index in before.frames.keys() & after.frames.keys():
+            # One that has a pose of it rather than one that has none.
+            for one, other in ((k, k + 1), (k + 1, k)):
+                if parts[one].piece(index) < 0 <= parts[other].piece(index):
+                    owners[index] = other
+    return dict(sorted(owners.items()))
+
+
+def _cut(before: Part, after: Part) -> int:
+    """Return the first frame that is taken from the later of two parts.
+
+    It is the keyframe of that nearest to the middle of the frames that both have, if there is one
+    in the middle half, or else the middle.
+    """
+    shared = sorted(before.frames.keys() & after.frames.keys())
+    if not shared:
+        return min(after.frames)
+    middle, quarter = len(shared) // 2, len(shared) // 4
+    keys = [
+        k
+        for k in range(quarter, len(shared) - quarter)
+        if after.frames[shared[k]] in after.result.keyframes
+    ]
+    return shared[min(keys, key=lambda k: (abs(k - middle), k), default=middle)]
+
+
+def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dict[int, np.ndarray]]:
+    """Return the pieces of parts, by their numbers, that lie in one world, and where."""
+    number = {node: n for n, node in enumerate(nodes)}
+    joints = []
+    for k, (before, after) in enumerate(pairwise(parts)):
+        both: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for index in sorted(before.frames.keys() & after.frames.keys()):
+            pair = before.piece(index), after.piece(index)
+            if min(pair) >= 0:
+                both.setdefault(pair, []).append((before.frames[index], after.frames[index]))
+        for (first, second), shared in sorted(both.items()):
+            similarity = similarity_of(before.result, after.result, shared)
+            if similarity is not None:
+                joints.append(
+                    Joint(
+                        first=number[k, first],
+                        second=number[k + 1, second],
+                        similarity=similarity,
+                        frames=len(shared),
+                    )
+                )
+    joints.sort(key=lambda joint: -joint.frames)
+    return connected(len(nodes), joints)
+
+
+def _unit(
+    parts: Sequence[Part],
+    owners: dict[int, int],
+    similarity: dict[tuple[int, int], np.ndarray],
+    of_node: dict[tuple[int, int], int],
+    world: int,
+) -> float:
+    """Return the scale of the piece of a part that has the first keyframe of a world.
+
+    Its unit is that of the whole.
+    """
+    own = [
+        (owner, index)
+        for index, owner in owners.items()
+        if of_node.get((owner, parts[owner].piece(index))) == world
+    ]
+    first = next(
+        (one for one in own if parts[one[0]].frames[one[1]] in parts[one[0]].result.keyframes),
+        own[0],
+    )
+    return scale_of(similarity[first[0], parts[first[0]].piece(first[1])])

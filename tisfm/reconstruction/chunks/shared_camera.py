@@ -1,0 +1,109 @@
+"""The camera that all chunks share: found on one of them, before the others are made."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.camera_file import NAME, read_camera, record_in, write_camera
+from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+
+Finished = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
+"""Calls a function with each item, wherever; gives the number of an item and what was returned."""
+
+MOST = 8  # chunks that are asked for the focal length, at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedCamera:
+    """A camera for all chunks, and the result that it was found with.
+
+    Attributes
+    ----------
+    camera : Path
+        Its file, of the frames as they come. Its readout is known; the file says whether the focal
+        length is a guess.
+    found : Reconstruction
+        A path without depth.
+    """
+
+    camera: Path
+    found: Reconstruction
+
+
+def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
+    """Return whether anything of a camera, or of that in a file, is to be found from frames."""
+    if chunk.poses is not None:
+        return False
+    return chunk.calibrate != "nothing" or camera is None or camera.readout is None
+
+
+def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> SharedCamera:
+    """Find the camera: on the first chunk, or on others where that does not show it.
+
+    Parameters
+    ----------
+    chunks : sequence of Chunk
+        All of them, as they are to be made.
+    finished : callable
+    folder : Path
+        The folders of paths and the file of the camera are made in it.
+
+    Raises
+    ------
+    Exception
+        What `tisfm.reconstruct` raises.
+    """
+    first, *others = [
+        replace(chunk, folder=folder / f"camera-{number:03d}", depth_of="none")
+        for number, chunk in enumerate(chunks)
+    ]
+    found = [result for _, result in _made([first], finished)]
+    if not found[0].calibration.seen and others:
+        some = np.unique(np.linspace(0, len(others) - 1, min(MOST - 1, len(others))).astype(int))
+        asked = [others[number] for number in some]
+        found += [result for _, result in sorted(_made(asked, finished), key=lambda one: one[0])]
+    best = next((one for one in found if one.calibration.seen), None)
+    if best is None:
+        best = min(found, key=_relative_deviation)
+    camera, record = read_camera(best.folder), record_in(best.folder)
+    if camera.readout is None:  # the motion shows none, and no chunk is to look for one
+        camera = replace(camera, readout=0.0)
+    shape = record["height"], record["width"]
+    write_camera(folder / NAME, camera, shape, about=record)
+    return SharedCamera(camera=folder / NAME, found=best)
+
+
+def _relative_deviation(result: Reconstruction) -> float:
+    """Return the deviation of the focal length as a share of it; infinite where it is a guess."""
+    about = result.calibration
+    return about.focal_std / about.focal if about.focal else np.inf
+
+
+def _made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[tuple[int, Reconstruction]]:
+    for number in made(chunks, finished):
+        yield number, Reconstruction.load(chunks[number].folder)
+
+
+def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
+    """Make those chunks that are not complete; give their numbers, as they are.
+
+    Raises
+    ------
+    Exception
+        What `tisfm.reconstruct` raises.
+    """
+    missing = []
+    for number, chunk in enumerate(chunks):
+        if chunk.is_complete():
+            yield number
+        else:
+            missing.append(number)
+    for number, error in finished(make_chunk, [chunks[number] for number in missing]):
+        if error is not None:
+            raise error
+        yield missing[number]

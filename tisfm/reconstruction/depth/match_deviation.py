@@ -1,0 +1,79 @@
+"""What the matched planes of a window are worth: how sure D is of each by what shows around it.
+
+A window is matched by all that it shows, and that may lie at its border: the outline of a nearer
+thing, beside a bare wall. So a cell counts by how far D moves the image close to it.
+"""
+
+import cv2
+import numpy as np
+
+from tisfm.kernels.model.constants import NEAREST
+from tisfm.motion.matched_planes import noise_deviation
+from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
+
+CLOSE = 5  # cells: the side of the square that counts; windows have 11
+# Standard deviation of D, cells, of an anchor that counts half: of rendered scenes, planes that
+# should be so sure are off by 0.3, a tenth of them by a cell; surer ones by 0.1, and a fiftieth.
+HALF = 0.5
+NOISE_IN_SLOPES = 3 / 16  # variance of the slopes of noise of variance 1, by Sobel's mask
+
+
+def anchors_of(window: Window, planes: WindowPlanes) -> np.ndarray:
+    """Return weight, from 0 to 1, and D* of every cell, (2, h, w) float32."""
+    depth = planes.inverse_depth
+    if planes.believed.any():
+        depth = np.where(planes.believed, depth, np.median(depth[planes.believed]))
+    deviation = deviation_of_match(window, depth.astype(np.float32))
+    weight = np.where(planes.believed, 1 / (1 + (deviation / HALF) ** 2), 0)
+    return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
+
+
+def deviation_of_match(window: Window, inverse_depth: np.ndarray) -> np.ndarray:
+    """Return how sure D can be by the image close to each cell: a standard deviation, cells.
+
+    It is that of the least squares, over cells close by and the frames that a cost is the mean of,
+    of what noise leaves of grey levels: σ_D² = 2 σ² / Σ (∇I·∂x/∂D)².
+
+    Parameters
+    ----------
+    window : Window
+    inverse_depth : (h, w) float32
+        D, cells.
+
+    Returns
+    -------
+    (h, w) float32
+        Infinite where the image is flat.
+    """
+    frame = window.of_cells(0)
+    noise = noise_deviation(frame) ** 2
+    slopes = [
+        cv2.Sobel(frame, cv2.CV_32F, *axis, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
+        for axis in ((1, 0), (0, 1))
+    ]
+    total = np.zeros_like(frame)
+    for across, down in _moved(window, inverse_depth):
+        total += (slopes[0] * across + slopes[1] * down) ** 2
+        total -= np.float32(NOISE_IN_SLOPES * noise) * (across**2 + down**2)
+    total *= np.float32(window.best / len(window.motions))
+    square = cv2.boxFilter(total, -1, (CLOSE, CLOSE), normalize=False)
+    with np.errstate(divide="ignore"):
+        deviation: np.ndarray = np.sqrt(np.float32(2 * noise) / np.maximum(square, 0))
+    return deviation
+
+
+def _moved(window: Window, inverse_depth: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return ∂x/∂D of every cell in every frame, px/px, to the east and to the south."""
+    height, width = inverse_depth.shape
+    camera = window.camera_of(window.level)
+    cx, cy = camera.center_for(*window.frames[0][window.level].shape)
+    x = (np.arange(width, dtype=np.float32) - np.float32(cx)) / np.float32(camera.focal)
+    y = (np.arange(height, dtype=np.float32)[:, None] - np.float32(cy)) / np.float32(camera.focal)
+    near = inverse_depth / np.float32(camera.focal)
+    found = []
+    for motion in window.motions.astype(np.float32):
+        p1, p2, p3 = (row[0] * x + row[1] * y + row[2] + row[3] * near for row in motion)
+        p3 = np.maximum(p3, np.float32(NEAREST))
+        t1, t2, t3 = motion[:, 3]
+        found.append(((t1 - p1 / p3 * t3) / p3, (t2 - p2 / p3 * t3) / p3))
+    return found

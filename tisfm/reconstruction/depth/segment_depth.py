@@ -1,0 +1,324 @@
+"""Depth of the frames of a piece: keyframes from windows, the others rendered from theirs."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.rigid.rendering import rendered
+from tisfm.reconstruction.depth.edge_alignment import on_own_edges
+from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
+from tisfm.reconstruction.depth.pose_adjustment import Star, star_of
+from tisfm.reconstruction.depth.view_fusion import (
+    View,
+    at_every_pixel,
+    filled,
+    together,
+    unsure_where_apart,
+)
+from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, window_depth
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.triangulation import depths_of
+from tisfm.settings import Settings
+
+# A frame becomes a keyframe where tracks have moved by this share of the longer side since the
+# last keyframe, or fewer than this share of its tracks are still seen.
+MOVED, KEPT = 0.1, 0.25
+# Keyframes are compared on every other pixel; and shown to frames between, by effort.
+COMPARED = 2
+SHOWN: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
+STAR = 24  # frames that a keyframe is compared with at a time: a camera may rest for long
+REACH = 40  # frames before and after a keyframe that it may be compared with
+MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
+# Of the relative deviation of a keyframe: times how far those before and after are from it.
+APART = 1.75
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameDepth:
+    """Depth of a frame, as it is written.
+
+    Attributes
+    ----------
+    frame : int
+    inverse_depth, deviation : (H, W) float32
+        NaN and infinity where there is none. The deviation is infinite as well where the frame
+        does not count.
+    """
+
+    frame: int
+    inverse_depth: np.ndarray
+    deviation: np.ndarray
+
+
+class Frames(Protocol):
+    """Frames as depth is found from them; `PreparedFrames` are such."""
+
+    camera: Camera
+    shape: tuple[int, int]
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return a frame, (H, W) float32."""
+
+    def counted(self, number: int) -> np.ndarray | None:
+        """Return where it counts, (H, W) bool; None where all of it does."""
+
+
+class PieceDepths:
+    """Depth of the frames of a piece, one after the other.
+
+    Parameters
+    ----------
+    frames : Frames
+    piece : Piece
+    seen : sequence of Seen
+        Tracks of every frame.
+    settings : Settings
+    effort : {"fast", "balanced", "accurate"}
+    before : (int, WindowDepth), optional
+        A keyframe that is known already, and its depth: those of later frames are found.
+    after : int, optional
+        Frames between keyframes are left out up to this one.
+    whole : (int, int), optional
+        Height and width of the frames that these are cut from: depth is then found as in those. By
+        default they are whole.
+
+    Attributes
+    ----------
+    keyframes : list of int
+        Chosen beforehand; those without depth are taken out as they turn up.
+    settled : dict of int to WindowDepth
+        Of the keyframe that came last, and the one before, as they are written: together with
+        those before and after them.
+    """
+
+    def __init__(
+        self,
+        frames: Frames,
+        piece: Piece,
+        seen: Sequence[Seen],
+        settings: Settings,
+        effort: Effort,
+        *,
+        before: tuple[int, WindowDepth] | None = None,
+        after: int = -1,
+        whole: tuple[int, int] | None = None,
+    ) -> None:
+        self._frames, self._piece, self._seen = frames, piece, seen
+        self._settings, self._effort = settings, effort
+        self._camera = frames.camera
+        self._whole = whole or frames.shape
+        self._previous, self._after = None if before is None else before[0], after
+        # Of the keyframes in use: as their windows have it (that of `before` apart), and as it is
+        # written.
+        self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        self.settled = dict(self._known)
+        self.keyframes = chosen_keyframes(piece, seen, max(self._whole), self._previous)
+
+    def __iter__(self) -> Iterator[FrameDepth]:
+        """Yield the depth of every frame that has any: keyframes once the next one is known."""
+        previous = self._previous
+        for key in list(self.keyframes):
+            found = self._keyframe(key, previous, self._effort)
+            if found is None:
+                self.keyframes.remove(key)
+                continue
+            self._known[key] = found
+            if previous is not None:
+                yield from self._up_to(previous)
+                self._known = {k: v for k, v in self._known.items() if k >= previous}
+            previous = key
+        if previous is not None:
+            yield from self._up_to(previous)
+            yield from self._between(previous, max(self._piece.poses) + 1)
+
+    def _up_to(self, key: int) -> Iterator[FrameDepth]:
+        """Yield a keyframe, whose neighbours are known, and the frames between the last and it."""
+        if key in self.settled:
+            return
+        after = max(self.settled, default=min(self._piece.poses) - 1)
+        found = self.settled[key] = self._compared(key)
+        yield self._given_out(key, found.inverse_depth, found.deviation)
+        yield from self._between(after, key)
+        self.settled = {key: found}
+
+    def _compared(self, key: int) -> WindowDepth:
+        """Return the depth of a keyframe and of those before and after it, together.
+
+        It is as unsure as they differ from it. They say the same but for errors of poses and of
+        matches, which a window knows nothing of.
+        """
+        found = self._known[key]
+        shape = self._frames.shape
+        own, spread = (
+            image[::COMPARED, ::COMPARED] for image in (found.inverse_depth, found.deviation)
+        )
+        others = [self._shown(self._known[k], k, key, COMPARED) for k in self._known if k != key]
+        mean, deviation = together(unsure_where_apart([(own, spread), *others], APART))
+        # Its own is known at every pixel: what is carried there is by how much others correct it.
+        inverse_depth = found.inverse_depth * at_every_pixel(mean / own, COMPARED, shape)
+        deviation = at_every_pixel(deviation, COMPARED, shape)
+        return replace(found, inverse_depth=inverse_depth, deviation=deviation)
+
+    def stars(self) -> list[Star]:
+        """Return the keyframes with a rough depth, each with the frames up to the next ones."""
+        frames = sorted(self._piece.poses)
+        limits = [frames[0], *self.keyframes, frames[-1]]
+        stars = []
+        for number, key in enumerate(self.keyframes):
+            found = self._keyframe(key, None, "fast")
+            if found is None:
+                continue
+            first, last = limits[number], limits[number + 2]
+            members = [frame for frame in frames if first <= frame <= last and frame != key]
+            about = self._frames.grey(key), found.inverse_depth, found.deviation
+            for begin in range(0, len(members), STAR):
+                lot = members[begin : begin + STAR]
+                stars.append(star_of(key, lot, *about, self._frames.counted(key)))
+        return stars
+
+    def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
+        for frame in sorted(self._piece.poses):
+            if max(after, self._after) < frame < before:
+                inverse_depth, deviation = self._rendered(frame)
+                if np.isfinite(inverse_depth).any():
+                    yield self._given_out(frame, inverse_depth, deviation)
+
+    def _given_out(
+        self, frame: int, inverse_depth: np.ndarray, deviation: np.ndarray
+    ) -> FrameDepth:
+        """Return depth as it is written: where the frame does not count, it shows other things."""
+        counted = self._frames.counted(frame)
+        if counted is not None:
+            deviation = np.where(counted, deviation, np.float32(np.inf))
+        return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
+
+    def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
+        """Return the depth of a keyframe from the frames around it, None if they show none.
+
+        They are chosen by what its tracks say of its depth, or else the keyframe before.
+        """
+        poses = self._piece.poses
+        places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
+        rough = _spread(places, depths, self._frames.shape)
+        if rough is None and previous is not None:
+            rough = self._shown(self._known[previous], previous, key, 1)[0]
+        if rough is None or not np.isfinite(rough).any():
+            return None
+        near = [f for f in poses if abs(f - key) <= REACH]
+        neighbours = choose_neighbours(
+            np.array([poses[f] for f in near]),
+            near.index(key),
+            rough,
+            self._camera,
+            self._frames.shape,
+            most=MOST[effort],
+            whole=self._whole,
+        )
+        chosen = [near[k] for k in neighbours]
+        if not chosen:
+            return None
+        motions = np.array([(np.linalg.inv(poses[f]) @ poses[key])[:3] for f in chosen])
+        return window_depth(
+            self._frames.grey(key),
+            [self._frames.grey(f) for f in chosen],
+            motions,
+            self._camera,
+            self._settings,
+            effort=effort,
+            key_mask=self._frames.counted(key),
+            masks=[self._frames.counted(f) for f in chosen],
+            whole=self._whole,
+        )
+
+    def _shown(self, known: WindowDepth, key: int, frame: int, stride: int) -> View:
+        """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none.
+
+        They are of every pixel in `stride` rows and columns, from 0.
+        """
+        poses = self._piece.poses
+        motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
+        depth, spread = (
+            np.ascontiguousarray(np.nan_to_num(one[::stride, ::stride], posinf=0.0))
+            for one in (known.inverse_depth, known.deviation)
+        )
+        out, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
+        cx, cy = self._camera.center_for(*self._frames.shape)
+        rendered(
+            depth,
+            spread,
+            motion,
+            out,
+            deviation,
+            center=(cx / stride, cy / stride),
+            focal=self._camera.focal / stride,
+        )
+        seen = out > 0
+        return np.where(seen, out, np.nan), np.where(seen, deviation, np.nan)
+
+    def _rendered(self, frame: int) -> View:
+        """Return the depth of a frame as the keyframes show it, and its deviation."""
+        stride = SHOWN[self._effort]
+        views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
+        inverse_depth, deviation = together(views)
+        grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
+        found, spread = on_own_edges(*filled(inverse_depth, deviation, grey), grey)
+        shape = self._frames.shape
+        return at_every_pixel(found, stride, shape), at_every_pixel(spread, stride, shape)
+
+
+def chosen_keyframes(
+    piece: Piece, seen: Sequence[Seen], side: int, previous: int | None = None
+) -> list[int]:
+    """Return the frames of a piece that are far enough from one another, in order.
+
+    Where there is a keyframe before, `previous`, they are far enough from it as well.
+    """
+    frames = sorted(piece.poses)
+    keys = frames[:1] if previous is None else [previous]
+    for frame in frames[bisect_right(frames, keys[0]) :]:
+        before, now = seen[keys[-1]], seen[frame]
+        index0, index1 = before.shared(now)
+        if len(index0) < max(1, KEPT * len(before.tracks)):
+            keys.append(frame)
+            continue
+        moved = np.hypot(*(now.points[index1] - before.points[index0]).T)
+        if np.median(moved) > MOVED * side:
+            keys.append(frame)
+    return keys if previous is None else keys[1:]
+
+
+def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray | None:
+    """Return inverse depth of the nearest known place at every pixel, None where none is known."""
+    if len(depths) == 0:
+        return None
+    x, y = np.rint(places).astype(np.intp).T
+    values, unknown = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
+    values[y, x], unknown[y, x] = 1 / depths, 0
+    _, nearest = cv2.distanceTransformWithLabels(
+        unknown, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.zeros(nearest.max() + 1, np.float32)
+    table[nearest[y, x]] = values[y, x]
+    return table[nearest]
+
+
+def unit_of(inverse_depth: np.ndarray) -> float:
+    """Return the median depth of a frame; 1 if it has none."""
+    known = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
+    return 1 / float(np.median(known)) if len(known) else 1.0
+
+
+def effort_of(settings: Settings) -> Effort:
+    """Return how densely planes are sought: as much as the preset that does as much for a pair."""
+    if settings.finest_level > 0:
+        return "fast"
+    balanced = Settings.preset("balanced")
+    if settings.warps == balanced.warps:
+        return "accurate" if settings.tolerance < balanced.tolerance else "balanced"
+    return "accurate" if settings.warps > balanced.warps else "balanced"

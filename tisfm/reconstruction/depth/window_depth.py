@@ -1,0 +1,316 @@
+"""Inverse depth of a keyframe from several frames whose poses are known.
+
+Planes are matched in all frames at once (`tisfm.reconstruction.depth.window_planes`); second-order
+smoothness carries what is believed to the rest (`tisfm.solver.second_order`), and then the
+constraints of every frame, each along its own epipolar line, move the common inverse depth D as
+far as they are met: Σ w_j (A_j D² + 2 B_j D) is one scalar term.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.errors import InputError
+from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
+from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.rigid.epipolar import displacement
+from tisfm.kernels.rigid.several_frames import add_along, as_constraint
+from tisfm.motion.carried_depth import SECOND_ORDER, texture_weight
+from tisfm.motion.problems import depth_problem
+from tisfm.reconstruction.depth.match_deviation import anchors_of
+from tisfm.reconstruction.depth.window_planes import (
+    COST,
+    Window,
+    WindowPlanes,
+    costs_of,
+    window_planes,
+)
+from tisfm.settings import Settings
+from tisfm.solver.data_term import DataTerm
+from tisfm.solver.sampling import enlarged, spline_taps
+from tisfm.solver.second_order import (
+    SecondOrderMinimiser,
+    SecondOrderSettings,
+    anchors_in_lanes,
+    fill,
+)
+from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
+from tisfm.solver.unknowns import Unknowns
+
+# Of the cells of a keyframe, at most: 160×120, 320×240 and 640×480 of as many pixels.
+Effort = Literal["fast", "balanced", "accurate"]
+CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
+FEWEST = 0.01  # of the cells: with fewer believed, nothing is carried
+# Weight of the constraints of a frame, where they count in full, against that of a matched cell;
+# and what is left of that cell's own weight there, since both come from the same images.
+DATA, LEFT = 8.0, 0.1
+# Where slopes turn, px per px, and how much edges of the image tell. Slopes turn sooner than for
+# pairs, since what is matched is surer: or those of a floor are smoothed into those of the walls.
+TURN, IMAGE_EDGES = 0.0009, 10.0
+TEXTURE = 1000.0  # times the variance of the noise: of a window whose constraints count half
+WARPS, ITERATIONS = 3, 1
+FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
+FURTHEST_SHARE = 0.01  # of the matched cells: those that are further are not counted
+# Of the standard deviation of D, cells: the least; a share of what constraints nearby are off by,
+# and of the most that counts of it; and a share of D for every pixel that it is carried: slopes of
+# surfaces go with D, and with the pixels of the frame, not of its cells.
+SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.07, 2.5, np.float32(0.002)
+# And a share of how far matches nearby lie from D: less the closer that is to their own scatter.
+MOVED, SCATTER = 0.8, np.float32(0.2)
+# Of the pixels of rendered rooms 60 to 76 % then lie within one, of TartanAir 57 %, and of a
+# HoloLens, whose poses are not exact, 28 %; `segment_depth` compares keyframes.
+AROUND = (15, 15)  # cells: the window that these are averaged in
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowDepth:
+    """Inverse depth of a keyframe.
+
+    Attributes
+    ----------
+    inverse_depth : (H, W) float32
+        1/unit of the poses; positive.
+    deviation : (H, W) float32
+        Its standard deviation.
+    believed : (h, w) bool
+        Of cells of 2^`level` px a side: those that were matched.
+    level : int
+    """
+
+    inverse_depth: np.ndarray
+    deviation: np.ndarray
+    believed: np.ndarray
+    level: int
+
+
+def window_depth(
+    key: np.ndarray,
+    others: Sequence[np.ndarray],
+    motions: np.ndarray,
+    camera: Camera,
+    settings: Settings,
+    *,
+    effort: Effort = "balanced",
+    key_mask: np.ndarray | None = None,
+    masks: Sequence[np.ndarray | None] | None = None,
+    whole: tuple[int, int] | None = None,
+) -> WindowDepth | None:
+    """Estimate the inverse depth of every pixel of a keyframe.
+
+    Parameters
+    ----------
+    key : (H, W) float32
+        Grey levels on the 8-bit scale.
+    others : sequence of (H, W) float32
+        Frames that see the same, M of them.
+    motions : (M, 3, 4) array
+        R and t from the keyframe to each: P₁ = R P₀ + t.
+    camera : Camera
+        A pinhole.
+    settings : Settings
+        Those of the constraints.
+    effort : {"fast", "balanced", "accurate"}
+        How densely planes are sought.
+    key_mask : (H, W) bool, optional
+        Where the keyframe counts; elsewhere depth is carried.
+    masks : sequence of (H, W) bool or None, optional
+        The same of every other frame.
+    whole : (int, int), optional
+        H and W of the frames that these are cut from, as for `Window`.
+
+    Returns
+    -------
+    WindowDepth or None
+        None if there is too little to carry depth from.
+
+    Raises
+    ------
+    ValueError
+        If there is no other frame, a size differs, a motion is not finite or has no translation, or
+        the effort is unknown.
+    """
+    others = list(others)
+    if effort not in CELLS:
+        raise InputError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
+    motions = _checked(key, others, motions, key_mask, masks)
+    runtime.start()
+    window = Window(
+        key,
+        others,
+        motions,
+        camera,
+        cells=CELLS[effort],
+        key_mask=key_mask,
+        masks=masks,
+        whole=whole,
+    )
+    planes = window_planes(window)
+    anchors = anchors_of(window, planes)
+    planes = replace(planes, believed=anchors[0] > 0)
+    if planes.believed.sum() < max(1, FEWEST * window.counted.sum()):
+        return None
+    state = _Data(window, settings, anchors)
+    for _ in range(WARPS):
+        state.step()
+    depth = state.depth()
+    least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
+    depth = np.maximum(depth, np.float32(least))
+    deviation = _deviation(planes, depth, state.residual())
+    side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
+    found = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
+    return WindowDepth(
+        inverse_depth=found[0], deviation=found[1], believed=planes.believed, level=window.level
+    )
+
+
+def second_order(level: int) -> SecondOrderSettings:
+    """Return the smoothness of cells of 2^`level` px a side.
+
+    That of pixels, as far as slopes are carried over as many px, against anchors that are fewer.
+    """
+    side = 2.0**level
+    return replace(
+        SECOND_ORDER,
+        alpha=SECOND_ORDER.alpha / side,
+        beta=SECOND_ORDER.beta / side**3,
+        turn=TURN,
+        image_edges=IMAGE_EDGES,
+    )
+
+
+class _Data:
+    """Depth of the cells, its slopes, and the constraints of all frames.
+
+    Parameters
+    ----------
+    window : Window
+    settings : Settings
+    anchors : (2, h, w) float32
+        Weight and D*, cells.
+    """
+
+    def __init__(self, window: Window, settings: Settings, anchors: np.ndarray) -> None:
+        level = window.level
+        frame, camera = window.of_cells(0), window.camera_of(level)
+        smoothness = second_order(level)
+        depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
+        self._grid = grid = runtime.lane_grid(*frame.shape)
+        unknowns = Unknowns(grid, camera, 1)
+        textured = texture_weight(frame, half=TEXTURE) * window.counted
+        held = np.stack([anchors[0] * (1 - (1 - LEFT) * textured), anchors[1]])
+        constraint = grid.allocate(3)
+        self._sums = sums = grid.allocate(3)
+        self._minimiser = minimiser = SecondOrderMinimiser(
+            grid,
+            anchors_in_lanes(grid, held),
+            image_edges_in_lanes(grid, frame, smoothness.image_edges),
+            smoothness,
+            constraints=constraint,
+            scales=[np.inf],
+        )
+        for component, values in enumerate((depth, *slopes)):
+            image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
+        inverse_depth = minimiser.rho[:1]
+        flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
+        tensor = grid.allocate(6)
+        constancy = depth_problem(settings, camera.focal).constancy
+        seen = np.maximum(1 - costs_of(window, depth, slopes) / np.float32(COST), 0) * textured
+        self._linearise: list[Callable[[], None]] = []
+        for j, motion in enumerate(window.motions):
+            other = window.of_cells(1 + j)
+            data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
+            weight = grid.allocate(1)
+            image_to_lanes(grid, np.float32(DATA) * seen[j], weight)
+            self._linearise.append(
+                in_turn(
+                    displacement.bind(
+                        grid,
+                        inverse_depth,
+                        grid.allocate(1),
+                        unknowns.x_hat,
+                        unknowns.y_hat,
+                        flow,
+                        direction,
+                        motions=np.ascontiguousarray(motion[None], np.float32),
+                        focal=camera.focal,
+                    ),
+                    data.bind_linearise(flow, tensor),
+                    add_along.bind(grid, tensor, flow, direction, inverse_depth, weight, sums),
+                )
+            )
+        self._as_constraint = as_constraint.bind(grid, sums, constraint)
+
+    def step(self) -> None:
+        """Linearise every frame once, and minimise."""
+        self._sums.fill(0)
+        for linearise in self._linearise:
+            linearise()
+        self._as_constraint()
+        self._minimiser.update()
+        self._minimiser.minimise(ITERATIONS)
+
+    def depth(self) -> np.ndarray:
+        """Return D, (h, w) float32, cells."""
+        return self._minimiser.images()[0]
+
+    def residual(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return A and A D² + 2 B D + C, (h, w) float32 each, of the last linearisation."""
+        sums = np.empty((3, self._grid.height, self._grid.width), np.float32)
+        lanes_to_images(self._grid, self._sums, sums)
+        depth = self.depth()
+        return sums[0], np.maximum((sums[0] * depth + 2 * sums[1]) * depth + sums[2], 0)
+
+
+def _deviation(
+    planes: WindowPlanes, depth: np.ndarray, residual: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Return the standard deviation of D, (h, w) float32, cells."""
+    far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
+    far *= 2**planes.level
+    precision, square = (cv2.blur(image, AROUND) for image in residual)
+    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MOST_OFF**2)
+    believed = planes.believed.astype(np.float32)
+    moved = cv2.blur(believed * np.abs(depth - planes.inverse_depth), AROUND)
+    moved = moved / np.maximum(cv2.blur(believed, AROUND), np.float32(1 / math.prod(AROUND)))
+    moved = np.float32(MOVED) * moved**2 / (moved + SCATTER)
+    deviation: np.ndarray = np.sqrt(
+        SUREST**2 + OFF**2 * square + moved**2 + (CARRYING * far * depth) ** 2, dtype=np.float32
+    )
+    return deviation
+
+
+def _checked(
+    key: np.ndarray,
+    others: list[np.ndarray],
+    motions: np.ndarray,
+    key_mask: np.ndarray | None,
+    masks: Sequence[np.ndarray | None] | None,
+) -> np.ndarray:
+    """Return the motions, (M, 3, 4) float64, of arguments that fit together."""
+    if not others:
+        raise InputError("others is empty: expected at least one frame")
+    motions = np.asarray(motions, np.float64)
+    if motions.shape != (len(others), 3, 4):
+        raise InputError(
+            f"motions is {motions.shape} for {len(others)} frames: expected ({len(others)}, 3, 4)"
+        )
+    if not np.isfinite(motions).all():
+        raise InputError("motions has values that are not finite")
+    if not motions[:, :, 3].any(axis=1).all():
+        raise InputError("motions has one without translation: such a frame says nothing of depth")
+    arrays = [(f"others[{k}]", frame) for k, frame in enumerate(others)]
+    arrays += [("key_mask", key_mask)] if key_mask is not None else []
+    arrays += [(f"masks[{k}]", mask) for k, mask in enumerate(masks or []) if mask is not None]
+    for name, array in arrays:
+        if np.shape(array) != key.shape:
+            raise InputError(f"{name} is {np.shape(array)} but key is {key.shape}")
+    if masks is not None and len(masks) != len(others):
+        raise InputError(f"masks has {len(masks)} for {len(others)} frames: expected one each")
+    return motions

@@ -1,0 +1,107 @@
+"""Image motion between two frames, found at a reduced size and kept for several stages."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.flow_proposals import proposals
+from tisfm.motion.problems import flow_problem
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.settings import Settings
+from tisfm.solver.coarse_to_fine import coarse_to_fine
+from tisfm.solver.image_pyramid import ImagePyramid
+
+FLOW_PIXELS = 2**16  # at least, of the level that the image motion is found on
+TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
+
+
+def flow_between(
+    small0: np.ndarray,
+    small1: np.ndarray,
+    share: float,
+    camera: Camera,
+    settings: Settings,
+    *,
+    fast_things: bool = False,
+) -> np.ndarray:
+    """Return the image motion from one of two `smaller` frames to the other.
+
+    Parameters
+    ----------
+    small0, small1 : (h, w) float32
+    share : float
+        Px of theirs to a px of the frames.
+    camera : Camera
+        A pinhole, of the frames.
+    settings : Settings
+    fast_things : bool
+        Whether things that move far for their size are looked for.
+
+    Returns
+    -------
+    (h, w, 2) float32
+        Px of the smaller frames; of what leaves them for good, no more than their sides together.
+    """
+    scaled = Camera(focal=camera.focal * share)
+    pyramid = ImagePyramid(
+        small0,
+        small1,
+        scaled,
+        factor=settings.pyramid_factor,
+        presmoothing=settings.presmoothing,
+    )
+    problem = flow_problem(settings, scaled.focal)
+    amendment = proposals(pyramid, problem) if fast_things else None
+    solution = coarse_to_fine(pyramid, problem, amendment=amendment)
+    flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
+    if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, to NaN perhaps
+        flow = np.nan_to_num(flow, nan=limit).clip(-limit, limit)
+    return cv2.merge(list(flow))
+
+
+def smaller(grey: np.ndarray) -> np.ndarray:
+    """Return the frame as float32, halved as often as `FLOW_PIXELS` allows."""
+    small: np.ndarray = grey.astype(np.float32)
+    while small.size >= 4 * FLOW_PIXELS:
+        height, width = small.shape
+        size = (width + 1) // 2, (height + 1) // 2
+        even = cv2.copyMakeBorder(small, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        small = cv2.resize(even, size, interpolation=cv2.INTER_AREA)
+    return small
+
+
+def share_of(small: np.ndarray, grey: np.ndarray) -> float:
+    """Return how many px of `smaller` a px of the frame is: odd sides are filled up first."""
+    return float(2.0 ** np.rint(np.log2(small.shape[1] / grey.shape[1])))
+
+
+class FoundFlow:
+    """Finds the image motion to frames, and keeps it with 11 significant bits.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    grey : callable
+        Returns a frame, (H, W) uint8.
+    """
+
+    def __init__(self, camera: Camera, grey: Callable[[int], np.ndarray]) -> None:
+        self._camera, self._grey = camera, grey
+        self._places: dict[int, int] = {}
+        self._found: Shelf[np.ndarray] = Shelf(
+            lambda flow: (flow.astype(np.float16),), lambda flow: flow.astype(np.float32)
+        )
+
+    def to(self, number: int) -> np.ndarray:
+        """Return the motion from the frame before, (h, w, 2) float32, px of `smaller` frames."""
+        if number not in self._places:
+            before, now = self._grey(number - 1), self._grey(number)
+            small = smaller(now)
+            share = share_of(small, now)
+            flow = flow_between(smaller(before), small, share, self._camera, TRACKING)
+            self._places[number] = len(self._found)
+            self._found.append(flow)
+        return self._found[self._places[number]]

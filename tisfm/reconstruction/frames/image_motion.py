@@ -1,0 +1,180 @@
+"""Image motion between neighbouring frames of a sequence, both ways, and chains of it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.frame_flow import flow_between, share_of, smaller
+from tisfm.settings import Settings
+
+# There and back, a point ends no further from where it was: px, and a share of the way.
+RETURN, RETURN_SHARE = 0.5, 0.05
+HELD = 20  # steps in memory at a time: as many as a frame is led over, and some more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """Image motion from a frame to the next, and back.
+
+    Attributes
+    ----------
+    forward, backward : (H, W, 2) float32
+        (u, v), px/frame, at the pixels of the earlier and of the later frame.
+    """
+
+    forward: np.ndarray
+    backward: np.ndarray
+
+    @classmethod
+    def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "Step":
+        """Return what has these arrays."""
+        return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of, with 11 significant bits."""
+        return self.forward.astype(np.float16), self.backward.astype(np.float16)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Led:
+    """Where the image motion leads from a frame to another.
+
+    Attributes
+    ----------
+    frame : int
+        The other one.
+    steps : int
+        Frames from one to the other.
+    places : (H, W, 2) float32
+        (x, y) in the other frame, of every pixel.
+    found : (H, W) bool
+        Whether the way back leads to where it began, at every step.
+    """
+
+    frame: int
+    steps: int
+    places: np.ndarray
+    found: np.ndarray
+
+
+class ImageMotion:
+    """Image motion of a sequence, frame by frame, in frames that are made smaller where large.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    settings : Settings
+        Of the image motion.
+
+    Attributes
+    ----------
+    share : float
+        Px of its frames to a px of the sequence's.
+    """
+
+    def __init__(self, camera: Camera, settings: Settings) -> None:
+        self._camera, self._settings = camera, settings
+        self._greys = Shelf(lambda grey: (grey,), lambda grey: grey)
+        self._steps = Shelf(Step.arrays, Step.of_arrays)
+        self._held: dict[int, tuple[Step, np.ndarray, np.ndarray]] = {}
+        self._shape = (0, 0)  # of the sequence's frames
+        self.share = 1.0
+
+    def add(self, grey: np.ndarray) -> None:
+        """Take the next frame, (H, W) uint8."""
+        self._shape = grey.shape
+        small = smaller(grey)
+        self.share = share_of(small, grey)
+        if len(self._greys):
+            before = self._greys[len(self._greys) - 1]
+            self._steps.append(
+                Step(forward=self._flow(before, small), backward=self._flow(small, before))
+            )
+        self._greys.append(small)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self._greys)
+
+    def grey(self, frame: int) -> np.ndarray:
+        """Return a frame, (H, W) float32."""
+        return self._greys[frame]
+
+    def camera(self, of_frames: Camera | None = None) -> Camera:
+        """Return the camera of its frames; that of the sequence's may be known better by now."""
+        return (of_frames or self._camera).scaled(self.share, *self._shape)
+
+    def forward(self, frame: int) -> np.ndarray:
+        """Return the motion from a frame to the next, (H, W, 2) float32."""
+        return self._step(frame)[0].forward
+
+    def backward(self, frame: int) -> np.ndarray:
+        """Return the motion from a frame to the one before, (H, W, 2) float32."""
+        return self._step(frame - 1)[0].backward
+
+    def led(self, frame: int, furthest: int) -> Iterator[Led]:
+        """Yield where every pixel is led, up to so many frames later, then before."""
+        start = places_of(self.grey(frame).shape)
+        for way in (1, -1):
+            places, found, at = start, np.ones(start.shape[:2], bool), frame
+            for steps in range(1, furthest + 1):
+                if not 0 <= at + way < len(self):
+                    break
+                step, returns, comes = self._step(min(at, at + way))
+                motion, fits = (step.forward, returns) if way > 0 else (step.backward, comes)
+                moved = at_places(motion, places)
+                found = found & (at_places(fits, places) > 0.99)
+                places, at = places + moved, at + way
+                yield Led(frame=at, steps=steps, places=places, found=found)
+
+    def _step(self, frame: int) -> tuple[Step, np.ndarray, np.ndarray]:
+        """Return the motion from a frame to the next, and where it leads back, both ways."""
+        if frame not in self._held:
+            while len(self._held) >= HELD:
+                self._held.pop(next(iter(self._held)))
+            step = self._steps[frame]
+            self._held[frame] = (
+                step,
+                returning(step.forward, step.backward),
+                returning(step.backward, step.forward),
+            )
+        return self._held[frame]
+
+    def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
+        return flow_between(
+            small0, small1, self.share, self._camera, self._settings, fast_things=True
+        )
+
+
+def returning(there: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """Return where the way there and back ends where it began, (H, W) float32: 1, or else 0."""
+    height, width = there.shape[:2]
+    places = places_of((height, width)) + there
+    missed = length_of(there + at_places(back, places))
+    fits = missed < RETURN + RETURN_SHARE * length_of(there)
+    x, y = cv2.split(places)
+    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    return np.float32(fits & inside)
+
+
+def length_of(vectors: np.ndarray) -> np.ndarray:
+    """Return the lengths, (H, W) float32, of vectors, (H, W, 2) float32."""
+    return cv2.magnitude(*cv2.split(vectors))  # many times as fast as `np.linalg.norm`
+
+
+def places_of(shape: tuple[int, ...]) -> np.ndarray:
+    """Return (x, y) of every pixel, (H, W, 2) float32."""
+    rows, columns = np.indices(shape[:2], np.float32)
+    return np.stack([columns, rows], axis=-1)
+
+
+def at_places(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
+    """Return an image, (H, W[, C]), at places, (h, w, 2) px, bilinearly or of nearest pixels."""
+    x, y = cv2.split(np.ascontiguousarray(places, np.float32))
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    return cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE)

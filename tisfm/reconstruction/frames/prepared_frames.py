@@ -1,0 +1,283 @@
+"""Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.errors import InputError
+from tisfm.formats import atomic_write
+from tisfm.formats.atomic import copy_file
+from tisfm.formats.npz import write_npy
+from tisfm.frames import check_frame, eight_bit, grey_pair
+from tisfm.lens import Undistortion
+from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
+from tisfm.resampling import Resampling
+from tisfm.shutter import Rolling, UnrolledFrame
+from tisfm.solver.counted import filled
+from tisfm.sources.frame_reader import SourceFrame
+
+if TYPE_CHECKING:
+    from tisfm.reconstruction.frames.frame_flow import FoundFlow
+
+QUALITY = 95  # of the JPEG pictures that colours are taken from
+HELD = 24  # frames in memory at a time
+
+
+class PreparedFrames:
+    """The frames of a sequence, read once, and from then on taken from a folder.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the frames as they come.
+    cache : Path
+        Folder for grey levels, which may be deleted afterwards.
+    pictures : Path
+        Folder for pictures, (H, W[, 3]) with 8 bits.
+    labels_stay : bool, default False
+        Whether labels are of prepared frames already.
+
+    Attributes
+    ----------
+    camera : Camera
+        The pinhole of the prepared frames.
+    shape : (int, int)
+        Height and width, px; (0, 0) before there is a frame.
+    count : int
+    """
+
+    def __init__(
+        self, camera: Camera, cache: Path, pictures: Path, *, labels_stay: bool = False
+    ) -> None:
+        self.camera = camera.pinhole()
+        self.shape = (0, 0)
+        self.count = 0
+        self._lens: Undistortion | None = None
+        self._labels_stay = labels_stay
+        self._taken, self._cache, self._pictures = camera, cache, pictures
+        self._held: dict[int, np.ndarray] = {}
+        self._masked: set[int] = set()
+        self._labelled: set[int] = set()  # frames that show a thing
+        self._as_read: set[int] = set()  # frames of which what was read is kept as well
+        self._flow: FoundFlow | None = None
+
+    def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
+        """Prepare a frame and keep it; return it as the tracker takes it.
+
+        Returns
+        -------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, or None
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no frame, as `tisfm.frames.check_frame` says.
+        """
+        number = self.count
+        image = check_frame(frame.image, frame.name)
+        grey, _ = grey_pair(image, image, stretch=frame.stretch)
+        picture = eight_bit(image, image, stretch=frame.stretch)
+        ignored, labels = frame.ignored, frame.labels
+        if ignored is not None and ignored.any():
+            grey = filled(grey, ignored)
+        if not self._taken.is_pinhole:
+            if self._lens is None:
+                self._lens = Undistortion(self._taken, *grey.shape)
+            grey, picture = self._lens.apply(grey), self._lens.apply(picture)
+            if ignored is not None:
+                ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
+            if labels is not None and not self._labels_stay:
+                labels = _moved(labels, self._lens)
+            missing = ~self._lens.valid
+            ignored = missing if ignored is None else ignored | missing
+        self.shape = grey.shape
+        whole = np.rint(grey).clip(0, 255).astype(np.uint8)
+        write_npy(self._grey_path(number), whole if (whole == grey).all() else grey)
+        if ignored is not None and ignored.any():
+            write_npy(self._mask_path(number), ignored)
+            self._masked.add(number)
+        write_picture(self._picture_path(number), picture)
+        if labels is not None:
+            self.label(number, labels)
+        self.count += 1
+        return whole, ignored
+
+    def take(self, camera: Camera) -> None:
+        """Take a camera that was found later; if it distorts, all frames are made anew."""
+        self.camera = camera.pinhole()
+        if camera.is_pinhole or not self.count:
+            return
+        lens = Undistortion(camera, *self.shape)
+        for number in range(self.count):
+            self._make_anew(number, lens)
+
+    def unroll(self, rolling: Rolling) -> None:
+        """Make frames anew as if all their rows had been read with the middle one."""
+        for number in sorted(rolling.rates):
+            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+        self.camera = replace(self.camera, readout=0.0)
+
+    def unroll_again(self, rolling: Rolling | None) -> None:
+        """Do what `unroll` does to frames that are not settled, from what they were before it."""
+        for number in sorted(self._as_read):
+            for path in self._paths(number):
+                if _as_it_was(path).exists():
+                    _as_it_was(path).replace(path)
+                else:
+                    path.unlink(missing_ok=True)
+            self._held.pop(number, None)
+            self._masked.discard(number)
+            if self._mask_path(number).exists():
+                self._masked.add(number)
+        self._as_read = set()
+        if rolling is None:
+            return
+        for number in sorted(rolling.rates):
+            for path in self._paths(number):
+                if path.exists():
+                    copy_file(path, _as_it_was(path))
+            self._as_read.add(number)
+            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+
+    def settle(self, last: int) -> None:
+        """Let frames up to one stay as they are."""
+        for number in [k for k in self._as_read if k <= last]:
+            for path in self._paths(number):
+                _as_it_was(path).unlink(missing_ok=True)
+            self._as_read.discard(number)
+
+    def flow(self, number: int) -> np.ndarray | None:
+        """Return the image motion to a frame from that before; None for the first frame.
+
+        It is found once, as long as frames stay as they are, and is as `FoundFlow.to` returns it.
+        """
+        if number == 0:
+            return None
+        if self._flow is None:
+            from tisfm.reconstruction.frames.frame_flow import FoundFlow
+
+            self._flow = FoundFlow(self.camera, lambda one: self.tracked(one)[0])
+        return self._flow.to(number)
+
+    def _make_anew(self, number: int, map_: Resampling) -> None:
+        self._flow = None
+        ignored = ~map_.valid
+        if number in self._masked:
+            before = np.load(self._mask_path(number)).astype(np.float32)
+            ignored |= map_.nearest(before) > 0
+        grey = self.grey(number)
+        self._held.pop(number)
+        write_npy(self._grey_path(number), map_.apply(grey))
+        if ignored.any():
+            write_npy(self._mask_path(number), ignored)
+            self._masked.add(number)
+        picture = read_picture(self._pictures.parent, number)
+        write_picture(self._picture_path(number), map_.apply(picture))
+        if number in self._labelled and not self._labels_stay:
+            self.label(number, _moved(self.labels(number), map_))
+
+    def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return a frame as the tracker takes it, as `add` does."""
+        counted = self.counted(number)
+        whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
+        return whole, None if counted is None else ~counted
+
+    def label(self, number: int, labels: np.ndarray) -> bool:
+        """Take and write the labels of a frame, (H, W) uint8: what they name counts no more.
+
+        Return whether that is something else than before. What is masked belongs to nothing.
+        """
+        ignored = self.ignored(number)
+        if ignored is not None:
+            labels = np.where(ignored, np.uint8(0), labels)
+        before = self.labels(number) > 0
+        write_labels(self._pictures.parent, number, labels)
+        self._labelled.discard(number)
+        if labels.any():
+            self._labelled.add(number)
+        return not np.array_equal(before, labels > 0)
+
+    def labels(self, number: int) -> np.ndarray:
+        """Return which thing each pixel of a frame belongs to, (H, W) uint8; 0 is at rest."""
+        if number not in self._labelled:
+            return np.zeros(self.shape, np.uint8)
+        return read_labels(self._pictures.parent, number, self.shape)
+
+    def things(self) -> set[int]:
+        """Return the things that frames show, by their labels."""
+        return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
+
+    def ignored(self, number: int) -> np.ndarray | None:
+        """Return what is masked in a frame, (H, W) bool; None for nothing."""
+        if number not in self._masked:
+            return None
+        ignored: np.ndarray = np.load(self._mask_path(number))
+        return ignored
+
+    def forget(self, number: int) -> None:
+        """Delete a frame; numbers of the others stay."""
+        self._held.pop(number, None)
+        self._masked.discard(number)
+        self._labelled.discard(number)
+        self._as_read.discard(number)
+        for path in self._paths(number):
+            path.unlink(missing_ok=True)
+            _as_it_was(path).unlink(missing_ok=True)
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
+        if number not in self._held:
+            while len(self._held) >= HELD:
+                self._held.pop(next(iter(self._held)))
+            self._held[number] = np.load(self._grey_path(number))
+        else:
+            self._held[number] = self._held.pop(number)  # it is the last to go now
+        return self._held[number].astype(np.float32)
+
+    def counted(self, number: int) -> np.ndarray | None:
+        """Return where a frame counts, (H, W) bool; None where all of it does."""
+        ignored = self.ignored(number)
+        if number in self._labelled:
+            aside = self.labels(number) > 0
+            ignored = aside if ignored is None else ignored | aside
+        return None if ignored is None else ~ignored
+
+    def _paths(self, number: int) -> tuple[Path, ...]:
+        return (
+            self._grey_path(number),
+            self._mask_path(number),
+            self._picture_path(number),
+        )
+
+    def _grey_path(self, number: int) -> Path:
+        return self._cache / f"{number:06d}.npy"
+
+    def _mask_path(self, number: int) -> Path:
+        return self._cache / f"{number:06d}_ignored.npy"
+
+    def _picture_path(self, number: int) -> Path:
+        return self._pictures / f"{number:06d}.jpg"
+
+
+def _moved(labels: np.ndarray, map_: Resampling) -> np.ndarray:
+    """Return labels, (H, W) uint8, of another grid; 0 where there are none."""
+    return np.nan_to_num(map_.nearest(labels.astype(np.float32))).astype(np.uint8)
+
+
+def _as_it_was(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_read{path.suffix}")
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, whole or not at all."""
+    turned = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    encoded, data = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not encoded:
+        raise InputError(f"{path} cannot be encoded: the picture is {picture.shape}")
+    with atomic_write(path) as file:
+        file.write(data.tobytes())

@@ -1,0 +1,223 @@
+"""Coordinate systems brought together by similarities between them that were measured.
+
+Each node is a coordinate system, and is placed in a common one by a similarity: seven unknowns.
+Edges say how two of them lie to one another, by points that both have.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from tisfm.reconstruction.geometry.sim3 import moved, scale_of, step
+
+ROUNDS = 20  # of Gauss–Newton
+# Of edges that may be wrong: the misfit, as a share of the distance of points, from which on they
+# count less and less: at first, by how much less in each round, and in the end.
+DOUBTED, LESS, DOUBTED_AT_END = 1.0, 0.6, 0.02
+BLOCK = 7  # rows of the system that are eliminated at a time
+SETTLED = 1e-9  # of the unknowns: with smaller steps it ends
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edge:
+    """How two nodes lie to one another.
+
+    Attributes
+    ----------
+    first, second : int
+        The nodes.
+    similarity : (4, 4) float64
+        From the second node's coordinates to those of the first.
+    points : (N, 3) float64
+        That both have, in the first node's coordinates.
+    distances : (N,) float64
+        Of these from where they are seen.
+    deviation : float
+        By so much of its distance a point is off.
+    worth : float
+        Points that these stand for.
+    certain : bool
+        Whether it is right for sure. Others count less where they do not fit.
+    """
+
+    first: int
+    second: int
+    similarity: np.ndarray
+    points: np.ndarray
+    distances: np.ndarray
+    deviation: float
+    worth: float
+    certain: bool
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Both nodes."""
+        return self.first, self.second
+
+
+class Link(Protocol):
+    """A similarity between two nodes, as `Edge` has it."""
+
+    @property
+    def first(self) -> int:
+        """The node whose coordinates `similarity` leads to."""
+
+    @property
+    def second(self) -> int:
+        """The other one."""
+
+    @property
+    def similarity(self) -> np.ndarray:
+        """From the second's coordinates to those of the first, (4, 4) float64."""
+
+
+def placed(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
+    """Place nodes by their edges.
+
+    Parameters
+    ----------
+    count : int
+        Of nodes.
+    edges : sequence of Edge
+        Those that are to be believed first come first.
+
+    Returns
+    -------
+    list of dict of int to (4, 4) float64
+        For each group of nodes that edges connect, in the order of their first nodes: the
+        similarity of each node, in order, to common coordinates, those of the first.
+
+    References
+    ----------
+    Strasdat, Montiel and Davison, "Scale drift-aware large scale monocular SLAM", RSS 2010,
+    doi 10.15607/RSS.2010.VI.010.
+    """
+    return [
+        _adjusted(begun, [edge for edge in edges if edge.first in begun])
+        for begun in connected(count, edges)
+    ]
+
+
+def connected(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
+    """Return the groups of connected nodes, each node placed along the first edges that connect.
+
+    Arguments and what is returned are as for `placed`.
+    """
+    group = {node: [node] for node in range(count)}
+    place = {node: np.eye(4) for node in range(count)}
+    for edge in edges:
+        if group[edge.first] is group[edge.second]:
+            continue
+        # All of the second's group move with it.
+        shift = place[edge.first] @ edge.similarity @ np.linalg.inv(place[edge.second])
+        joined = group[edge.first] + group[edge.second]
+        for node in group[edge.second]:
+            place[node] = shift @ place[node]
+        for node in joined:
+            group[node] = joined
+    groups = []
+    for node in range(count):
+        nodes = sorted(group[node])
+        if nodes[0] == node:
+            back = np.linalg.inv(place[node])
+            groups.append({one: back @ place[one] for one in nodes})
+    return groups
+
+
+def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, np.ndarray]:
+    """Return the similarities that meet edges best; that of the first node stays."""
+    nodes, place = list(begun), dict(begun)
+    number = {node: k for k, node in enumerate(nodes)}
+    doubted = DOUBTED
+    for _ in range(ROUNDS if len(nodes) > 1 else 0):
+        matrix, vector = np.zeros((7 * len(nodes),) * 2), np.zeros(7 * len(nodes))
+        for edge in edges:
+            off, slope, weight = _misfit(edge, place)
+            if not edge.certain:
+                weight = weight / (1 + float(off @ weight @ off) / doubted**2) ** 2
+            weight *= edge.worth / edge.deviation**2
+            first, second = (slice(7 * number[k], 7 * number[k] + 7) for k in edge.ends)
+            block, pull = slope.T @ weight @ slope, slope.T @ weight @ off
+            matrix[first, first] += block
+            matrix[second, second] += block
+            matrix[first, second] -= block
+            matrix[second, first] -= block
+            vector[first] += pull
+            vector[second] -= pull
+        change = np.zeros(7 * len(nodes))
+        change[7:] = -solved(matrix[7:, 7:], vector[7:])
+        for node in nodes[1:]:
+            scale, *rest = change[7 * number[node] : 7 * number[node] + 7]
+            place[node] = step(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
+        if doubted == DOUBTED_AT_END and np.abs(change).max() < SETTLED:
+            break
+        doubted = max(LESS * doubted, DOUBTED_AT_END)
+    return place
+
+
+def solved(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return the solution of a symmetric, positive definite system, by elimination in blocks.
+
+    BLAS and LAPACK have other last bits with more threads. Most of the system is empty.
+    """
+    system, count = np.column_stack([matrix, vector]), len(vector)
+    begins = range(0, count, BLOCK)
+    for begin in begins:
+        end = min(begin + BLOCK, count)
+        inverse = np.linalg.inv(system[begin:end, begin:end])
+        above = np.einsum("ik,kj->ij", inverse, system[begin:end, end:])
+        below = end + np.flatnonzero(system[end:, begin:end].any(axis=1))
+        columns = np.append(below, count)
+        change = np.einsum("ik,kj->ij", system[below, begin:end], above[:, columns - end])
+        system[np.ix_(below, columns)] -= change
+        system[begin:end, end:] = above
+    for begin in reversed(begins):
+        end = min(begin + BLOCK, count)
+        system[begin:end, -1] -= (system[begin:end, end:-1] * system[end:, -1]).sum(axis=1)
+    return np.array(system[:, -1])
+
+
+def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return an edge's misfit about the middle of its points, (7,), its slope, and its weight.
+
+    The weight leads to the mean square of the share of their distance by which points are off. The
+    misfit is the similarity that is left between where both nodes have the points: the logarithm of
+    its scale, its rotation vector and its translation.
+    """
+    first, second = place[edge.first], place[edge.second]
+    points, unit = moved(first, edge.points), scale_of(first)
+    centre = points.mean(axis=0)
+    left = first @ edge.similarity @ np.linalg.inv(second)
+    scale = scale_of(left)
+    off = np.concatenate(
+        [
+            [np.log(scale)],
+            cv2.Rodrigues(left[:3, :3] / scale)[0].ravel(),
+            moved(left, centre[None])[0] - centre,
+        ]
+    )
+    slope = np.eye(7)
+    slope[4:, 0], slope[4:, 1:4] = centre, -_cross(centre[None])[0]
+    jacobian = np.zeros((len(points), 3, 7))
+    jacobian[:, :, 0], jacobian[:, :, 1:4] = points - centre, -_cross(points - centre)
+    jacobian[:, :, 4:] = np.eye(3)
+    jacobian /= (unit * edge.distances)[:, None, None]
+    weight = np.einsum("nij,nik->jk", jacobian, jacobian) / len(points)
+    return off, slope, weight
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """Return [v]× of vectors, (N, 3, 3)."""
+    x, y, z = vectors.T
+    nothing = np.zeros_like(x)
+    return np.stack(
+        [
+            np.stack([nothing, -z, y], axis=1),
+            np.stack([z, nothing, -x], axis=1),
+            np.stack([-y, x, nothing], axis=1),
+        ],
+        axis=1,
+    )

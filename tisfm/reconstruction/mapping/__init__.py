@@ -1,0 +1,4 @@
+"""Camera poses and sparse points of views, found and adjusted by pycolmap.
+
+May import: `camera`, `reconstruction.result` and `reconstruction.tracks`.
+"""

@@ -1,0 +1,113 @@
+"""How much of the frames a model explains, by area.
+
+What moves on its own may show more texture than the rest, and so more points: which motion is that
+of the world, the area of the frames tells, not the number of points.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tisfm.reconstruction.mapping.database import CENTRE
+from tisfm.reconstruction.tracks.views import View
+
+PLACES = 32  # along the longer side of a frame: places that are shared out among its points
+ON_LINE = 2.0  # px, of 640 across: from the epipolar line of a match that a model explains
+
+Pairs = Mapping[tuple[int, int], np.ndarray]
+
+
+class Cover:
+    """Tells how much of the frames models explain.
+
+    A match of two views stands for what is nearest to its points in either. It is explained where
+    it lies on its epipolar line: of what is too far away to show parallax, a model has no points.
+
+    Parameters
+    ----------
+    views : sequence of View
+    pairs : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views, indices of points that are the same: tracks first, then what
+        was detected.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+
+    def __init__(self, views: Sequence[View], pairs: Pairs, shape: tuple[int, int]) -> None:
+        self._pairs, self._limit = pairs, ON_LINE * max(shape) / 640
+        self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
+        areas = self._areas(places_in(shape))
+        self._worth = {
+            (first, second): areas[first][both[:, 0]] + areas[second][both[:, 1]]
+            for (first, second), both in pairs.items()
+        }
+
+    def explained(self, models: Sequence[Any]) -> dict[tuple[int, int], np.ndarray]:
+        """Return, for every pair, which matches any of pycolmap's reconstructions explains."""
+        piece = {view - 1: k for k, one in enumerate(models) for view in one.reg_image_ids()}
+        found = {
+            (first, second): np.zeros(len(both), bool)
+            for (first, second), both in self._pairs.items()
+            if piece.get(first, -1) == piece.get(second, -1) or not {first, second} <= set(piece)
+        }
+        for model in models:
+            camera = next(iter(model.cameras.values()))
+            poses = {
+                k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()
+            }
+            rays = {view: rays_of(self._points[view], camera) for view in poses}
+            for (first, second), both in self._pairs.items():
+                if first in poses and second in poses:
+                    before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
+                    off = camera.focal_length_x * _off(poses[first], poses[second], before, after)
+                    found[first, second] |= off < self._limit
+        return found
+
+    def share(self, explained: Mapping[tuple[int, int], np.ndarray]) -> float:
+        """Return the share of what matches stand for that is explained."""
+        parts = [
+            (self._worth[pair][fits].sum(), self._worth[pair].sum())
+            for pair, fits in explained.items()
+        ]
+        part, whole = np.sum(parts, axis=0) if parts else (0.0, 0.0)
+        return float(part / whole) if whole else 0.0
+
+    def _areas(self, places: np.ndarray) -> list[np.ndarray]:
+        """Return the share of places that are nearest to each point of each view, of matches."""
+        matched = [np.zeros(len(points), bool) for points in self._points]
+        for (first, second), both in self._pairs.items():
+            matched[first][both[:, 0]] = True
+            matched[second][both[:, 1]] = True
+        found = []
+        for points, used in zip(self._points, matched, strict=True):
+            area = np.zeros(len(points))
+            if used.any():
+                _, nearest = cKDTree(points[used]).query(places)
+                area[used] = np.bincount(nearest, minlength=used.sum()) / len(places)
+            found.append(area)
+        return found
+
+
+def places_in(shape: tuple[int, int]) -> np.ndarray:
+    """Return (x, y) of places that are spread over a frame, (N, 2), px."""
+    side = max(shape) / PLACES
+    rows, columns = (
+        (np.arange(max(1, round(length / side))) + 0.5) * side - 0.5 for length in shape
+    )
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+
+
+def rays_of(points: np.ndarray, camera: Any) -> np.ndarray:
+    """Return the directions of points in a view, (N, 3), of unit length."""
+    rays = np.column_stack([camera.cam_from_img(points + CENTRE), np.ones(len(points))])
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _off(pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return how far directions are from their epipolar planes, (N,), rad; poses are (3, 4)."""
+    turn = pose1[:, :3] @ pose0[:, :3].T
+    normal = np.cross(pose1[:, 3] - turn @ pose0[:, 3], before @ turn.T)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return np.abs((after * normal).sum(axis=1))

@@ -1,0 +1,132 @@
+"""Views, and what they have in common, as pycolmap takes it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.incremental import FEWEST
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.views import View
+
+CALIBRATED = 2  # of pycolmap's configurations of two views
+FEWEST_SHARED = 20  # tracks of two views
+# Of views in the order of their frames: those so far apart are compared by the tracks they share.
+APART = (1, 2, 3, 4, 6, 8, 12, 16)
+CENTRE = 0.5  # px: pycolmap's upper left pixel has its centre at (0.5, 0.5)
+
+
+def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:
+    """Return pycolmap's camera, whose focal length and distortion may be found."""
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    focal, center = camera.focal, (cx + CENTRE, cy + CENTRE)
+    model, params = {
+        "nothing": ("PINHOLE", [focal, focal, *center]),
+        "focal": ("SIMPLE_PINHOLE", [focal, *center]),
+        "radial": ("SIMPLE_RADIAL", [focal, *center, 0.0]),
+    }[calibrate]
+    known = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
+    known.has_prior_focal_length = True  # or pairs to begin with are looked for without it
+    return known
+
+
+def pairs_of(
+    views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
+) -> dict[tuple[int, int], np.ndarray]:
+    """Return, for pairs of indices of views, indices of points that are the same, (N, 2)."""
+    near = {(k, k + apart) for apart in APART for k in range(len(views) - apart)}
+    pairs = {}
+    for first, second in sorted(near | set(matches)):
+        both = np.empty((0, 2), np.intp)
+        if (first, second) in near:
+            both = _shared(views[first].seen, views[second].seen)
+        if (first, second) in matches:
+            begun = len(views[first].seen.points), len(views[second].seen.points)
+            both = np.vstack([both, matches[first, second] + begun])
+        if len(both) >= FEWEST:
+            pairs[first, second] = both.astype(np.int32)
+    return pairs
+
+
+@contextmanager
+def database_of(
+    views: Sequence[View], pairs: Mapping[tuple[int, int], np.ndarray], camera: Any
+) -> Iterator[Any]:
+    """Give pycolmap's database of views and what pairs of them have in common."""
+    database = pycolmap().Database.open(":memory:")
+    try:
+        _write_views(database, views, camera)
+        _write_pairs(database, pairs)
+        yield database
+    finally:
+        database.close()
+
+
+class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
+    """Unit directions to the same points, for pairs of numbers of views; made when asked for.
+
+    Together they would be many times as large as the views.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        pairs: Mapping[tuple[int, int], np.ndarray],
+        camera: Camera,
+        shape: tuple[int, int],
+    ) -> None:
+        self._pairs, self._rays = pairs, list[np.ndarray]()
+        center = np.array(camera.center_for(*shape))
+        for view in views:
+            x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
+            ray = np.column_stack([x, np.ones(len(x))])
+            self._rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+
+    def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        first, second = numbers[0] - 1, numbers[1] - 1
+        both = self._pairs[first, second]
+        return self._rays[first][both[:, 0]], self._rays[second][both[:, 1]]
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return ((first + 1, second + 1) for first, second in self._pairs)
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+
+def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
+    database.write_camera(camera, use_camera_id=True)
+    rig = pycolmap().Rig(rig_id=1)
+    rig.add_ref_sensor(camera.sensor_id)
+    database.write_rig(rig, use_rig_id=True)
+    for number, view in enumerate(views, start=1):
+        image = pycolmap().Image(
+            name=str(view.frame), camera_id=1, image_id=number, frame_id=number
+        )
+        frame = pycolmap().Frame(frame_id=number, rig_id=1)
+        frame.add_data_id(image.data_id)
+        database.write_frame(frame, use_frame_id=True)
+        database.write_image(image, use_image_id=True)
+        points = np.vstack([view.seen.points, view.detected]) + CENTRE
+        database.write_keypoints(number, points.astype(np.float32))
+
+
+def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
+    for (first, second), both in pairs.items():
+        pair = pycolmap().TwoViewGeometry()
+        pair.config = CALIBRATED
+        pair.inlier_matches = both.astype(np.uint32)
+        database.write_two_view_geometry(first + 1, second + 1, pair)
+
+
+def _shared(first: Seen, second: Seen) -> np.ndarray:
+    """Return the indices in two views of the tracks that they share, (N, 2)."""
+    index0, index1 = first.shared(second)
+    if len(index0) < FEWEST_SHARED:
+        return np.empty((0, 2), np.intp)
+    return np.stack([index0, index1], axis=1)

@@ -1,0 +1,386 @@
+"""Models grown view by view: a first pair, then whatever sees enough of what is known."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.low_parallax import OnePlace
+from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
+from tisfm.reconstruction.result.calibration import Calibrate
+
+FEWEST = 15  # observations that two views, or a view and the points, share
+LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
+INLIER = 6.0  # px: of a view that is added
+SMALLEST = 3  # views of a model
+# px: residuals beyond count less and less in adjustments of all; and where all is to move first
+OUTLYING, ROUGHLY = 0.5, 3.0
+GROWN = 1.5  # times as many views, or points, as when all of them were adjusted the last time
+# Of adjustments of all, while a model grows and at its end: steps at most, and the relative change
+# of the sum of squares that is none.
+GROWING, ENDING = (10, 1e-4), (50, 1e-5)
+# Degrees: triangulation angles of first pairs, tried in this order. Where a car goes forward, only
+# small ones are found.
+ANGLES = (4.0, 1.0, 0.5)
+TRIED = 24  # first pairs, at most, for each angle
+# px: errors that RANSAC tolerates at a first pair of frames up to LARGE_FRAME px long; beyond, it
+# grows with the longer side. The parallax may be only 2 px: with a larger tolerance RANSAC accepts
+# any motion. Films of 160 to 320 px get nearly the same path with 0.5 to 4 px.
+TOLERANCE, LARGE_FRAME = 1.0, 1000
+LEAST_PARALLAX = 5e-4  # rad: matching noise has as much
+ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
+# A first pair's motion explains its directions so many times better than a homography if the focal
+# length is a guess; if it is known, so many times better than a rotation with any focal length, and
+# than a homography. On a plane, noise alone makes the residuals of a homography, in two dimensions,
+# 1.75 times the distances from epipolar lines.
+BETTER_IF_GUESSED = 2.5
+BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
+QUANTILE = 0.75  # of the parallax of two views
+# Share of the best pairs with a motion that show parallax with a focal length that was found, at
+# least. Where the camera turned and hardly moved it was 0.12 to 0.33 (three sequences), in noise 0,
+# in 20 others 0.71 to 1.
+WITH_PARALLAX = 0.4
+# A model is right if its mean score per match is above EXPLAINED, and its worst view has EVENLY of
+# the median view's. Worst views of right models had 0.84 to 1 of it (blurred: 0.67),
+# one of a bent model had 0.53.
+EXPLAINED, EVENLY = 0.65, 0.8
+# Otherwise a model is right if another first pair leads to nearly the same score. Models of few
+# views are always grown twice: it costs little.
+SAME_SCORE, FEW_VIEWS = 0.02, 8
+STARTS = 3  # models that are grown, at most
+# Least distance, in views, between first pairs: a share of the views that are left, and at most
+# FAR_ENOUGH.
+ELSEWHERE, FAR_ENOUGH = 0.25, 4
+NARROWEST = 0.5  # degrees: of the directions that a point is seen in
+
+Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+
+
+class Score(Protocol):
+    """How well models explain the matches of views; see `MatchScore`."""
+
+    def score(self, model: Any) -> float:
+        """Return the sum of the scores of the matches between the views of a model."""
+
+    def least_view(self, model: Any) -> float:
+        """Return the mean score of the matches of the worst view over the median of all views."""
+
+    def matches(self, views: Collection[int] | None = None) -> int:
+        """Return the number of matches between views, whose numbers begin with 1."""
+
+
+def grown(
+    database: Any,
+    pairs: Pairs,
+    count: int,
+    score: Score,
+    calibrate: Calibrate = "nothing",
+    *,
+    focal_known: bool = True,
+) -> list[Any]:
+    """Return pycolmap's reconstructions of the views in a database, the largest first.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+    pairs : mapping of (int, int) to two (N, 3) arrays
+        For pairs of views, whose numbers begin with 1: directions of unit length to the same
+        points.
+    count : int
+        Of views.
+    score : Score
+        Chooses among models that begin with different pairs.
+    calibrate : {"nothing", "focal", "radial"}
+        What of the camera is adjusted with the rest, from what it is on.
+    focal_known : bool
+        Whether the focal length is known. Then a first pair may show a single plane: it has to show
+        parallax beyond a rotation. With a guess, it has to show parallax beyond a homography.
+    """
+    cache = _cache(database)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options(calibrate)
+    options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
+    left = set(range(1, count + 1)) & set(cache.images)
+    first_pairs = _FirstPairs(pairs, focal_known)
+    found = []
+    while len(left) >= SMALLEST:
+        reconstruction = _one(mapper, score, options, first_pairs, left)
+        if reconstruction is None:
+            break
+        left -= set(reconstruction.reg_image_ids())
+        found.append(reconstruction)
+    return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
+
+
+def grown_from(
+    database: Any,
+    known: Mapping[int, np.ndarray],
+    *,
+    fixed: bool = True,
+    left: Collection[int] | None = None,
+) -> Any:
+    """Return pycolmap's reconstruction of views, grown from those whose poses are known.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+    known : mapping of int to (3, 4) array
+        World to camera, of two views at least, whose numbers begin with 1.
+    fixed : bool
+        Whether these stay where they are, or are adjusted with the rest.
+    left : collection of int, optional
+        The views that may be added; by default all others.
+    """
+    cache = _cache(database)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options()
+    options.mapper.fix_existing_frames = fixed
+    reconstruction = pycolmap().Reconstruction()
+    reconstruction.load(cache)
+    known = {number: pose for number, pose in known.items() if number in cache.images}
+    if len(known) < 2:  # the others share nothing with any view
+        return reconstruction
+    for number, pose in known.items():
+        reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
+        reconstruction.register_frame(number)
+    mapper.begin_reconstruction(reconstruction)
+    for number in known:
+        mapper.triangulate_image(options.triangulation, number)
+    others = set(cache.images) if left is None else set(cache.images) & set(left)
+    _grow(mapper, reconstruction, options, others - set(known), roughly=not fixed)
+    mapper.end_reconstruction(False)
+    return reconstruction
+
+
+def shows_parallax(database: Any, pairs: Pairs) -> bool:
+    """Return whether enough of the best first pairs show parallax beyond a rotation.
+
+    If few of them do, matching errors determine the focal length and the path.
+
+    Parameters
+    ----------
+    database : pycolmap.Database
+        Whose camera has the focal length that was found.
+    pairs : mapping of (int, int) to two (N, 3) arrays
+        As for `grown`, with that focal length.
+    """
+    cache = _cache(database)
+    mapper = pycolmap().IncrementalMapper(cache)
+    options = _options()
+    options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
+    return _FirstPairs(pairs, focal_known=True).usable_share(mapper, options) >= WITH_PARALLAX
+
+
+def _cache(database: Any) -> Any:
+    settings = pycolmap().DatabaseCacheOptions()
+    settings.min_num_matches = FEWEST
+    return pycolmap().DatabaseCache.create(database, settings)
+
+
+def first_pair_tolerance(longer_side: float) -> float:
+    """Return the error, px, that a match of a first pair may have.
+
+    Parameters
+    ----------
+    longer_side : float
+        Of the frames, px.
+    """
+    return TOLERANCE * max(1.0, longer_side / LARGE_FRAME)
+
+
+def _longer_side(cache: Any) -> int:
+    """Return the longer side of the frames, px."""
+    camera = next(iter(cache.cameras.values()))
+    return int(max(camera.width, camera.height))
+
+
+class _FirstPairs:
+    """Chooses pairs of views that a path may begin with.
+
+    Parameters
+    ----------
+    pairs : mapping of (int, int) to two (N, 3) arrays
+        As for `grown`.
+    focal_known : bool
+        As for `grown`.
+    """
+
+    def __init__(self, pairs: Pairs, focal_known: bool) -> None:
+        self._pairs, self._focal_known = pairs, focal_known
+        self._parallax = beyond_rotation if focal_known else beyond_homography
+        self._ranked = self._rank()
+
+    def starts(
+        self, mapper: Any, options: Any, left: set[int], begun: Sequence[int]
+    ) -> Iterator[tuple[int, int, Any]]:
+        """Give pairs of the views that are left, with the motion from the first to the second.
+
+        Pairs near views of `begun`, which may grow meanwhile, are left out.
+        """
+        possible = [pair for pair in self._ranked if left.issuperset(pair)]
+        apart = min(max(ELSEWHERE * len(left), 1), FAR_ENOUGH)
+        for angle in ANGLES:
+            options.mapper.init_min_tri_angle = angle
+            for first, second in possible[:TRIED]:
+                if any(abs(one - other) < apart for one in (first, second) for other in begun):
+                    continue
+                motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
+                if motion is not None and self._is_needed(motion.matrix(), first, second):
+                    yield first, second, motion
+
+    def usable_share(self, mapper: Any, options: Any) -> float:
+        """Return the share, from 0 to 1, of the best pairs that a path may begin with.
+
+        Pairs whose matches fit no motion are not counted.
+        """
+        options.mapper.init_min_tri_angle = ANGLES[-1]
+        usable = []
+        for pair in self._ranked[:TRIED]:
+            motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
+            if motion is not None:
+                usable.append(self._is_needed(motion.matrix(), *pair))
+        return float(np.mean(usable)) if usable else 0.0
+
+    def _rank(self) -> list[tuple[int, int]]:
+        """Return pairs that share many points with parallax, the best first."""
+        worth = {}
+        for pair, (before, after) in self._pairs.items():
+            if len(before) >= 2 * FEWEST:
+                parallax = self._parallax(before, after)
+                if np.median(parallax) > LEAST_PARALLAX:
+                    worth[pair] = len(before) * min(
+                        float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
+                    )
+        return sorted(worth, key=lambda one: (-worth[one], one))
+
+    def _is_needed(self, motion: np.ndarray, first: int, second: int) -> bool:
+        """Return whether a motion, (3, 4), explains directions much better than simpler ones.
+
+        A motion with a depth for each point explains noise a little better as well.
+        """
+        before, after = self._pairs[first, second]
+        normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        away = float(np.median(np.abs((after * normal).sum(axis=1))))
+        by_homography = float(np.median(beyond_homography(before, after)))
+        if not self._focal_known:
+            return by_homography > BETTER_IF_GUESSED * away
+        by_rotation = float(np.median(beyond_rotation(before, after)))
+        return (
+            by_rotation > BETTER_THAN_ROTATION * away
+            and by_homography > BETTER_THAN_HOMOGRAPHY * away
+        )
+
+
+def _one(
+    mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, left: set[int]
+) -> Any | None:
+    """Return a reconstruction of some of the views that are left, None if there is none.
+
+    A first pair may leave the motion open, and views may be added at wrong places. A model
+    counts if it explains all views well, or if a model from another first pair gets the same score.
+    Otherwise the one with the best score counts.
+    """
+    best, most, begun, is_right = None, 0.0, list[int](), False
+    enough = EXPLAINED * score.matches(left)
+    for pair in first_pairs.starts(mapper, options, left, begun):
+        begun += pair[:2]
+        reconstruction = pycolmap().Reconstruction()
+        mapper.begin_reconstruction(reconstruction)
+        mapper.register_initial_image_pair(options.mapper, *pair)
+        mapper.triangulate_image(options.triangulation, pair[0])
+        _grow(mapper, reconstruction, options, left)
+        mapper.end_reconstruction(False)
+        if reconstruction.num_reg_images() >= SMALLEST:
+            explained = score.score(reconstruction)
+            is_even = (
+                reconstruction.num_reg_images() > FEW_VIEWS
+                and explained > enough
+                and score.least_view(reconstruction) > EVENLY
+            )
+            is_right = is_even or abs(explained - most) < SAME_SCORE * most
+            if is_even or explained > most:
+                best, most = reconstruction, explained
+        if is_right or len(begun) >= 2 * STARTS:
+            break
+    return best
+
+
+def _grow(
+    mapper: Any, reconstruction: Any, options: Any, left: set[int], *, roughly: bool = False
+) -> None:
+    """Grow a reconstruction; `roughly` if all of it has to move first."""
+    local = options.get_local_bundle_adjustment()
+    one_place = OnePlace(mapper, reconstruction)
+
+    def adjust_all(
+        refinements: int, limits: tuple[int, float] = GROWING, outlying: float = OUTLYING
+    ) -> tuple[int, int]:
+        mapper.iterative_global_refinement(
+            refinements,
+            1e-3,
+            options.mapper,
+            _adjustment(options, *limits, outlying),
+            options.triangulation,
+            normalize_reconstruction=not options.mapper.fix_existing_frames,
+        )
+        return reconstruction.num_reg_images(), reconstruction.num_points3D()
+
+    if roughly:
+        adjust_all(3, ENDING, ROUGHLY)
+    views, points = adjust_all(2)
+    if points == 0:
+        return
+    while True:
+        for number in mapper.find_next_images(options.mapper, False):
+            if number in left and mapper.register_next_image(options.mapper, number):
+                break
+        else:
+            break
+        mapper.triangulate_image(options.triangulation, number)
+        one_place.delete(number)
+        mapper.iterative_local_refinement(
+            1, 1e-3, options.mapper, local, options.triangulation, number
+        )
+        one_place.delete(number)
+        now = reconstruction.num_reg_images(), reconstruction.num_points3D()
+        if now[0] >= GROWN * views or now[1] >= GROWN * points:
+            views, points = adjust_all(1)
+    adjust_all(1)
+    adjust_all(1, ENDING)
+
+
+def _options(calibrate: Calibrate = "nothing") -> Any:
+    options = pycolmap().IncrementalPipelineOptions()
+    options.ba_refine_focal_length = calibrate != "nothing"
+    options.ba_refine_extra_params = calibrate == "radial"
+    options.ba_local_function_tolerance = 1e-5
+    options.mapper.abs_pose_refine_focal_length = False
+    options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.abs_pose_min_num_inliers = FEWEST
+    options.mapper.abs_pose_min_inlier_ratio = LEAST_SEEN
+    options.mapper.init_min_num_inliers = 2 * FEWEST
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = NARROWEST
+    options.mapper.init_max_forward_motion = 1.0  # the angle says whether it serves
+    for part in (options, options.mapper):
+        part.num_threads = 1
+    for part in (options, options.mapper, options.triangulation):
+        part.random_seed = 0
+    return options
+
+
+def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> Any:
+    """Return what all views and points are adjusted by, robustly."""
+    return robust(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
+
+
+def robust(adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLYING) -> Any:
+    """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
+    adjustment.print_summary = False
+    adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
+    adjustment.ceres.loss_function_scale = outlying
+    solver = adjustment.ceres.solver_options
+    solver.num_threads = 1
+    solver.max_num_iterations, solver.function_tolerance = steps, tolerance
+    return adjustment

@@ -1,0 +1,332 @@
+"""Poses and points from what views have in common, found and adjusted by pycolmap.
+
+One thread and fixed seeds: the same input gives the same bits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.coverage import Cover
+from tisfm.reconstruction.mapping.database import (
+    CENTRE,
+    Directions,
+    colmap_camera,
+    database_of,
+    pairs_of,
+)
+from tisfm.reconstruction.mapping.incremental import (
+    FEWEST,
+    INLIER,
+    LEAST_SEEN,
+    OUTLYING,
+    grown,
+    grown_from,
+    shows_parallax,
+)
+from tisfm.reconstruction.mapping.match_score import MatchScore
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.tracks.long_tracks import lasting
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.triangulation import TrackPoints, located, triangulated
+from tisfm.reconstruction.tracks.views import View
+
+MOST = 0.75  # of the frames, by area: what explains as much is the world
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Views and points in one coordinate system.
+
+    Attributes
+    ----------
+    poses : dict of int to (4, 4) float64
+        Camera to world, by frame.
+    points : TrackPoints
+        In the world.
+    score : float
+        How well it explains the matches of its views (`MatchScore`). A model grown by parts, or
+        continued, keeps 0.
+    """
+
+    poses: dict[int, np.ndarray]
+    points: TrackPoints
+    score: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """What views have in common, as models are grown from it.
+
+    Attributes
+    ----------
+    views : list of View
+        With those of their tracks that last.
+    pairs : dict of (int, int) to (N, 2) int32
+        For pairs of indices of views, indices of points that are the same.
+    shape : (int, int)
+        Height and width of the frames, px.
+    focal_known : bool
+        Whether the focal length is known, or is a guess.
+    """
+
+    views: list[View]
+    pairs: dict[tuple[int, int], np.ndarray]
+    shape: tuple[int, int]
+    focal_known: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[View],
+        matches: Mapping[tuple[int, int], np.ndarray],
+        shape: tuple[int, int],
+        *,
+        focal_known: bool = True,
+    ) -> "Shared":
+        """Return what views have in common; arguments are those of `models_of`."""
+        kept = lasting([view.seen for view in views], max(shape))
+        few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
+        return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
+
+    def part(self, first: int, last: int) -> "Shared":
+        """Return what the views from one up to another, that one left out, have in common."""
+        inside = range(first, last)
+        pairs = {
+            (one - first, other - first): both
+            for (one, other), both in self.pairs.items()
+            if one in inside and other in inside
+        }
+        return replace(self, views=self.views[first:last], pairs=pairs)
+
+    def grown(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
+        """Return pycolmap's reconstructions, the largest first.
+
+        Each has the focal length of the camera, or one of its own if that is to be found, and maybe
+        a radial coefficient. What moves on its own, but has more points than the rest, may have
+        been taken for the world: where they leave much of the frames unexplained, others are grown
+        from that alone, and those count that explain more.
+        """
+        found = self._grown(self.pairs, camera, calibrate)
+        cover = Cover(self.views, self.pairs, self.shape)
+        explained = cover.explained(found)
+        while found and cover.share(explained) < MOST:
+            rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
+            rest = {pair: both for pair, both in rest.items() if len(both) >= FEWEST}
+            others = self._grown(rest, camera, calibrate)
+            by_others = cover.explained(others)
+            if cover.share(by_others) <= cover.share(explained):
+                break
+            found, explained = others, by_others
+        return found
+
+    def _grown(
+        self, pairs: Mapping[tuple[int, int], np.ndarray], camera: Camera, calibrate: Calibrate
+    ) -> list[Any]:
+        known = colmap_camera(camera, self.shape, calibrate)
+        directions = Directions(self.views, pairs, camera, self.shape)
+        with database_of(self.views, pairs, known) as database:
+            return grown(
+                database,
+                directions,
+                len(self.views),
+                MatchScore(self.views, pairs, self.shape),
+                calibrate,
+                focal_known=self.focal_known,
+            )
+
+    def shows_parallax(self, camera: Camera) -> bool:
+        """Return whether enough pairs of views show parallax with the focal length of a camera."""
+        directions = Directions(self.views, self.pairs, camera, self.shape)
+        with database_of(self.views, self.pairs, colmap_camera(camera, self.shape)) as database:
+            return shows_parallax(database, directions)
+
+    def score(self, reconstructions: Sequence[Any]) -> float:
+        """Return how well pycolmap's reconstructions explain the matches: their mean score."""
+        score = MatchScore(self.views, self.pairs, self.shape)
+        return sum(map(score.score, reconstructions)) / max(score.matches(), 1)
+
+    def matches(self) -> int:
+        """Return the number of matches."""
+        return sum(map(len, self.pairs.values()))
+
+    def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
+        """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
+        matrices = {
+            number: np.linalg.inv(known[view.frame])[:3]
+            for number, view in enumerate(self.views, start=1)
+            if view.frame in known
+        }
+        known_camera = colmap_camera(camera, self.shape)
+        with database_of(self.views, self.pairs, known_camera) as database:
+            return grown_from(database, matrices)
+
+    def models(
+        self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
+    ) -> list[Model]:
+        """Return models of pycolmap's reconstructions, with the points of all tracks of views."""
+        models = [self.model(one) for one in reconstructions]
+        return [_with_others(model, views, camera, self.shape) for model in models]
+
+    def model(self, reconstruction: Any) -> Model:
+        """Return the model of one, with the points of the tracks that it was adjusted for."""
+        score = MatchScore(self.views, self.pairs, self.shape).score(reconstruction)
+        return replace(_model(reconstruction, self.views), score=score)
+
+
+def models_of(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    *,
+    focal_known: bool = True,
+) -> list[Model]:
+    """Find poses of views and points of tracks.
+
+    Parameters
+    ----------
+    views : sequence of View
+        In the order of their frames.
+    matches : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views, the smaller first: indices of their detected points that
+        are the same.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+    focal_known : bool
+        Whether the focal length is known. If it is a guess, a path does not begin where all matches
+        lie in one plane.
+
+    Returns
+    -------
+    list of Model
+        The largest first. A view is in one of them at most.
+
+    References
+    ----------
+    Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
+    doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
+    """
+    shared = Shared.of(views, matches, shape, focal_known=focal_known)
+    return shared.models(shared.grown(camera), views, camera)
+
+
+def continued(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    known: Mapping[int, np.ndarray],
+) -> Model:
+    """Find poses of further views, and points, where those of some views are known and stay.
+
+    Parameters
+    ----------
+    views, matches, camera, shape
+        As for `models_of`.
+    known : mapping of int to (4, 4) array
+        Camera to world, by frame, of two views at least.
+
+    Returns
+    -------
+    Model
+        In the axes and the unit of the known poses; these are in it as they are.
+    """
+    shared = Shared.of(views, matches, shape)
+    model = _model(shared.continued(camera, known), shared.views)
+    poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
+    return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
+
+
+def models_again(
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
+    known: Sequence[Mapping[int, np.ndarray]],
+) -> list[Model]:
+    """Find poses of views and points of tracks, beginning with poses that are nearly right.
+
+    Parameters
+    ----------
+    views, matches, camera, shape
+        As for `models_of`.
+    known : sequence of mapping of int to (4, 4) array
+        Camera to world, by frame, for each model.
+
+    Returns
+    -------
+    list of Model
+        One for each; views that are in none may be added to any, the first before others.
+    """
+    shared = Shared.of(views, matches, shape)
+    number = {view.frame: k for k, view in enumerate(views, start=1)}
+    left = set(number.values()) - {number[frame] for poses in known for frame in poses}
+    found = []
+    with database_of(shared.views, shared.pairs, colmap_camera(camera, shape)) as database:
+        for poses in known:
+            matrices = {number[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
+            model = grown_from(database, matrices, fixed=False, left=left)
+            left -= set(model.reg_image_ids())
+            found.append(model)
+    return [model for model in shared.models(found, views, camera) if model.poses]
+
+
+def pose_from_points(
+    seen: Seen, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
+) -> np.ndarray | None:
+    """Return the pose of a frame, (4, 4) camera to world, from tracks whose points are known.
+
+    None if too few of them agree.
+    """
+    known, world = located(seen, points)
+    if len(known) < FEWEST:
+        return None
+    estimation = pycolmap().AbsolutePoseEstimationOptions()
+    estimation.ransac.max_error = INLIER
+    estimation.ransac.random_seed = 0
+    refinement = pycolmap().AbsolutePoseRefinementOptions()
+    refinement.loss_function_scale = OUTLYING
+    refinement.gradient_tolerance = 1e-4
+    found = pycolmap().estimate_and_refine_absolute_pose(
+        seen.points[known] + CENTRE, world, colmap_camera(camera, shape), estimation, refinement
+    )
+    if found is None or found["num_inliers"] < max(FEWEST, LEAST_SEEN * len(known)):
+        return None
+    return _matrix(found["cam_from_world"])
+
+
+def _model(reconstruction: Any, views: Sequence[View]) -> Model:
+    poses: dict[int, np.ndarray] = {}
+    points: dict[int, np.ndarray] = {}
+    for number, image in reconstruction.images.items():
+        if not image.has_pose:
+            continue
+        poses[views[number - 1].frame] = _matrix(image.cam_from_world())
+    # A track may have come apart into several points: the one that is seen most often counts.
+    for point in sorted(reconstruction.points3D.values(), key=lambda point: point.track.length()):
+        for element in point.track.elements:
+            tracks = views[element.image_id - 1].seen.tracks
+            if element.point2D_idx < len(tracks):
+                points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
+    return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
+
+
+def _with_others(
+    model: Model, views: Sequence[View], camera: Camera, shape: tuple[int, int]
+) -> Model:
+    """Add the points of the tracks that poses were not adjusted for."""
+    seen = [view.seen for view in views if view.frame in model.poses]
+    poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
+    return replace(model, points=triangulated(seen, poses, camera, shape) | model.points)
+
+
+def _matrix(cam_from_world: Any) -> np.ndarray:
+    """Return the (4, 4) matrix camera to world."""
+    return np.vstack([cam_from_world.inverse().matrix(), [0, 0, 0, 1]])

@@ -1,0 +1,237 @@
+"""What seems to lie below the ground: things that go ahead of a vehicle, and as fast or slower.
+
+What moves along the same lines as the camera looks at rest, only further away, over however many
+frames. But it stands on the ground: where its depth lies below that, and where it hides what would
+hide it if that were its depth, it moves on its own.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.objects.candidates import smallest_object
+from tisfm.reconstruction.frames.image_motion import ImageMotion, Led, at_places
+from tisfm.reconstruction.objects.motion_evidence import CLEAR, MOVING, AtRest, Evidence, missed_by
+
+# Of the frame: as much shows the ground, at least. Its inverse depth changes by this much more from
+# above to below than from left to right, and than it is in the middle: cameras are held upright.
+LEAST, ROLL, PITCH = 0.03, 0.15, 0.4
+FITTED, DRAWN, POINTS, ROUNDS = 0.07, 300, 4000, 3  # a share of inverse depth; of the robust fit
+# Frames before and after in which it has to be as far below the camera, but for this share, in this
+# share of them: that of a vehicle is, and no table that a hand is led over.
+STEADY, NEARBY, MOST = 0.3, 10, 0.5
+BELOW = 1.3  # times as far away as the ground
+NEAR = 0.2  # of the nearest ground's inverse depth: what is further away is not judged
+HIDING = (3, 5, 8)  # frames before and after whose points are looked for
+UNLIKE = 12.0  # grey levels: so much else is seen where a point would be
+HIDDEN = 1.0  # of the root of its area: as many points a thing has to hide that would hide it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depth:
+    """Depth of a frame under the camera's path, as far as it is at rest.
+
+    Attributes
+    ----------
+    inverse_depth : (H, W) float32
+    at_rest : (H, W) bool
+        Where that is known to hold.
+    """
+
+    inverse_depth: np.ndarray
+    at_rest: np.ndarray
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, ...]) -> "Depth":
+        """Return that of which nothing is known."""
+        return cls(inverse_depth=np.zeros(shape, np.float32), at_rest=np.zeros(shape, bool))
+
+    @classmethod
+    def of_arrays(cls, inverse_depth: np.ndarray, at_rest: np.ndarray) -> "Depth":
+        """Return what has these arrays."""
+        return cls(inverse_depth=inverse_depth.astype(np.float32), at_rest=at_rest)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of; the unit of depth may be anything."""
+        return self.inverse_depth, self.at_rest
+
+
+class BelowGround:
+    """Finds what seems to lie below the ground.
+
+    Parameters
+    ----------
+    motion : ImageMotion
+    poses : sequence of (4, 4) array or None
+        Camera to world, of every frame in one scale; None where there is none.
+    camera : Camera
+        Of the frames of the image motion.
+    depths : sequence of Depth or None
+        Of every frame; None where there is none.
+    """
+
+    def __init__(
+        self,
+        motion: ImageMotion,
+        poses: Sequence[np.ndarray | None],
+        camera: Camera,
+        depths: Sequence[Depth],
+    ) -> None:
+        self._motion, self._poses, self._camera, self._depths = motion, poses, camera, depths
+        self._rays = _rays(camera, motion.grey(0).shape)
+        self._grounds = [
+            None if pose is None else self._ground(depth)
+            for pose, depth in zip(poses, depths, strict=True)
+        ]
+
+    def evidence(self, frame: int, moving: np.ndarray) -> Evidence | None:
+        """Return what a frame's pixels show that seem to lie below the ground; None if none do.
+
+        Parameters
+        ----------
+        frame : int
+        moving : (H, W) bool
+            What is known to move.
+        """
+        ground = self._steady_ground(frame)
+        if ground is None:
+            return None
+        depth, height = self._rays @ ground, self._depths[frame].inverse_depth
+        below = (depth > NEAR * np.abs(depth).max()) & (height * BELOW < depth) & ~moving
+        parts = list(_inner_parts(below))
+        if not parts:
+            return None
+        hiding = self._hiding(frame)
+        found = np.zeros(below.shape, bool)
+        for part in parts:
+            found |= part & (np.count_nonzero(hiding & part) > HIDDEN * part.sum() ** 0.5)
+        if not found.any():
+            return None
+        weight = np.float32(found * self._clear(frame, depth))
+        return Evidence(moving=MOVING * weight, weight=weight)
+
+    def _ground(self, depth: Depth) -> np.ndarray | None:
+        """Return the plane of the ground, (3,), whose product with rays is its inverse depth."""
+        below_middle = depth.at_rest & (self._rays[..., 1] > 0)
+        rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
+        if len(rays) < LEAST * depth.at_rest.size:
+            return None
+        drawn = np.random.default_rng(0)
+        some = drawn.integers(len(rays), size=min(POINTS, len(rays)))
+        triples = drawn.integers(len(rays), size=(DRAWN, 3))
+        solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
+        planes = np.linalg.solve(rays[triples[solvable]], inverse_depth[triples[solvable], None])
+        planes = planes[..., 0]
+        planes = planes[_is_upright(planes)]
+        if not len(planes):
+            return None
+        fits = _fits(rays[some] @ planes.T, inverse_depth[some, None])
+        plane = planes[np.argmax(fits.sum(axis=0))]
+        for _ in range(ROUNDS):
+            inliers = _fits(rays @ plane, inverse_depth)
+            if inliers.sum() < LEAST * depth.at_rest.size:
+                return None
+            plane = np.linalg.lstsq(rays[inliers], inverse_depth[inliers], rcond=None)[0]
+        return plane if _is_upright(plane) else None
+
+    def _steady_ground(self, frame: int) -> np.ndarray | None:
+        """Return the ground's plane in a frame, (3,), if it is as far below the camera in others.
+
+        None if it is not.
+        """
+        around = slice(max(0, frame - NEARBY), frame + NEARBY + 1)
+        planes = [plane for plane in self._grounds[around] if plane is not None]
+        if self._poses[frame] is None or len(planes) < max(3, MOST * len(self._grounds[around])):
+            return None
+        plane = np.median(planes, axis=0)
+        least, most = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
+        return plane if most - least < STEADY * plane[1] else None
+
+    def _hiding(self, frame: int) -> np.ndarray:
+        """Return the pixels, (H, W) bool, that hide points at rest which would hide them.
+
+        Image motion loses those points on the way, and where they would be something is seen that
+        looks otherwise, and is further away.
+        """
+        found = np.zeros(self._rays.shape[:2], bool)
+        grey, own = self._motion.grey(frame), self._depths[frame]
+        height, width = self._motion.grey(frame).shape
+        for way in (-1, 1):
+            for steps in HIDING:
+                number = frame + way * steps
+                if not 0 <= number < len(self._poses) or self._poses[number] is None:
+                    continue
+                other = self._depths[number]
+                at_rest = self._at_rest(number, frame)
+                places = at_rest.places(other.inverse_depth)
+                there = at_rest.inverse_depth(other.inverse_depth)
+                inside = (places > 0).all(axis=-1) & (places < (width - 1, height - 1)).all(axis=-1)
+                lost = other.at_rest & inside & ~self._led(number, frame).found
+                behind = at_places(own.inverse_depth, places) * BELOW < there
+                known = at_places(np.float32(own.at_rest), places) > 0.5
+                unlike = missed_by(grey, places, self._motion.grey(number)) > UNLIKE
+                x, y = np.rint(places[lost & behind & known & unlike]).astype(int).T
+                found[y, x] = True
+        return found
+
+    def _clear(self, frame: int, ground: np.ndarray) -> np.ndarray:
+        """Return how far images show that pixels are not on the ground, (H, W) from 0 to 1."""
+        grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
+        clear = np.zeros(depth.shape, np.float32)
+        for way in (-1, 1):
+            furthest = [
+                frame + way * steps
+                for steps in HIDING
+                if 0 <= frame + way * steps < len(self._poses)
+                and self._poses[frame + way * steps] is not None
+            ]
+            if not furthest:
+                continue
+            at_rest, other = self._at_rest(frame, furthest[-1]), self._motion.grey(furthest[-1])
+            missed = missed_by(other, at_rest.places(depth), grey)
+            on_ground = missed_by(other, at_rest.places(ground), grey)
+            clear = np.maximum(clear, (on_ground - missed) / (CLEAR + missed))
+        return np.clip(clear, 0, 1)
+
+    def _at_rest(self, frame: int, other: int) -> AtRest:
+        pose, pose_of_other = self._poses[frame], self._poses[other]
+        assert pose is not None and pose_of_other is not None
+        relative = np.linalg.inv(pose_of_other) @ pose
+        shape = self._rays.shape[:2]
+        return AtRest(relative[:3, :3], relative[:3, 3], self._camera, shape)
+
+    def _led(self, frame: int, other: int) -> Led:
+        steps = abs(other - frame)
+        return next(led for led in self._motion.led(frame, steps) if led.frame == other)
+
+
+def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
+    """Return (x̂, ŷ, 1) of every pixel, (H, W, 3) float64."""
+    cx, cy = camera.center_for(*shape[:2])
+    rows, columns = np.indices(shape[:2])
+    x_hat, y_hat = (columns - cx) / camera.focal, (rows - cy) / camera.focal
+    return np.stack([x_hat, y_hat, np.ones_like(x_hat)], axis=-1)
+
+
+def _is_upright(planes: np.ndarray) -> np.ndarray:
+    """Return which planes, (..., 3), a camera that is held upright sees below it."""
+    across, down, middle = np.moveaxis(planes, -1, 0)
+    return (np.abs(across) < ROLL * down) & (np.abs(middle) < PITCH * down)
+
+
+def _fits(of_plane: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+    return np.abs(inverse_depth - of_plane) < FITTED * np.abs(of_plane)
+
+
+def _inner_parts(below: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the connected parts, (H, W) bool, that are large enough and at no side."""
+    opened = cv2.morphologyEx(below.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    width = below.shape[1]
+    for part in range(1, count):
+        left, _, columns, _, area = statistics[part]
+        if area >= smallest_object(below.size) and left > 1 and left + columns < width - 1:
+            yield parts == part

@@ -1,0 +1,60 @@
+"""Boundaries of things, where the frames before and after show them."""
+
+import cv2
+import numpy as np
+
+from tisfm.motion.objects.potts import Potts
+from tisfm.reconstruction.frames.image_motion import ImageMotion, at_places, places_of
+
+REACH = 10  # px that a boundary may move
+RIM, FEWEST = 5, 30  # px at a boundary whose motion is not relied on, across; pixels that are left
+MISSED = 2.0  # grey levels that are missed anyway, beside the median of what is
+OTHERWISE_LABELLED, MOST = 2.0, 16.0  # of costs: of another label than before, and at most
+SEEN = 0.5  # what pixels near a boundary weigh
+
+
+def bordered(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
+    """Return labels with boundaries where the frames before and after show them, (H, W) int32.
+
+    What lies on either side of a boundary goes on beyond it. A pixel belongs to what the frame
+    after or the one before shows it to go with: behind a thing that goes on, one of them does.
+    """
+    numbers = np.unique(labels)
+    if len(numbers) < 2:
+        return labels
+    grey, places = motion.grey(frame), places_of(labels.shape)
+    window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
+    band = near.sum(axis=0) > 1
+    missed = np.full((len(numbers), *labels.shape), np.inf, np.float32)
+    for led in motion.led(frame, 1):
+        flow, other = led.places - places, motion.grey(led.frame)
+        for index, number in enumerate(numbers):
+            mine = labels == number
+            core = cv2.erode(np.uint8(mine), np.ones((RIM, RIM), np.uint8)) > 0
+            source = core if core.sum() >= FEWEST else mine
+            gone = _going_on(flow, source)
+            off = np.abs(at_places(other, places + gone) - grey)
+            x, y = np.moveaxis(places + gone, -1, 0)
+            outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
+            off = np.where(outside, np.inf, cv2.blur(off, (3, 3)))
+            missed[index] = np.minimum(missed[index], off)
+    own = np.take_along_axis(missed, np.searchsorted(numbers, labels)[None], axis=0)[0]
+    usual = MISSED + 1.5 * float(np.median(own[np.isfinite(own)]))
+    costs = np.minimum((missed / usual) ** 2, MOST)
+    costs += OTHERWISE_LABELLED * (labels != numbers[:, None, None])
+    costs[~near] = 2 * MOST
+    weight = np.where(band, SEEN, 1).astype(np.float32)
+    found = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
+    return np.where(band, found, labels).astype(np.int32)
+
+
+def _going_on(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return a flow, (H, W, 2), as it is within a mask, and beyond as at the nearest pixel."""
+    _, nearest = cv2.distanceTransformWithLabels(
+        np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
+    table[nearest[mask]] = flow[mask]
+    beyond = cv2.blur(table[nearest], (RIM, RIM))
+    return np.where(mask[..., None], flow, beyond)

@@ -1,0 +1,208 @@
+"""Path and depth of a thing that moves on its own, in axes of its own.
+
+To a thing, the camera is what moves: its path and depth are found as those of a sequence at rest
+are, from what belongs to the thing alone.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.depth.segment_depth import FrameDepth, Frames, PieceDepths, effort_of
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.tracks.tracker import CELLS, Seen
+from tisfm.settings import Settings
+
+FEWEST_FRAMES, FEWEST_PIXELS = 3, 400
+RIM = 5  # px that no track comes nearer to the thing's border, across
+FINEST = 6  # px from track to track
+# Px about a thing, of which depth is found as well; and what its part of frames begins at is a
+# multiple of this many, as pixels of the coarsest level that is matched are whole then.
+MARGIN, ALIGNED = 24, 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnPath:
+    """A thing's path and depth in a unit and axes of its own.
+
+    Attributes
+    ----------
+    frames : list of int
+        Of the sequence, by the numbers that piece and depth have.
+    piece : Piece
+        Camera to object, and the object's points.
+    depths : list of FrameDepth
+    """
+
+    frames: list[int]
+    piece: Piece
+    depths: list[FrameDepth]
+
+    def points(self) -> np.ndarray:
+        """Return the object's points, (N, 3)."""
+        return np.array([*self.piece.points.values()]).reshape(-1, 3)
+
+
+class _FramesOf:
+    """The frames of a sequence that show a thing, of which it alone counts.
+
+    Parameters
+    ----------
+    frames : PreparedFrames
+    numbers : sequence of int
+    labelled : callable
+        Returns the labels of a frame, (H, W).
+    number : int
+        Of the thing.
+    """
+
+    def __init__(
+        self,
+        frames: PreparedFrames,
+        numbers: Sequence[int],
+        labelled: Callable[[int], np.ndarray],
+        number: int,
+    ) -> None:
+        self.camera: Camera = frames.camera
+        self.shape = frames.shape
+        self._frames, self._numbers = frames, numbers
+        self._labelled, self._number = labelled, number
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return a frame, (H, W) float32."""
+        return self._frames.grey(self._numbers[number])
+
+    def flow(self, number: int) -> np.ndarray | None:
+        """Return the image motion from the frame before; None if it is not known."""
+        frame = self._numbers[number]
+        follows = number > 0 and self._numbers[number - 1] == frame - 1
+        return self._frames.flow(frame) if follows else None
+
+    def counted(self, number: int) -> np.ndarray:
+        """Return where the thing is, (H, W) bool."""
+        return self._labelled(self._numbers[number]) == self._number
+
+
+def own_path(
+    thing: MovingObject,
+    frames: PreparedFrames,
+    labelled: Callable[[int], np.ndarray],
+    settings: Settings,
+    *,
+    with_depth: bool = True,
+) -> OwnPath | str:
+    """Return the path and depth of a thing, or why it has none.
+
+    Parameters
+    ----------
+    thing : MovingObject
+    frames : PreparedFrames
+    labelled : callable
+        Returns the labels of a frame, (H, W).
+    settings : Settings
+    with_depth : bool
+        Or the path alone.
+    """
+    numbers = [
+        frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= FEWEST_PIXELS
+    ]
+    if len(numbers) < FEWEST_FRAMES:
+        return f"it is too small, or seen in fewer than {FEWEST_FRAMES} frames"
+    own = _FramesOf(frames, numbers, labelled, thing.id)
+    side = float(np.median(np.sqrt(thing.boxes[:, 2] * thing.boxes[:, 3])))
+    longer = max(frames.shape)
+    cells = min(CELLS * longer / max(side, 1.0), longer / FINEST)
+    finder = PathFinder(
+        frames.camera, readout=0.0, cells=max(CELLS, round(cells)), focal_known=False
+    )
+    rim = np.ones((RIM, RIM), np.uint8)
+    for number in range(len(numbers)):
+        grey = np.rint(own.grey(number)).clip(0, 255).astype(np.uint8)
+        finder.add(grey, cv2.erode(np.uint8(own.counted(number)), rim) == 0, own.flow(number))
+    try:
+        path = finder.finish()
+    except ValueError:  # what it shows is in no order
+        return "what it shows from frame to frame does not fit together"
+    if not path.pieces:
+        return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
+    piece = max(path.pieces, key=lambda one: len(one.poses))
+    depths = own_depths(own, piece, path.seen, settings) if with_depth else []
+    return OwnPath(frames=numbers, piece=piece, depths=depths)
+
+
+def own_depths(
+    own: Frames, piece: Piece, seen: Sequence[Seen], settings: Settings
+) -> list[FrameDepth]:
+    """Return the depth of frames within the box of what counts in any of them.
+
+    Elsewhere there is none.
+
+    Parameters
+    ----------
+    own : Frames
+    piece : Piece
+    seen : sequence of Seen
+        Tracks of every frame, on what counts.
+    settings : Settings
+    """
+    part = _PartOf(own, _box_of(own, piece.poses))
+    top, left = part.corner
+    moved = [replace(one, points=one.points - (left, top)) for one in seen]
+    found = PieceDepths(part, piece, moved, settings, effort=effort_of(settings), whole=own.shape)
+    return [part.within_the_whole(depth) for depth in found]
+
+
+def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
+    """Return the rows and columns of what counts in any of some frames, and around it."""
+    counts = np.zeros(own.shape, bool)
+    for frame in frames:
+        counted = own.counted(frame)
+        counts |= True if counted is None else counted
+    left, top, width, height = cv2.boundingRect(np.uint8(counts))
+    rows, columns = (
+        slice(max(0, first - MARGIN) // ALIGNED * ALIGNED, min(first + length + MARGIN, most))
+        for first, length, most in zip((top, left), (height, width), own.shape, strict=True)
+    )
+    return rows, columns
+
+
+class _PartOf:
+    """A part of frames, with the camera of that.
+
+    Parameters
+    ----------
+    frames : Frames
+    box : (slice, slice)
+        Rows and columns.
+    """
+
+    def __init__(self, frames: Frames, box: tuple[slice, slice]) -> None:
+        self._frames, self._box = frames, box
+        rows, columns = box
+        self.corner = rows.start, columns.start
+        self.shape = rows.stop - rows.start, columns.stop - columns.start
+        cx, cy = frames.camera.center_for(*frames.shape)
+        self.camera = replace(frames.camera, center=(cx - columns.start, cy - rows.start))
+
+    def grey(self, number: int) -> np.ndarray:
+        """Return the part of a frame, (h, w) float32."""
+        return np.ascontiguousarray(self._frames.grey(number)[self._box])
+
+    def counted(self, number: int) -> np.ndarray | None:
+        """Return where it counts, (h, w) bool; None where all of it does."""
+        counted = self._frames.counted(number)
+        return None if counted is None else np.ascontiguousarray(counted[self._box])
+
+    def within_the_whole(self, depth: FrameDepth) -> FrameDepth:
+        """Return depth of this part as one of whole frames."""
+        inverse_depth, deviation = (
+            np.full(self._frames.shape, value, np.float32) for value in (np.nan, np.inf)
+        )
+        inverse_depth[self._box], deviation[self._box] = depth.inverse_depth, depth.deviation
+        return FrameDepth(frame=depth.frame, inverse_depth=inverse_depth, deviation=deviation)

@@ -1,0 +1,88 @@
+"""What a thing's own path and depth are multiplied by in the world.
+
+Motion alone does not show it: a known size does, or where the thing stands, or roughly what is
+around it.
+"""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tisfm.motion.objects.contacts import contact_scale
+from tisfm.reconstruction.objects.object_path import OwnPath
+from tisfm.reconstruction.result.moving_object import ScaleFrom
+
+# Of its points along an axis: what they reach over leaves out as many at both ends.
+OUTLYING = 0.03
+AROUND = 15  # px about a thing, that may tell how far away it is
+BOXES, MOST_POINTS = 2000, 1000  # of which the smallest is taken, and points that are looked at
+
+
+def own_scale(
+    own: OwnPath,
+    number: int,
+    inverse_depth: Callable[[int], np.ndarray],
+    labelled: Callable[[int], np.ndarray],
+    size: float | None = None,
+) -> tuple[float, ScaleFrom]:
+    """Return the scale of a thing, and what it is from.
+
+    Parameters
+    ----------
+    own : OwnPath
+    number : int
+        Its label.
+    inverse_depth : callable
+        Returns that of a frame at rest, (H, W), of the world's unit.
+    labelled : callable
+        Returns the labels of a frame, (H, W).
+    size : float, optional
+        Its length in the world's unit, as `longest_side` is one, if it is known.
+    """
+    if size is not None:
+        side = longest_side(own.points())
+        return (size / side, "size") if side > 0 else (1.0, "none")
+    contacts, around = [], []
+    for depth in own.depths:
+        frame = own.frames[depth.frame]
+        behind, labels = inverse_depth(frame), labelled(frame)
+        mine = labels == number
+        sure = mine & np.isfinite(depth.deviation) & (depth.inverse_depth > 0)
+        if not sure.any() or not np.isfinite(behind).any():
+            continue
+        both = np.where(mine, depth.inverse_depth, behind).astype(np.float32)
+        contact = contact_scale(both, labels, mine & ~sure, number)
+        if contact is not None:
+            contacts.append(1 / contact)
+        window = np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
+        ring = (cv2.dilate(np.uint8(mine), window) > 0) & (labels == 0) & (behind > 0)
+        if ring.any():
+            # It hides what is around it, so it is at least as near as the nearest there.
+            nearest = np.quantile(behind[ring], 0.9)
+            around.append(float(np.median(depth.inverse_depth[sure]) / nearest))
+    if len(contacts) >= max(2, len(own.depths) / 4):
+        return float(np.median(contacts)), "contact"
+    if around:
+        return float(np.median(around)), "around"
+    return 1.0, "none"
+
+
+def reach(points: np.ndarray) -> np.ndarray:
+    """Return how far points, (N, 3), reach along each axis, (3,), without those at both ends."""
+    low, high = np.quantile(points, [OUTLYING, 1 - OUTLYING], axis=0)
+    return np.asarray(high - low)
+
+
+def longest_side(points: np.ndarray) -> float:
+    """Return the longest side of the box of the least surface around points, (N, 3).
+
+    However they are turned, it is the same. Its sides are as `reach` measures.
+    """
+    some = points[:: 1 + len(points) // MOST_POINTS]
+    random = np.random.default_rng(0)
+    turns = Rotation.from_quat(random.normal(size=(BOXES, 4))).as_matrix()
+    sides = np.stack([reach(some @ turn) for turn in turns])
+    surface = (sides * np.roll(sides, 1, axis=1)).sum(axis=1)
+    return float(sides[surface.argmin()].max())

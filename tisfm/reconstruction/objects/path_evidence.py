@@ -1,0 +1,106 @@
+"""What the camera's path says of whether a pixel is at rest: one depth has to serve many frames.
+
+Between two frames a thing that moves along epipolar lines looks like another depth, and as long as
+it moves so steadily. Over many it hardly does.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.frames.image_motion import ImageMotion, Led
+from tisfm.reconstruction.objects.motion_evidence import (
+    AT_REST,
+    LEAST_DEVIATION,
+    MOVING,
+    NEUTRAL,
+    AtRest,
+    Evidence,
+    shown,
+)
+
+STEPS = (1, 2, 3, 5, 8)  # frames before and after that one depth has to serve
+ROUNDS, BEYOND = 3, 3.0  # of the robust fit of depth; deviations from which on frames count less
+# Of the longer side: where the usual distance of a pixel from its place at rest is more, the path
+# is none of what is at rest.
+WRONG = 1.5e-3
+
+
+def path_evidence(
+    motion: ImageMotion,
+    frame: int,
+    poses: Sequence[np.ndarray | None],
+    camera: Camera,
+    moving: np.ndarray,
+) -> tuple[Evidence, np.ndarray] | None:
+    """Return what many frames say of a frame's pixels, under known poses; None if that is nothing.
+
+    And the inverse depth, (H, W) float32, that serves them.
+
+    Parameters
+    ----------
+    motion : ImageMotion
+    frame : int
+    poses : sequence of (4, 4) array or None
+        Camera to world, of every frame in one scale; None where there is none.
+    camera : Camera
+        Of the frames of the image motion.
+    moving : (H, W) bool
+        What is known to move.
+    """
+    pose = poses[frame]
+    if pose is None:
+        return None
+    shape = motion.grey(frame).shape
+    views: list[tuple[Led, AtRest]] = []
+    for led in motion.led(frame, max(STEPS)):
+        other = poses[led.frame]
+        if led.steps in STEPS and other is not None:
+            relative = np.linalg.inv(other) @ pose
+            views.append((led, AtRest(relative[:3, :3], relative[:3, 3], camera, shape)))
+    if len(views) < 2:
+        return None
+    inverse_depth, far = _joint_depth(views, shape)
+    seen = np.sum([led.found for led, _ in views], axis=0)
+    resting = (seen >= 2) & ~moving
+    if resting.sum() < 100:
+        return None
+    usual = 1.48 * float(np.median(far[resting]))
+    if usual > WRONG * max(shape):
+        return None
+    usual += LEAST_DEVIATION / 2 * max(shape)  # many frames are surer than one
+    says = np.clip((far / (usual * NEUTRAL)) ** 2 - 1, AT_REST, MOVING)
+    near = inverse_depth[resting & (says < 0)]
+    last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # of each side
+    compared = [
+        (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
+    ]
+    clear = shown(motion.grey(frame), compared, inverse_depth, near)
+    weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
+    found = Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
+    return found, inverse_depth
+
+
+def _joint_depth(
+    views: Sequence[tuple[Led, AtRest]], shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inverse depth that serves frames best, and how far it is off, px, (H, W) each."""
+    inverse_depth = np.zeros(shape, np.float32)
+    for number in range(ROUNDS):
+        squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
+        for led, at_rest in views:
+            slope, missed = at_rest.slope_and_missed(inverse_depth, led.places)
+            weight = led.found / np.float32(led.steps)  # of chains, errors add up
+            if number:
+                off = np.linalg.norm(missed, axis=-1) / np.float32(led.steps**0.5)
+                weight = weight / (1 + (off / BEYOND) ** 2)
+            squares += weight * (slope * slope).sum(axis=-1)
+            products += weight * (slope * missed).sum(axis=-1)
+        inverse_depth = np.maximum(inverse_depth + products / squares, 0)
+    total, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    for led, at_rest in views:
+        off = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1)
+        total += led.found * off**2 / led.steps
+        count += led.found
+    return inverse_depth, np.sqrt(total / np.maximum(count, 1))

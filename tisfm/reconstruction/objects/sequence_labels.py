@@ -1,0 +1,132 @@
+"""Labels of what moves on its own, for every frame of a sequence."""
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.objects.below_ground import BelowGround, Depth
+from tisfm.reconstruction.objects.identities import MOST_THINGS, Identities
+from tisfm.reconstruction.objects.motion_evidence import AT_REST, Evidence, accumulated, evidence_of
+from tisfm.reconstruction.objects.moving_regions import BOUNDARY
+from tisfm.reconstruction.objects.path_evidence import path_evidence
+
+KNOWN, HALF = 0.3, AT_REST / 2  # frames that say something, and what they say of what is at rest
+
+
+class SequenceLabels:
+    """Takes the frames of a sequence one after the other, and finds what moves on its own in them.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames. A guess of its focal length serves.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._motion = ImageMotion(camera, TRACKING)
+        self._shape = (0, 0)
+        self._evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        self._together: Sequence[Evidence] = ()
+
+    def add(self, grey: np.ndarray) -> None:
+        """Take the next frame, (H, W) uint8."""
+        self._shape = grey.shape
+        self._motion.add(grey)
+
+    def found(
+        self, poses: Sequence[np.ndarray | None] | None = None, camera: Camera | None = None
+    ) -> Iterator[np.ndarray]:
+        """Yield the labels of every frame, (H, W) uint8: 0 at rest, and else the thing's number.
+
+        Parameters
+        ----------
+        poses : sequence of (4, 4) array or None, optional
+            Camera to world, where the path is known: what many frames say under it counts as well.
+            None for frames without one.
+        camera : Camera, optional
+            A pinhole, of the frames, that the path was found with.
+        """
+        ground = None
+        if poses is not None and camera is not None:
+            ground = self._add_path(poses, camera)
+        elif not len(self._evidence):
+            for frame in range(len(self._motion)):
+                self._evidence.append(evidence_of(self._motion, frame))
+        self._together = accumulated(self._motion, self._evidence)
+        labels = Identities(self._motion, self._together).labels()
+        for labelled in labels if ground is None else self._with_ground(labels, ground):
+            yield enlarged_labels(labelled, self._motion.share, self._shape)
+
+    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
+        """Let the path say what it can, and return what may lie below the ground under it."""
+        small = self._motion.camera(camera)
+        both = Shelf(Evidence.arrays, Evidence.of_arrays)
+        depths = Shelf(Depth.arrays, Depth.of_arrays)
+        for frame, own in enumerate(self._evidence):
+            moving = self._together[frame].mean() > BOUNDARY
+            more = path_evidence(self._motion, frame, poses, small, moving)
+            if more is None:
+                both.append(own)
+                depths.append(Depth.unknown(moving.shape))
+                continue
+            many, inverse_depth = more
+            both.append(own.judged_by(many))
+            at_rest = ~moving & (many.weight > KNOWN) & (many.moving < HALF * many.weight)
+            depths.append(Depth(inverse_depth=inverse_depth, at_rest=at_rest))
+        self._evidence = both
+        return BelowGround(self._motion, poses, small, depths)
+
+    def _with_ground(
+        self, labels: Iterator[np.ndarray], ground: BelowGround
+    ) -> Iterator[np.ndarray]:
+        """Yield labels of every frame with what seems to lie below the ground beside them.
+
+        Those are things of their own: nothing shows where they end on the ground, which may lead to
+        what moves otherwise.
+        """
+        known: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
+        evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        count, is_any = 0, False
+        for frame, labelled in enumerate(labels):
+            known.append(labelled)
+            count = max(count, int(labelled.max()))
+            own = self._evidence[frame].at_rest_in(labelled > 0)
+            below = ground.evidence(frame, labelled > 0)
+            is_any |= below is not None
+            evidence.append(own if below is None else own.overruled_by(below))
+        if not is_any:
+            yield from known
+            return
+        more = Identities(self._motion, accumulated(self._motion, evidence)).labels()
+        for labelled, others in zip(known, more, strict=True):
+            is_new = (labelled == 0) & (others > 0) & (others <= MOST_THINGS - count)
+            yield np.where(is_new, others + np.uint8(count), labelled)
+
+
+def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
+    """Return labels, (h, w), of frames that are made smaller, as those of the frames, (H, W) uint8.
+
+    Parameters
+    ----------
+    labels : (h, w) array
+    share : float
+        Px of theirs to a px of the frames.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    if share == 1:
+        return labels.astype(np.uint8)
+    height, width = shape
+    size = round(labels.shape[1] / share), round(labels.shape[0] / share)
+    best, found = np.full((height, width), 0.5, np.float32), np.zeros((height, width), np.uint8)
+    for number in np.unique(labels[labels > 0]):
+        mine = cv2.resize(np.float32(labels == number), size, interpolation=cv2.INTER_CUBIC)
+        mine = mine[:height, :width]
+        found[mine > best] = number
+        best = np.maximum(best, mine)
+    return found

@@ -1,0 +1,101 @@
+"""How a part of a frame moves: smooth motions fitted to the image motion on both sides of it."""
+
+from typing import Literal
+
+import numpy as np
+
+from tisfm.reconstruction.frames.image_motion import ImageMotion, length_of, places_of
+
+FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
+STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first
+LEAST_DEVIATION = 0.2  # px, of what a smooth motion misses
+
+Terms = Literal[1, 3, 6]
+
+
+class Moves:
+    """How the pixels of a frame move to the frames after and before.
+
+    Attributes
+    ----------
+    flow : (H, W, 2) float32
+        To the frame after, or away from that before if it is the last one.
+    known : (H, W) bool
+        Where one of the frames shows the pixel.
+    """
+
+    def __init__(self, motion: ImageMotion, frame: int) -> None:
+        self._ways = [
+            (led.places - places_of(led.found.shape), led.found) for led in motion.led(frame, 1)
+        ]
+        self._later = frame + 1 < len(motion)
+        self.known = np.any([found for _, found in self._ways], axis=0)
+        self.flow = self._ways[0][0] if self._later else -self._ways[0][0]
+
+    def beside(
+        self,
+        mask: np.ndarray,
+        velocity: np.ndarray | None = None,
+        *,
+        terms: Terms = 6,
+    ) -> tuple[np.ndarray, float]:
+        """Return how far pixels move otherwise than what is in a mask, (H, W) px, 0 if not known.
+
+        And the deviation of what is in the mask from its smooth motion, px.
+
+        Parameters
+        ----------
+        mask : (H, W) bool
+        velocity : (2,) array, optional
+            Of most of it, px/frame, if that is known.
+        terms : {1, 3, 6}
+            Of the smooth motion at most: one velocity, an affine or a quadratic motion.
+        """
+        total, count = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
+        deviations = []
+        for way, (flow, found) in enumerate(self._ways):
+            inside = mask & found
+            if inside.sum() < FEWEST:
+                continue
+            sign = 1 if self._later and way == 0 else -1
+            start = None if velocity is None else sign * velocity
+            missed = length_of(flow - smooth_motion(flow, inside, start, terms))
+            deviations.append(1.48 * float(np.median(missed[inside])))
+            total += np.where(found, missed, 0)
+            count += found
+        deviation = max([LEAST_DEVIATION, *deviations])
+        return total / np.maximum(count, 1), deviation
+
+
+def smooth_motion(
+    flow: np.ndarray, mask: np.ndarray, start: np.ndarray | None = None, terms: Terms = 6
+) -> np.ndarray:
+    """Return the smooth motion, (H, W, 2) float32, that fits a flow within a mask, robustly.
+
+    Parameters
+    ----------
+    flow : (H, W, 2) float32
+    mask : (H, W) bool
+    start : (2,) array, optional
+        What moves so, px/frame, counts most at first.
+    terms : {1, 3, 6}
+        One velocity, an affine or a quadratic motion; of few pixels it is affine at most.
+    """
+    rows, columns = np.nonzero(mask)
+    middle = np.array([np.median(columns), np.median(rows)])
+    size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
+    x, y = np.moveaxis((places_of(flow.shape) - middle) / size, -1, 0).clip(-2, 2)
+    shapes = [np.ones_like(x), x, y, x * x, x * y, y * y]
+    stacked = np.stack(shapes[: terms if len(rows) >= FEWEST_QUADRATIC else min(terms, 3)], -1)
+    every = max(1, len(rows) // 4000)
+    inside, moved = stacked[mask][::every], flow[mask][::every].astype(np.float64)
+    weight = np.ones(len(moved))
+    if start is not None:
+        weight = 1 / (1 + (np.linalg.norm(moved - start, axis=1) / STARTING) ** 2) ** 2
+    for _ in range(5):
+        weighted = inside * weight[:, None]
+        gram = weighted.T @ inside + 1e-6 * len(moved) * np.eye(inside.shape[1])
+        fitted = np.linalg.solve(gram, weighted.T @ moved)
+        missed = np.linalg.norm(inside @ fitted - moved, axis=1)
+        weight = 1 / (1 + (missed / max(1.48 * np.median(missed), 0.05)) ** 2)
+    return np.float32(stacked @ fitted)

@@ -1,0 +1,391 @@
+"""The camera's path through a sequence."""
+
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.errors import InputError
+from tisfm.outcome import Status
+from tisfm.reconstruction.calibration.self_calibration import (
+    models_and_focal,
+    straight,
+    without_distortion,
+)
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.mapping.incremental import FEWEST, SMALLEST
+from tisfm.reconstruction.mapping.models import Model, models_again, models_of, pose_from_points
+from tisfm.reconstruction.mapping.solution import WORTHLESS, FocalEstimate, Piece, Way
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.rolling_shutter.unrolled_path import unrolled_way
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
+from tisfm.reconstruction.submaps.joining import MOST, focal_from_parts, models_in_parts
+from tisfm.reconstruction.tracks.tracker import CELLS, Seen, Tracker
+from tisfm.reconstruction.tracks.views import View, Views
+from tisfm.shutter import Rolling
+
+# Where fewer views are found, those count between which tracks move by this share of a frame.
+FEW, CLOSER = 3, 0.0125
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPath:
+    """Poses of frames, in pieces, and why others have none.
+
+    Attributes
+    ----------
+    pieces : tuple of Piece
+        In the order of their first frames. A frame is in one of them at most.
+    lost : dict of int to Status
+        Frames in none of them.
+    seen : sequence of Seen
+        Tracks in every frame.
+    camera : Camera
+        With the focal length that poses are found with. Poses, points and tracks are those of its
+        pinhole; it has distortion where that was found with them.
+    focal : FocalEstimate or None
+        If it was to be found: None as well if no path was.
+    rolling : Rolling or None
+        If rows are not read at once: poses, points and tracks are those of middle rows.
+    """
+
+    pieces: tuple[Piece, ...]
+    lost: dict[int, Status]
+    seen: Sequence[Seen]
+    camera: Camera
+    focal: FocalEstimate | None = None
+    rolling: Rolling | None = None
+
+
+class PathFinder:
+    """Takes the frames of a sequence one after the other, and finds where the camera was.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    calibrate : {"nothing", "focal", "radial"}
+        What of it is found from the frames: then its focal length is a guess.
+    limit : float
+        Of the focal length: with a larger deviation, the guess stays.
+    readout : float or None
+        Of the shutter, as in `tisfm.Camera`; None if it is found.
+    cells : int
+        As for `tisfm.reconstruction.tracks.tracker.Tracker`.
+    focal_known : bool
+        Whether the focal length is known before. If it is a guess, a path does not begin before a
+        single plane.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        calibrate: Calibrate = "nothing",
+        *,
+        limit: float = WORTHLESS,
+        readout: float | None = None,
+        cells: int = CELLS,
+        focal_known: bool = True,
+    ) -> None:
+        self._focal_known = focal_known and calibrate == "nothing"
+        self._camera, self._calibrate, self._limit = camera, calibrate, limit
+        self._readout = readout
+        self._tracker = Tracker(camera, TRACKING, cells)
+        self._seen = Shelf(Seen.arrays, Seen.of_arrays)
+        self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
+        self._closer: Views | None = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
+        self._last: tuple[np.ndarray, np.ndarray | None] | None = None
+        self._shape = (0, 0)
+
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> None:
+        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool.
+
+        And the image motion from the frame before, where it is known, as `Tracker.go_on` does.
+        """
+        seen = self._tracker.go_on(grey, ignored, flow)
+        if self._views.needs(seen, max(grey.shape)):
+            self._views.add(len(self._seen), grey, seen, ignored)
+        if len(self._views.chosen) >= FEW:
+            self._closer = None
+        elif self._closer is not None and self._closer.needs(seen, max(grey.shape), CLOSER):
+            self._closer.add(len(self._seen), grey, seen, ignored)
+        self._seen.append(seen)
+        self._last = grey, ignored
+
+    def finish(self, instants: np.ndarray | None = None) -> CameraPath:
+        """Return the path of the frames so far.
+
+        Parameters
+        ----------
+        instants : (N,) array, optional
+            When each frame was taken, in intervals between frames of the source; by default one
+            after the other.
+
+        Raises
+        ------
+        ValueError
+            If frames are out of order.
+        """
+        if self._last is None:
+            return CameraPath(pieces=(), lost={}, seen=(), camera=self._camera)
+        last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
+        if self._closer is not None:  # there are few others
+            views = self._views = self._closer
+        different = len(views.chosen)
+        if not views.chosen or views.chosen[-1].frame != last:
+            views.add(last, grey, self._seen[last], ignored)
+        self._shape = grey.shape
+        views.close_loops(grey.shape)
+        if views.out_of_order():
+            raise InputError(
+                "frames are not in the order in which they were taken: most show nothing of the "
+                "frame before, but what others show; sort them, or give a video"
+            )
+        way = self._way(views.chosen, self._seen, self._camera, self._calibrate)
+        rolling = None
+        if self._readout != 0 and way.pieces:
+            instants = np.arange(len(self._seen)) if instants is None else np.asarray(instants)
+            way, rolling = self._unrolled(way, instants)
+        lost = {
+            frame: why_lost(way.seen[frame], way.pieces, different, focal_known=self._focal_known)
+            for frame in way.unplaced
+        }
+        return CameraPath(
+            pieces=tuple(sorted(way.pieces, key=lambda piece: min(piece.poses))),
+            lost=lost,
+            seen=way.seen,
+            camera=way.camera,
+            focal=way.focal,
+            rolling=rolling,
+        )
+
+    def _unrolled(self, way: Way, instants: np.ndarray) -> tuple[Way, Rolling | None]:
+        """Return the way of middle rows, and how frames moved while they were read, if they did."""
+        pinhole, matches = way.camera.pinhole(), self._views.matches
+
+        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+            if len(views) > MOST:
+                models = models_in_parts(
+                    views, matches, pinhole, self._shape, seen, focal_known=self._focal_known
+                )
+            else:
+                known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
+                models = models_again(views, matches, pinhole, self._shape, known)
+            return self._complete(models, views, seen, pinhole)
+
+        found, rolling = unrolled_way(way, near, matches, instants, self._readout, self._shape)
+        if rolling is None:
+            return way, None
+        if len(found.views) <= MOST:
+            # A path that was bent by what rows do may stay so. Another begins without it.
+            calibrate: Calibrate = "focal" if self._calibrate == "focal" else "nothing"
+            anew = self._way(found.views, found.seen, pinhole, calibrate)
+            if anew.pieces and anew.focal is None:
+                anew = near(found.views, found.seen, anew.pieces)
+            if anew.score > found.score and _is_of_use(anew.focal):
+                found = anew
+        if found.focal is None:
+            found = replace(found, camera=way.camera, focal=way.focal)
+        # Frames that have got a pose only now.
+        late = Unrolling(
+            way.seen, found.pieces, instants, rolling.readout, 0.0, rolling.camera, self._shape
+        ).rolling
+        rates = {**late.rates, **rolling.rates}
+        usual = {**late.inverse_depth, **rolling.inverse_depth}
+        return found, replace(rolling, rates=rates, inverse_depth=usual)
+
+    def _way(
+        self,
+        views: Sequence[View],
+        tracks: Sequence[Seen],
+        camera: Camera,
+        calibrate: Calibrate,
+    ) -> Way:
+        """Return the path through views and tracks in every frame."""
+        matches, shape, focal = self._views.matches, self._shape, None
+        if len(views) > MOST:  # memory is to be bounded
+            if calibrate != "nothing":
+                focal = focal_from_parts(
+                    views, matches, camera, shape, calibrate, limit=self._limit
+                )
+                if focal is None:  # no part has a path
+                    return self._complete([], views, tracks, camera)
+            lens = camera if focal is None else focal.taken(camera)
+            seen = _straight(tracks, lens, shape)
+            straight_views = _straight_views(views, lens, shape)
+            models = models_in_parts(
+                straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_known
+            )
+            return self._complete(models, views, seen, lens, focal)
+        if calibrate == "nothing":
+            models = models_of(views, matches, camera, shape, focal_known=self._focal_known)
+        else:
+            models, focal = models_and_focal(
+                views, matches, camera, shape, calibrate, limit=self._limit
+            )
+        lens = camera if focal is None else focal.taken(camera)
+        return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
+
+    def _complete(
+        self,
+        models: Sequence[Model],
+        views: Sequence[View],
+        seen: Sequence[Seen],
+        camera: Camera,
+        focal: FocalEstimate | None = None,
+    ) -> Way:
+        """Return the way of models and of the frames between their views."""
+        pieces, unplaced = with_others(
+            [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
+            seen,
+            range(len(seen)),
+            camera.pinhole(),
+            self._shape,
+        )
+        return Way(
+            pieces=pieces,
+            unplaced=unplaced,
+            views=views,
+            seen=seen,
+            camera=camera,
+            focal=focal,
+            score=sum(model.score for model in models),
+        )
+
+
+def _is_of_use(focal: FocalEstimate | None) -> bool:
+    """Return whether a focal length was not sought, or what was found says more than a guess."""
+    return focal is None or focal.is_of_use
+
+
+def _straight(tracks: Sequence[Seen], lens: Camera, shape: tuple[int, int]) -> Sequence[Seen]:
+    """Return where a pinhole would see the tracks of every frame."""
+    if lens.is_pinhole:
+        return tracks
+    found = Shelf(Seen.arrays, Seen.of_arrays)
+    for one in tracks:
+        found.append(without_distortion(one, lens, shape))
+    return found
+
+
+def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
+    """Return views as a pinhole has them."""
+    if lens.is_pinhole:
+        return views
+    found = Shelf(View.arrays, View.of_arrays)
+    for view in views:
+        found.append(
+            View(
+                frame=view.frame,
+                seen=without_distortion(view.seen, lens, shape),
+                detected=straight(view.detected, lens, shape),
+            )
+        )
+    return found
+
+
+def with_others(
+    pieces: Sequence[Piece],
+    seen: Sequence[Seen],
+    frames: Iterable[int],
+    camera: Camera,
+    shape: tuple[int, int],
+) -> tuple[list[Piece], list[int]]:
+    """Add the frames between views to pieces; return those that are in none as well.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    seen : sequence of Seen
+        Tracks in every frame.
+    frames : iterable of int
+        Those that are to be in a piece.
+    camera : Camera
+        A pinhole, of the frames.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
+    ordered = sorted(placed)
+    added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
+    unplaced = []
+    for frame in frames:
+        if frame in placed:
+            continue
+        for k in _nearest(frame, placed, ordered):
+            pose = pose_from_points(seen[frame], pieces[k].points, camera, shape)
+            if pose is not None:
+                added[k][frame] = pose
+                break
+        else:
+            unplaced.append(frame)
+    return [
+        replace(piece, poses=dict(sorted(poses.items())))
+        for piece, poses in zip(pieces, added, strict=True)
+    ], unplaced
+
+
+def why_lost(
+    seen: Seen, pieces: Sequence[Piece], different: int, *, focal_known: bool = True
+) -> Status:
+    """Return the status of a frame without a pose.
+
+    Parameters
+    ----------
+    seen : Seen
+        Tracks in the frame.
+    pieces : sequence of Piece
+        All that were found.
+    different : int
+        Number of frames that differ from one another.
+    focal_known : bool
+        Whether the focal length was stated: then a path may begin before a plane.
+    """
+    count = len(seen.tracks)
+    if count < FEWEST:
+        return Status(
+            "no_texture",
+            f"it shows {count} points that could be followed: it is dark, bare or blurred",
+        )
+    if not pieces and different < 2:
+        return Status("no_motion", "frames hardly differ: the camera has to change its place")
+    if not pieces and different < SMALLEST:
+        return Status(
+            "little_parallax",
+            f"only {different} frames differ, but a path needs {SMALLEST}: take more frames, or "
+            "give the pair to tisfm.interpret",
+        )
+    if not pieces and focal_known:
+        return Status(
+            "little_parallax",
+            "no two frames show enough parallax to begin a path: the camera only turns, or noise "
+            "hides its motion; move it sideways before something with texture",
+        )
+    if not pieces:
+        return Status(
+            "little_parallax",
+            "no two frames show enough parallax to begin a path: the camera only turns, or the "
+            "scene is one plane; move it sideways, or state the focal length of a camera before a "
+            "plane",
+        )
+    return Status(
+        "unrelated",
+        f"its {count} tracks lead to too few points that are known: it shows what other "
+        "frames do not, or from where points show no parallax; take frames closer in time",
+    )
+
+
+def _nearest(frame: int, placed: Mapping[int, int], ordered: Sequence[int]) -> list[int]:
+    """Return the pieces of the nearest frames before and after, without repetition."""
+    after = bisect_left(ordered, frame)
+    near = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
+    near.sort(key=lambda other: abs(other - frame))
+    return list(dict.fromkeys(placed[other] for other in near))

@@ -1,0 +1,94 @@
+"""Labels that are those of an earlier result."""
+
+import glob
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import read_camera
+from tisfm.errors import InputError
+from tisfm.reconstruction.result.folder import MASKS, PICTURES, RECORD, mask_path, read_record
+
+MOST_COEFFICIENTS = 14
+SAME = 1e-6  # relative: cameras that differ by less are the same
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultLabels:
+    """The labels of an earlier result.
+
+    Attributes
+    ----------
+    folder : Path
+    files : mapping of str to Path
+        By the names of frames.
+    camera : Camera or None
+        Whose distortion or readout is undone in the frames that the labels are of; None if they are
+        of the frames as these are read.
+    """
+
+    folder: Path
+    files: Mapping[str, Path]
+    camera: Camera | None
+
+    def check(self, stated: Camera | None, calibrate: str) -> None:
+        """Raise ValueError unless frames are made as those were that the labels are of."""
+        if self.camera is None or (
+            stated is not None and calibrate == "nothing" and _is_same(self.camera, stated)
+        ):
+            return
+        raise InputError(
+            f"labels are those of {self.folder}, of frames whose lens or readout is undone: give "
+            f"its camera as well, {self.folder / CAMERA}; or reconstruct {self.folder / PICTURES}"
+        )
+
+
+def labels_of_result(labels: Any, source: Any) -> ResultLabels | None:
+    """Return labels that are the folder of a reconstruction, or that of its masks; else None.
+
+    Parameters
+    ----------
+    labels, source : object
+        As `tisfm.reconstruct` takes them. Where the source is the folder of the frames that the
+        result made, labels are those of these.
+    """
+    if not isinstance(labels, (str, os.PathLike)):
+        return None
+    path = Path(labels)
+    if glob.has_magic(path.name) and path.parent.name == MASKS:
+        path = path.parent
+    folder = path.parent if path.name == MASKS else path
+    if not (folder / RECORD).is_file() or not (folder / MASKS).is_dir():
+        return None
+    names = read_record(folder)["names"]
+    files = [mask_path(folder, number) for number in range(len(names))]
+    pictures = (folder / PICTURES).resolve()
+    if isinstance(source, (str, os.PathLike)) and Path(source).resolve() == pictures:
+        return ResultLabels(folder=folder, files={f.stem: f for f in files}, camera=None)
+    camera = read_camera(folder)
+    made_anew = not camera.is_pinhole or bool(camera.readout)
+    by_name = dict(zip(names, files, strict=True))
+    return ResultLabels(folder=folder, files=by_name, camera=camera if made_anew else None)
+
+
+def _is_same(one: Camera, other: Camera) -> bool:
+    first, second = (
+        (camera.focal, camera.aspect, *(camera.center or ()), *_padded(camera.distortion or ()))
+        for camera in (one, other)
+    )
+    return (
+        len(first) == len(second)
+        and np.allclose(first, second, rtol=SAME, atol=SAME)
+        and abs((one.readout or 0) - (other.readout or 0)) < SAME
+    )
+
+
+def _padded(distortion: Sequence[float]) -> tuple[float, ...]:
+    """Return all coefficients that there may be; those that are not given are zero."""
+    return (*distortion, *(0.0,) * (MOST_COEFFICIENTS - len(distortion)))

@@ -1,0 +1,289 @@
+"""The folder that a reconstruction lies in.
+
+``reconstruction.json`` is written last: a folder without it is not complete. Until then another
+file says whose folder it is. ``docs/formats.md`` describes the files.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.camera_file import NAME as CAMERA
+from tisfm.errors import InputError
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large
+from tisfm.formats.images import decode
+from tisfm.formats.label_picture import read_label_picture, write_label_png
+from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.formats.reading import read_bytes, read_json
+from tisfm.formats.result_folder import make_inner_folder
+from tisfm.outcome import Status
+from tisfm.reconstruction.result.calibration import as_json, from_json
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.report_file import REPORT, TIMINGS
+from tisfm.settings import Settings
+from tisfm.trajectory.poses import check_poses
+
+FORMAT, OBJECTS_FORMAT = 2, 1
+RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
+PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
+MASKS, OBJECTS = "masks", "objects.json"
+LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
+# What JSON of another kind, and numbers beyond those that NumPy has, lead to.
+_DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
+_HALVES = ("inverse_depth", "inverse_depth_std")
+ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
+OTHERS = (
+    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
+)  # fmt: skip
+
+
+def write_depth(
+    folder: Path, number: int, inverse_depth: np.ndarray, deviation: np.ndarray
+) -> None:
+    """Write the depth of a frame, with 11 significant bits.
+
+    Parameters
+    ----------
+    folder : Path
+    number : int
+        Of the frame.
+    inverse_depth, deviation : (H, W) float32
+        NaN and infinity where there is none.
+    """
+    scale = largest_of(inverse_depth) / LARGEST_HALF or 1.0
+    with np.errstate(over="ignore"):
+        halves = [
+            (values / np.float32(scale)).astype("<f2") for values in (inverse_depth, deviation)
+        ]
+    parts = {"inverse_depth": halves[0], "inverse_depth_std": halves[1], "scale": np.array(scale)}
+    write_npz(depth_path(folder, number), parts)
+
+
+def largest_of(values: np.ndarray) -> float:
+    """Return the largest finite value, 0 if there is none."""
+    return float(np.max(values, where=np.isfinite(values), initial=0.0))
+
+
+def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no folder of depth: it was moved or deleted.
+    tisfm.formats.FormatError
+        If the file is damaged.
+    """
+    path = depth_path(folder, number)
+    if not path.exists():
+        if not path.parent.is_dir():
+            raise FileNotFoundError(f"there is no {path.parent}: the folder is not complete")
+        return np.full(shape, np.nan, np.float32), np.full(shape, np.inf, np.float32)
+    with NpzFile(path) as file:
+        for name in (*_HALVES, "scale"):
+            layout = file.header(name)
+            expected = (shape, np.dtype("<f2")) if name in _HALVES else ((), np.dtype("<f8"))
+            if layout != expected:
+                raise FormatError(f"{path} has {name} of {layout}: expected {expected}")
+        scale = np.float32(file.read("scale"))
+        if not (np.isfinite(scale) and scale > 0):
+            raise FormatError(f"{path} has the scale {scale}: expected a finite positive number")
+        found = [file.read(name) for name in _HALVES]
+    inverse_depth, deviation = (values.astype(np.float32) * scale for values in found)
+    return inverse_depth, deviation
+
+
+def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
+    """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
+    make_inner_folder(folder / MASKS)
+    write_label_png(mask_path(folder, number), labels)
+
+
+def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return which thing each pixel of a frame belongs to, (H, W) uint8: 0 if there are none."""
+    path = mask_path(folder, number)
+    if not (folder / MASKS).is_dir():
+        return np.zeros(shape, np.uint8)
+    labels = read_label_picture(path)
+    if labels.shape != shape:
+        raise FormatError(f"{path} is {labels.shape}: expected {shape}")
+    return labels
+
+
+def mask_path(folder: Path, number: int) -> Path:
+    """Return the path of the labels of a frame."""
+    return folder / MASKS / f"{number:06d}.png"
+
+
+def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
+    """Write what is known of things that move on their own, as JSON."""
+    about = {"format": OBJECTS_FORMAT, "objects": [thing.as_json() for thing in objects]}
+    with atomic_write(folder / OBJECTS) as file:
+        file.write(json.dumps(about, allow_nan=False).encode())
+
+
+def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingObject, ...]:
+    """Return what `write_objects` wrote of so many frames; nothing if nothing was to be found."""
+    path = folder / OBJECTS
+    if settings.motion != "objects":
+        return ()
+    for part in (path, folder / MASKS):
+        if not part.exists():
+            raise FormatError(f"{folder} has no {part.name}: it is not complete")
+    try:
+        about = read_json(path)
+        if about["format"] != OBJECTS_FORMAT:
+            raise InputError(
+                f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}: "
+                "reconstruct anew"
+            )
+        things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
+        for thing in things:
+            if not set(thing.frames) <= set(range(count)):
+                raise InputError(f"thing {thing.id} is seen in other frames than those there are")
+    except FormatError:
+        raise
+    except _DAMAGE as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
+    return things
+
+
+def depth_path(folder: Path, number: int) -> Path:
+    """Return the path of the depth of a frame."""
+    return folder / DEPTH / f"{number:06d}.npz"
+
+
+def read_picture(folder: Path, number: int) -> np.ndarray:
+    """Return the picture of a frame, (H, W) or (H, W, 3) RGB uint8."""
+    path = folder / PICTURES / f"{number:06d}.jpg"
+    if not path.exists():
+        raise FileNotFoundError(f"there is no {path}: the folder is not complete")
+    data = read_bytes(path)
+    refuse_large(str(path), data)
+    picture = decode(str(path), data, cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.dtype != np.uint8 or picture.shape[2:] not in ((), (3,)):
+        raise FormatError(f"{path} is damaged: it is no picture of 8 bits")
+    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def write_record(folder: Path, result: Any) -> None:
+    """Write the path and, last, the account of a reconstruction."""
+    times = np.array([np.nan if time is None else time for time in result.times])
+    path = {
+        "poses": result.poses,
+        "piece": result.piece,
+        "times": times,
+        "unit": np.array(result.unit, np.float64),
+    }
+    write_npz(folder / PATH, path)
+    about = {
+        "format": FORMAT,
+        "version": result.version,
+        "camera": asdict(result.camera),
+        "calibration": as_json(result.calibration),
+        "settings": asdict(result.settings),
+        "shape": list(result.shape),
+        "names": list(result.names),
+        "status": [[str(status), status.message] for status in result.status],
+        "keyframes": list(result.keyframes),
+        "skipped": [list(item) for item in result.skipped],
+        "notes": list(result.notes),
+    }
+    if result.settings.motion == "objects":
+        write_objects(folder, result.objects)
+    with atomic_write(folder / RECORD) as file:
+        file.write(json.dumps(about, indent=1).encode())
+    (folder / BEGUN).unlink(missing_ok=True)
+
+
+def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the fields of a reconstruction that `write_record` wrote.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is no folder of a complete reconstruction.
+    tisfm.formats.FormatError
+        If a file is damaged, or of a format this version cannot read.
+    """
+    path = Path(folder)
+    if not (path / RECORD).is_file():
+        what = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
+        raise FileNotFoundError(f"the folder {path} {what}: it has no {RECORD}")
+    try:
+        about = read_json(path / RECORD)
+        if about["format"] != FORMAT:
+            raise InputError(
+                f"it is of format {about['format']}, written by tisfm {about.get('version')}; this "
+                f"version reads format {FORMAT}: reconstruct anew"
+            )
+        with NpzFile(path / PATH) as file:
+            poses, piece, times, unit = (
+                file.read(name) for name in ("poses", "piece", "times", "unit")
+            )
+        for name, values, kind in (
+            ("poses", poses, "f"),
+            ("piece", piece, "i"),
+            ("times", times, "f"),
+            ("unit", unit, "f"),
+        ):
+            if values.dtype.kind != kind:
+                raise InputError(f"{name} of {PATH} are of type {values.dtype}")
+        count = len(about["names"])
+        if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
+            raise InputError(f"{PATH} does not have {count} frames")
+        if unit.shape != (int(piece.max(initial=-1)) + 1,):
+            raise InputError(f"{PATH} does not have a unit for every piece")
+        if len(about["status"]) != count:
+            raise InputError(f"it has {len(about['status'])} statuses of {count} frames")
+        if not set(about["keyframes"]) <= set(range(count)):
+            raise InputError(f"a keyframe is none of its {count} frames")
+        camera = about["camera"]
+        stiffness = tuple(about["settings"]["stiffness"])
+        settings = Settings(**{**about["settings"], "stiffness": stiffness})
+        return dict(
+            poses=check_poses(poses),
+            piece=piece.astype(np.int32),
+            unit=tuple(map(float, unit)),
+            times=tuple(None if np.isnan(time) else float(time) for time in times),
+            status=tuple(Status(code, message) for code, message in about["status"]),
+            keyframes=tuple(int(k) for k in about["keyframes"]),
+            skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
+            notes=tuple(map(str, about["notes"])),
+            names=tuple(map(str, about["names"])),
+            shape=_shape(about["shape"]),
+            camera=Camera(
+                focal=camera["focal"],
+                center=None if camera["center"] is None else tuple(camera["center"]),
+                distortion=camera["distortion"],
+                aspect=camera["aspect"],
+                readout=camera["readout"],
+            ),
+            calibration=from_json(about["calibration"]),
+            settings=settings,
+            version=str(about["version"]),
+            objects=_read_objects(path, settings, count),
+        )
+    except FormatError:
+        raise
+    except _DAMAGE as error:
+        reason = " ".join(str(error).split())
+        raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
+
+
+def _shape(given: Any) -> tuple[int, int]:
+    """Return height and width of frames, ValueError if they are none."""
+    height, width = map(int, given)
+    if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
+        raise InputError(f"its frames are {height} × {width} px")
+    return height, width

@@ -1,0 +1,408 @@
+"""A whole sequence, reconstructed: one camera path, and the depth of every frame."""
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from operator import index
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.errors import InputError, OutOfRangeError
+from tisfm.outcome import Status
+from tisfm.point_cloud import PointCloud
+from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
+from tisfm.settings import Settings
+
+if TYPE_CHECKING:
+    from tisfm.fusion import DepthView, Mesh
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reconstruction:
+    """Poses and depth of the frames of a sequence; depth lies on disk and is read when asked for.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity,
+        unless poses were given. NaN for a frame without one.
+    piece : (N,) int32
+        Which piece a frame belongs to; each has a scale of its own, in which the median depth of
+        its first keyframe is 1, or of tracks in its first frame, if it has no depth, unless poses
+        were given. −1 for a frame without a pose.
+    unit : tuple of float
+        For every piece, what its depth on disk is multiplied by; 1 unless it was rescaled.
+    status : tuple of Status
+        For every frame, with a message: ``"converged"`` if it has a pose, and depth if that was
+        asked for.
+    keyframes : tuple of int
+        Frames whose depth was found from several others; that of the rest is as they
+        show it, and filled along the edges of the frame.
+    camera : Camera
+        The pinhole of the frames of the result, cropped and shrunk, without distortion: that of
+        `depth` and `picture`.
+    calibration : Calibration
+        Where its focal length is from, and how far to trust it: ``origin`` (given, estimated or
+        guessed), ``focal``, ``focal_std``, ``shape``, ``seen`` and ``message``. Its px are those of
+        the frames of the source, of which ``shape`` is the height and width.
+    settings : Settings
+    names : tuple of str
+        Of the frames.
+    times : tuple of float or None
+        Seconds, as the source has them: they may repeat or go back, as `notes` then says.
+    skipped : tuple of (int, str)
+        Frames of the source that could not be read, and why; they are not counted.
+    notes : tuple of str
+        On how the source was read: frames that were left out or resampled, and why paths use the
+        numbers of frames instead of times.
+    shape : (int, int)
+        Height and width of the frames, px.
+    folder : Path
+        Where it lies.
+    version : str
+        Of tisfm.
+    objects : tuple of MovingObject
+        Things that move on their own, with ``motion="objects"``, in order of their labels.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("walk")  # what `save` or ``tisfm reconstruct`` left
+    >>> len(result), result.poses.shape, result.shape
+    (9, (9, 4, 4), (180, 240))
+    >>> [str(status) for status in result.status[:2]], result.piece[:2].tolist()
+    (['converged', 'converged'], [0, 0])
+    >>> result.depth(2).shape, result.inverse_depth_std(2).shape, result.picture(2).shape
+    ((180, 240), (180, 240), (180, 240))
+    >>> bool(result.keyframes)
+    True
+    """
+
+    poses: np.ndarray = field(repr=False)
+    piece: np.ndarray = field(repr=False)
+    unit: tuple[float, ...] = field(repr=False)
+    status: tuple[Status, ...] = field(repr=False)
+    keyframes: tuple[int, ...]
+    camera: Camera
+    calibration: Calibration = field(repr=False, default=GIVEN)
+    settings: Settings = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
+    times: tuple[float | None, ...] = field(repr=False)
+    skipped: tuple[tuple[int, str], ...] = field(repr=False, default=())
+    notes: tuple[str, ...] = field(repr=False, default=())
+    shape: tuple[int, int]
+    folder: Path
+    version: str
+    objects: tuple[MovingObject, ...] = ()
+    _temporary: TemporaryFolder | None = field(repr=False, default=None)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.poses)
+
+    @property
+    def largest_piece(self) -> int:
+        """The piece of most frames; 0 if there is none."""
+        placed = self.piece[self.piece >= 0]
+        return int(np.bincount(placed).argmax()) if len(placed) else 0
+
+    def inverse_depth(self, frame: int) -> np.ndarray:
+        """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
+
+        NaN where no frame shows it. Numbers have 11 significant bits.
+
+        Raises
+        ------
+        IndexError
+            If there is no such frame.
+        """
+        return self._depth_of(frame)[0]
+
+    def inverse_depth_std(self, frame: int) -> np.ndarray:
+        """Return its standard deviation, (H, W) float32.
+
+        Infinite where there is no depth, or pixels are masked: depth there is carried from around.
+        """
+        return self._depth_of(frame)[1]
+
+    def depth(self, frame: int) -> np.ndarray:
+        """Return the depth of a frame, (H, W) float32, in the unit of the poses; NaN for none."""
+        inverse = self.inverse_depth(frame)
+        depth = np.full_like(inverse, np.nan)
+        np.divide(1, inverse, out=depth, where=inverse > 0)
+        return depth
+
+    def labels(self, frame: int) -> np.ndarray:
+        """Return which thing each pixel of a frame belongs to, (H, W) uint8.
+
+        0 is what is at rest; other numbers are the ids of `objects`. They are of the frame without
+        distortion, as `picture` returns it.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("bodies")  # of ``motion="objects"``
+        >>> result.labels(0).shape, result.labels(0).dtype
+        ((180, 240), dtype('uint8'))
+        """
+        from tisfm.reconstruction.result.folder import read_labels
+
+        return read_labels(self.folder, self._number(frame), self.shape)
+
+    def picture(self, frame: int) -> np.ndarray:
+        """Return the frame without distortion, (H, W) or (H, W, 3) RGB uint8."""
+        from tisfm.reconstruction.result.folder import read_picture
+
+        return read_picture(self.folder, self._number(frame))
+
+    def points(
+        self,
+        frames: Iterable[int] | None = None,
+        *,
+        agreeing: int = 3,
+        max_relative_std: float = 0.05,
+        voxel: float | None = None,
+    ) -> PointCloud:
+        """Return coloured points that several frames agree on, in the axes of the world.
+
+        Parameters
+        ----------
+        frames : iterable of int, optional
+            Of one piece; by default the keyframes of the largest.
+        agreeing : int
+            A point is kept where so many frames, its own included, agree within their deviations,
+            and no more see through it.
+        max_relative_std : float
+            Pixels whose deviation is a larger share of their inverse depth are left out.
+        voxel : float, optional
+            Side of cubes of which each keeps one point, in the unit of the poses.
+
+        Returns
+        -------
+        PointCloud
+            The positions are (M, 3) float32, in the unit of the poses.
+
+        Raises
+        ------
+        IndexError, ValueError
+            If there is no such frame, frames are of several pieces, or an option is impossible.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> cloud = tisfm.Reconstruction.load("walk").points()
+        >>> cloud.positions.shape[1], cloud.colors.shape[1], len(cloud) > 1000
+        (3, 3, True)
+        >>> cloud.save("scene.ply")
+        """
+        from tisfm.fusion import fused_points
+
+        views = self._views(frames)
+        most = min(agreeing, max(1, len(views)))
+        return fused_points(views, agreeing=most, max_relative_std=max_relative_std, voxel=voxel)
+
+    def mesh(
+        self,
+        frames: Iterable[int] | None = None,
+        *,
+        agreeing: int = 3,
+        max_relative_std: float = 0.03,
+        voxel: float | None = None,
+        truncation: float | None = None,
+    ) -> "Mesh":
+        """Return the surface that several frames agree on, as coloured triangles.
+
+        It needs scikit-image: ``pip install 'tisfm[mesh]'``.
+
+        Parameters
+        ----------
+        frames, agreeing
+            As for `points`.
+        max_relative_std : float
+            Depth of a larger relative deviation is left out: of a room whose walls are bare, what
+            was carried far over them.
+        voxel : float, optional
+            Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
+            half the median deviation of depth if that is more.
+        truncation : float, optional
+            How far from a surface distances are kept.
+
+        Returns
+        -------
+        Mesh
+            With ``vertices``, ``faces``, ``colors``, and ``save(path)`` for ``.ply`` or ``.glb``.
+
+        Raises
+        ------
+        ImportError
+            If scikit-image is not there.
+        IndexError, ValueError
+            As for `points`; or if voxels are too fine for the memory, with the size to take.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> surface = tisfm.Reconstruction.load("walk").mesh()
+        >>> surface.save("scene.glb")
+        """
+        from tisfm.fusion import fused_mesh
+
+        views = self._views(frames)
+        most = min(agreeing, max(1, len(views)))
+        return fused_mesh(
+            views,
+            agreeing=most,
+            max_relative_std=max_relative_std,
+            voxel=voxel,
+            truncation=truncation,
+        )
+
+    def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
+        """Return the same in the unit in which the camera moved so far between two frames.
+
+        Parameters
+        ----------
+        frame0, frame1 : int
+            Two frames of one piece. Other pieces keep their scales.
+        distance : float
+            Between the places of the camera, in the unit that is wanted.
+
+        Raises
+        ------
+        ValueError
+            If a frame has no pose, both are of different pieces or of one place, or the distance is
+            not positive.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> metres = result.rescaled(0, 8, 1.04)  # the camera was 1.04 m apart at frames 0 and 8
+        >>> round(float(np.linalg.norm(metres.poses[8, :3, 3] - metres.poses[0, :3, 3])), 6)
+        1.04
+        """
+        first, second = self._number(frame0), self._number(frame1)
+        piece = int(self.piece[first])
+        for frame in (first, second):
+            if self.piece[frame] < 0:
+                raise InputError(f"frame {frame} has no pose: give two that have one, of one piece")
+        if piece != self.piece[second]:
+            raise InputError(
+                f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
+                "expected one piece, as its scale is its own"
+            )
+        if not (np.isfinite(distance) and distance > 0):
+            raise InputError(f"distance is {distance}: expected a positive length")
+        moved = float(np.linalg.norm(self.poses[first, :3, 3] - self.poses[second, :3, 3]))
+        if moved == 0:
+            raise InputError(f"frames {first} and {second} are of one place: give two others")
+        factor, poses = distance / moved, self.poses.copy()
+        poses[self.piece == piece, :3, 3] *= factor
+        objects = tuple(thing.rescaled(factor, self.piece == piece) for thing in self.objects)
+        unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
+        return replace(self, poses=poses, unit=unit, objects=objects)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Copy everything to a folder, which is complete once it has a ``reconstruction.json``.
+
+        Parameters
+        ----------
+        folder : path
+            A new or empty folder, or one with an earlier reconstruction, which is replaced.
+
+        Raises
+        ------
+        FileExistsError
+            If it holds other files.
+        OSError
+            If it cannot be written to.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.save("copy")
+        """
+        from tisfm.reconstruction.result.renewal import copy_folder
+
+        copy_folder(self, folder)
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> "Reconstruction":
+        """Open what `save` or ``tisfm reconstruct`` wrote; depth is read when it is asked for.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder is not that of a complete reconstruction.
+        tisfm.formats.FormatError
+            A ValueError: if a file is damaged or of a format this version cannot read.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")  # depth is read when it is asked for
+        >>> result.depth(0).shape
+        (180, 240)
+        """
+        from tisfm.reconstruction.result.folder import read_record
+
+        return cls(**read_record(folder), folder=Path(folder).absolute())
+
+    def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        from tisfm.reconstruction.result.folder import read_depth
+
+        number = self._number(frame)
+        inverse_depth, deviation = read_depth(self.folder, number, self.shape)
+        unit = np.float32(self.unit[self.piece[number]] if self.piece[number] >= 0 else 1)
+        return inverse_depth / unit, deviation / unit
+
+    def _number(self, frame: int) -> int:
+        number = index(frame)
+        if not 0 <= number < len(self):
+            raise OutOfRangeError(f"frame is {frame}: expected 0 to {len(self) - 1}")
+        return number
+
+    def _views(self, frames: Iterable[int] | None) -> "_Views":
+        if frames is None:
+            return _Views(self, self._keyframes_of(self.largest_piece))
+        chosen = [self._number(frame) for frame in frames]
+        pieces = sorted({int(self.piece[frame]) for frame in chosen} - {-1})
+        if len(pieces) > 1:
+            raise InputError(
+                f"frames are of pieces {', '.join(map(str, pieces))}: expected those of one, as "
+                "each has a scale of its own"
+            )
+        return _Views(self, [frame for frame in chosen if self.piece[frame] >= 0])
+
+    def _keyframes_of(self, piece: int) -> list[int]:
+        return [frame for frame in self.keyframes if self.piece[frame] == piece]
+
+
+class _Views(Sequence["DepthView"]):
+    """Frames as fusion takes them, read when they are asked for."""
+
+    def __init__(self, result: Reconstruction, frames: list[int]) -> None:
+        self._result, self._frames = result, frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        from tisfm.fusion import DepthView
+
+        frame, result = self._frames[index], self._result
+        inverse_depth, deviation = result._depth_of(frame)
+        return DepthView(
+            inverse_depth=inverse_depth,
+            inverse_depth_std=deviation,
+            pose=result.poses[frame],
+            frame=result.picture(frame),
+            camera=result.camera,
+        )

@@ -1,0 +1,164 @@
+"""A folder that a reconstruction is written to, and the earlier one in it, which may come back."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tisfm.formats.atomic import copy_file, is_temporary
+from tisfm.formats.result_folder import (
+    LOCK,
+    is_there,
+    locked_folder,
+    make_folder,
+    make_inner_folder,
+    remove,
+    remove_link,
+    try_to_remove,
+)
+from tisfm.reconstruction.result.folder import (
+    BEGUN,
+    CACHE,
+    CAMERA,
+    DEPTH,
+    MASKS,
+    OTHERS,
+    PARTS,
+    PICTURES,
+    RECORD,
+    write_record,
+)
+from tisfm.reconstruction.result.report_file import REPORT, is_report
+
+EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
+# The same, while not all of it is there yet, and while not all of it is back.
+LEAVING, RESTORING = ".tisfm-leaving", ".tisfm-restoring"
+# Chunks of a result that is not there yet.
+CHUNKS = ".tisfm-chunks"
+_FOLDERS = (EARLIER, LEAVING, RESTORING, CHUNKS)
+
+
+@contextmanager
+def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a folder ready to be written to, and let nobody else write to it within the block.
+
+    An earlier reconstruction in it is put aside. It is removed where the block ends, and put back
+    where an exception leaves it. Of a process that was killed it stays aside until then.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist.
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    FileExistsError
+        If it holds anything that is not of a reconstruction.
+    OSError
+        If it cannot be made or written to, or another run writes to it.
+    """
+    path = make_folder(folder)
+    with locked_folder(path):
+        with renewed(path):
+            yield path
+        try_to_remove(path / CHUNKS)  # left by a run that did not end
+
+
+@contextmanager
+def renewed(path: Path) -> Iterator[None]:
+    """Do what `renewed_folder` does with a folder that is there and locked."""
+    try:
+        _begin(path)
+        yield
+    except BaseException:
+        _put_back(path)
+        raise
+    try_to_remove(path / EARLIER)
+
+
+def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
+    """Write a reconstruction to another folder, its record last."""
+    source: Path = result.folder
+    if Path(target).resolve() == source.resolve():
+        write_record(source, result)
+        return
+    with renewed_folder(target) as path:
+        remove(path / CACHE)
+        for name in (DEPTH, PICTURES, MASKS):
+            if not (source / name).is_dir():
+                continue
+            make_inner_folder(path / name)
+            for file in sorted((source / name).iterdir()):
+                copy_file(file, path / name / file.name)
+        if (source / CAMERA).exists():  # somebody may have deleted it
+            copy_file(source / CAMERA, path / CAMERA)
+        write_record(path, result)
+
+
+def _begin(path: Path) -> None:
+    """Put an earlier result aside, remove one that is not complete, and make what is needed."""
+    refuse_others(path)
+    for name in (*_FOLDERS, BEGUN):  # runs make no links: these would lead elsewhere
+        remove_link(path / name)
+    (path / BEGUN).touch()
+    # What a run was killed at is done to its end first.
+    if (path / RESTORING).exists():
+        _move(path / RESTORING, path)
+        (path / RESTORING).rmdir()
+    if is_there(path / RECORD) and (path / EARLIER).exists():
+        remove(path / EARLIER)  # the newer one is complete
+    if is_there(path / RECORD) or (path / LEAVING).exists():
+        (path / LEAVING).mkdir(exist_ok=True)
+        _move(path, path / LEAVING)
+        (path / LEAVING).rename(path / EARLIER)
+    _remove(path)
+    for name in (DEPTH, PICTURES, CACHE):
+        (path / name).mkdir()
+
+
+def refuse_others(path: Path) -> None:
+    """Raise FileExistsError if a folder holds anything that is not of a reconstruction."""
+    known = {*PARTS, *OTHERS, CACHE, BEGUN}
+    if not is_report(path / REPORT):  # somebody else's page would be lost
+        known.discard(REPORT)
+    there = sorted(item.name for item in path.iterdir())
+    ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
+    others = [name for name in there if name not in known | ours]
+    if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
+        others = [name for name in there if name not in ours]  # of such names, but whose?
+    if others:
+        raise FileExistsError(
+            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+        )
+
+
+def _put_back(path: Path) -> None:
+    """Let the earlier result be what it was, if there was one."""
+    if (path / LEAVING).exists():  # nothing of another one is there yet
+        (path / LEAVING).rename(path / RESTORING)
+    elif (path / EARLIER).exists():
+        _remove(path)
+        (path / EARLIER).rename(path / RESTORING)
+    if (path / RESTORING).exists():
+        _move(path / RESTORING, path)
+        (path / RESTORING).rmdir()
+        (path / BEGUN).unlink(missing_ok=True)
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move what there is of a result, what says that it is complete last."""
+    for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
+        if is_there(source / name):
+            (source / name).replace(target / name)
+
+
+def _remove(path: Path) -> None:
+    """Remove the parts of a result, but for what says whose folder it is."""
+    remove(path / RECORD)  # first: without it the result is not complete
+    for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
+        remove(path / name)

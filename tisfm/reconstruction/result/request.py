@@ -1,0 +1,152 @@
+"""What a reconstruction was asked for, kept with its result, so that it is not made twice."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.camera_file import record_in
+from tisfm.errors import InputError
+from tisfm.formats import FormatError, atomic_write
+from tisfm.formats.reading import read_json
+from tisfm.formats.records import check_sum, content, differing, said
+from tisfm.formats.result_folder import LOCK
+from tisfm.reconstruction.result.folder import ASKED, BEGUN, RECORD
+from tisfm.reconstruction.result.report_file import REPORT, TIMINGS
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource
+from tisfm.sources.paths import files_matching
+from tisfm.trajectory import Trajectory
+from tisfm.version import __version__
+
+Asked = dict[str, Any]
+
+
+def asked_for(
+    frames: FrameSource,
+    *,
+    camera: Camera | Path | None,
+    settings: Settings,
+    poses: Trajectory | None,
+    arch: str | None,
+    others: Mapping[str, Any],
+    files: Mapping[str, str | None] | None = None,
+) -> Asked:
+    """Return all that a result depends on, as JSON has it.
+
+    Parameters
+    ----------
+    frames : FrameSource
+        Of files.
+    camera, settings, poses
+        As for `tisfm.reconstruct`.
+    arch : str or None
+        Where kernels run.
+    others : mapping
+        Further options, as JSON has them.
+    files : mapping of str to str or None
+        Options that name files, a folder or a pattern: what is in them counts.
+    """
+    taken = frames.frame_files
+    asked = {
+        "version": __version__,
+        "arch": arch or os.environ.get("TI_ARCH", "cpu"),
+        "lanes": runtime.cpu_lanes(),
+        "frames": content(taken if frames.names is None else taken[frames.chosen]),
+        "start": frames.chosen.start,
+        "stop": frames.chosen.stop,
+        "step": frames.chosen.step,
+        "camera": record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
+        "settings": asdict(settings),
+        "poses": None if poses is None else _digest(poses),
+        **{name: path and content(_files(path)) for name, path in (files or {}).items()},
+        **others,
+    }
+    plain: Asked = json.loads(json.dumps(asked))
+    return plain
+
+
+def digest_of(asked: Asked) -> str:
+    """Return a short digest of it."""
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _digest(poses: Trajectory) -> str:
+    digest = hashlib.sha256(poses.poses.tobytes())
+    digest.update(b"" if poses.times is None else poses.times.tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _files(path: str) -> Sequence[Path]:
+    """Return the files that a path stands for: it, those in it, or those of its pattern."""
+    if Path(path).is_dir():
+        return [file for file in sorted(Path(path).rglob("*")) if file.is_file()]
+    if Path(path).exists():
+        return [Path(path)]
+    return sorted(files_matching(path))
+
+
+def files_below(folder: Path) -> dict[str, list[int]]:
+    """Return length and CRC-32 of the files of a folder, by their names in it.
+
+    Some are left out: hidden files, a report (it may be made later), timings (they differ each
+    time), and the files that mark a result as begun and record what was asked for.
+    """
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name.startswith(".") or name in (LOCK, ASKED, BEGUN, REPORT, TIMINGS):
+            continue
+        total = check_sum(path)
+        if total is not None:
+            found[name] = list(total)
+    return found
+
+
+def write_asked(folder: Path, asked: Asked) -> None:
+    """Write what was asked for, and which files it led to: the result is complete."""
+    about = {"asked": asked, "files": files_below(folder)}
+    with atomic_write(folder / ASKED, durable=True) as file:
+        file.write((json.dumps(about, indent=1) + "\n").encode())
+
+
+def read_asked(folder: Path) -> Asked | None:
+    """Return what `write_asked` wrote, with ``asked`` and ``files``; None if there is nothing."""
+    try:
+        about = read_json(folder / ASKED)
+    except (FormatError, OSError):
+        return None
+    known = isinstance(about, dict) and all(
+        isinstance(about.get(name), dict) for name in ("asked", "files")
+    )
+    return about if known else None
+
+
+def is_done(folder: Path, asked: Asked) -> bool:
+    """Return whether a folder holds the complete result of what is asked for.
+
+    Raises
+    ------
+    ValueError
+        If it holds one of something else; it says what differs.
+    """
+    about = read_asked(folder)
+    if about is None or not (folder / RECORD).exists():
+        return False
+    refuse_differing(folder, about["asked"], asked)
+    return bool(about["files"] == files_below(folder))
+
+
+def refuse_differing(folder: Path, before: Asked, asked: Asked) -> None:
+    """Raise ValueError, with what differs, unless the same is asked for as before."""
+    differences = said(differing(before, asked))
+    if differences:
+        raise InputError(
+            f"{folder} holds a reconstruction of other frames, with other options, or of another "
+            f"version ({differences}): repeat its options, or run without --resume to start again"
+        )

@@ -1,0 +1,116 @@
+"""The way of a camera that reads row after row: readout and path, found in turn."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.calibration.self_calibration import straight
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.mapping.solution import Piece, Way
+from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate, estimate_readout
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.views import View
+from tisfm.shutter import Rolling, rates_of
+
+SEEN = 4.0  # deviations from 0: of a readout that is taken
+MOST = 1.0  # interval: a frame has been read when the next one begins
+ROUNDS, SAME = 4, 0.02  # of path and readout, at most; and a change that is none
+KNOWN_ROUNDS = 2  # of a path whose readout is known
+# A path that was found with too little readout hides a part of the rest: how much of each change
+# is foreseen to come again, at most.
+HIDDEN = 0.6
+
+Near = Callable[[Sequence[View], Sequence[Seen], Sequence[Piece]], Way]
+
+
+def unrolled_way(
+    way: Way,
+    near: Near,
+    matches: Mapping[tuple[int, int], np.ndarray],
+    instants: np.ndarray,
+    readout: float | None,
+    shape: tuple[int, int],
+) -> tuple[Way, Rolling | None]:
+    """Return the way of middle rows, and how frames moved while they were read.
+
+    If all rows seem to be read at once, it is the way as it was, and None.
+
+    Parameters
+    ----------
+    way : Way
+        Found as if all rows were read at once.
+    near : callable
+        Returns the way through other views and tracks, which are what a pinhole sees, near those
+        of pieces.
+    matches : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views: indices of their detected points that are the same.
+    instants : (N,) array
+        When each frame was taken, in intervals between frames of the source.
+    readout : float or None
+        If it is known.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    camera = way.camera.pinhole()
+    views = Shelf(View.arrays, View.of_arrays)
+    for view in way.views:
+        detected = straight(view.detected, way.camera, shape)
+        views.append(View(frame=view.frame, seen=way.seen[view.frame], detected=detected))
+    found, rolling = way, None
+    value, deviation, change = readout or 0.0, 0.0, 0.0
+    for number in range(ROUNDS if readout is None else KNOWN_ROUNDS):
+        if readout is None:
+            estimate = _estimate(found, views, matches, instants, camera, shape, begun=value)
+            if estimate is None or not _is_seen(estimate):
+                break
+            before, change = change, estimate.readout - value
+            if number and abs(change) < SAME:
+                break
+            hidden = min(max(change / before, 0.0), HIDDEN) if before else 0.0
+            value, last = _taken(value + change / (1 - hidden)), value
+            deviation = float(f"{estimate.deviation:.3g}")
+            if number and value == last:  # it is as much as it can be
+                break
+        unrolling = Unrolling(way.seen, found.pieces, instants, value, deviation, camera, shape)
+        rolling = unrolling.rolling
+        corrected = Shelf(View.arrays, View.of_arrays)
+        for view in views:
+            corrected.append(unrolling.view(view))
+        found = near(corrected, unrolling.all_tracks(), found.pieces)
+        if not found.pieces:
+            return way, None
+    return found, rolling
+
+
+def _is_seen(estimate: ReadoutEstimate) -> bool:
+    """Return whether a readout differs from 0, and is none that no camera has.
+
+    Of a deviation by which none that a camera has would differ from 0, nothing is believed.
+    """
+    least = SEEN * estimate.deviation
+    return least < MOST and least < abs(estimate.readout) < MOST + least
+
+
+def _taken(readout: float) -> float:
+    """Return a readout as it is taken: whole thousandths, so that no rounding gets further."""
+    return round(min(max(readout, -MOST), MOST), 3)
+
+
+def _estimate(
+    way: Way,
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    instants: np.ndarray,
+    camera: Camera,
+    shape: tuple[int, int],
+    *,
+    begun: float,
+) -> ReadoutEstimate | None:
+    """Return the readout that the largest piece shows."""
+    if not way.pieces:
+        return None
+    largest = max(way.pieces, key=lambda piece: len(piece.views))
+    rates = rates_of(largest.poses, instants)
+    return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)

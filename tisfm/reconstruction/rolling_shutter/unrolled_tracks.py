@@ -1,0 +1,118 @@
+"""Tracks and views as they would be if a camera read all rows at once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.triangulation import located
+from tisfm.reconstruction.tracks.views import View
+from tisfm.shutter import Rolling, at_middle, rates_of
+
+NEAR = 3  # tracks around a point, whose median depth it is taken to have
+
+
+class Unrolling:
+    """Undoes what a readout does to the points of frames.
+
+    Parameters
+    ----------
+    seen : sequence of Seen, or mapping
+        Tracks of every frame, as the camera sees them.
+    pieces : sequence of Piece
+        A frame is in one of them at most.
+    instants : (N,) array, or mapping
+        When each frame was taken, in intervals.
+    readout, deviation : float
+        As in `Rolling`.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+
+    Attributes
+    ----------
+    rolling : Rolling
+    """
+
+    def __init__(
+        self,
+        seen: Sequence[Seen] | Mapping[int, Seen],
+        pieces: Sequence[Piece],
+        instants: np.ndarray | Mapping[int, float],
+        readout: float,
+        deviation: float,
+        camera: Camera,
+        shape: tuple[int, int],
+    ) -> None:
+        self._seen, self._camera, self._shape = seen, camera, shape
+        rates: dict[int, np.ndarray] = {}
+        usual: dict[int, float] = {}
+        self._depths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        for piece in pieces:
+            for frame, rate in rates_of(piece.poses, instants).items():
+                depth, known = _depths(seen[frame], piece.points, piece.poses[frame])
+                if known.any():
+                    rates[frame], usual[frame] = rate, 1 / float(np.median(depth[known]))
+                    self._depths[frame] = depth, known
+        self.rolling = Rolling(
+            camera=camera,
+            readout=readout,
+            deviation=deviation,
+            rates=rates,
+            inverse_depth=usual,
+        )
+
+    def tracks(self, frame: int) -> Seen:
+        """Return the tracks of a frame; those that would lie outside of it are left out."""
+        seen = self._seen[frame]
+        if frame not in self._depths:
+            return seen
+        depth, known = self._depths[frame]
+        usual = 1 / self.rolling.inverse_depth[frame]
+        points = self._moved(frame, seen.points, np.where(known, depth, usual))
+        height, width = self._shape
+        inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
+        return Seen(points=points[inside], tracks=seen.tracks[inside])
+
+    def all_tracks(self) -> Shelf[Seen]:
+        """Return the tracks of every frame."""
+        found = Shelf(Seen.arrays, Seen.of_arrays)
+        for frame in range(len(self._seen)):
+            found.append(self.tracks(frame))
+        return found
+
+    def view(self, view: View) -> View:
+        """Return a view; of its detected points, all are there."""
+        frame = view.frame
+        if frame not in self._depths or not len(view.detected):
+            return replace(view, seen=self.tracks(frame))
+        depth, known = self._depths[frame]
+        _, near = cKDTree(self._seen[frame].points[known]).query(
+            view.detected, k=min(NEAR, int(known.sum()))
+        )
+        around = np.median(depth[known][near].reshape(len(view.detected), -1), axis=1)
+        return replace(
+            view, seen=self.tracks(frame), detected=self._moved(frame, view.detected, around)
+        )
+
+    def _moved(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        rolling = self.rolling
+        return at_middle(
+            points, depth, rolling.rates[frame], rolling.readout, self._camera, self._shape
+        )
+
+
+def _depths(
+    seen: Seen, points: Mapping[int, np.ndarray], pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Z of every track of a frame, (N,), and which are known and before the camera, (N,)."""
+    known, world = located(seen, points)
+    depth = np.zeros(len(seen.tracks))
+    depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]
+    return depth, depth > 0

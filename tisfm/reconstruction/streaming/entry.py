@@ -1,0 +1,126 @@
+"""`tisfm.reconstruct_stream`: sequences without end, frame by frame."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from tisfm.camera import Camera
+from tisfm.errors import InputError, InputTypeError
+from tisfm.reconstruction.entry import checked_calibrate, checked_camera, checked_settings
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
+from tisfm.settings import Settings
+from tisfm.sources import BadFrames, FrameSource, Source
+from tisfm.sources.frame_reader import is_whole
+from tisfm.sources.masks import Mask
+
+DELAY = 60  # frames
+SHORTEST = 6  # frames: of a delay
+
+
+def reconstruct_stream(
+    source: Source,
+    *,
+    camera: Camera | str | os.PathLike[str] | None = None,
+    calibrate: Calibrate | None = None,
+    settings: Settings | None = None,
+    mask: Mask | None = None,
+    delay: int = DELAY,
+    step: int = 1,
+    start: int = 0,
+    stop: int | None = None,
+    size: int | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    bad_frames: BadFrames = "raise",
+) -> Iterator[StreamedFrame]:
+    """Reconstruct a sequence as it comes, which need not end.
+
+    Frames are given out in order, each once; what was said of a frame stays. Memory and disk hold
+    the last frames only. The path is that of `tisfm.reconstruct` while it looks at the first
+    frames; later ones continue it in the same axes and scale. A place that is seen again much
+    later is not recognised: errors grow along the path.
+
+    Parameters
+    ----------
+    source, camera, calibrate, settings, mask, step, start, stop, size, crop
+        As for `tisfm.reconstruct`, but for ``motion="objects"``; or ``"webcam"``, ``"webcam:1"``, …
+        for a camera, whose frames are dropped while others are worked on. An unknown focal length
+        and an unknown readout are found with the first path; if it does not show them, they are
+        the guess and 0. Later frames do not change them, since earlier results are final. The
+        readout is found after the focal length, and undone from the first frame on.
+    delay : int
+        A frame is given out before more than so many later frames are read, 6 at least. The more,
+        the better: a path needs views from places that are apart.
+    bad_frames : {"raise", "skip"}
+        What becomes of frames that are damaged: an error, or they are left out, with a warning
+        each.
+
+    Returns
+    -------
+    iterator of StreamedFrame
+        Close it, or use it up, to delete its temporary folder.
+
+    Warns
+    -----
+    UserWarning
+        For each frame that is skipped, and each note on how the source is read.
+    GuessedFocalWarning
+        If the focal length is a guess, or the motion hardly shows it.
+
+    Raises
+    ------
+    FileNotFoundError, OSError, TypeError, ValueError
+        At once if the source does not exist, is known to have fewer than two frames, or if settings
+        ask for ``motion="objects"``; while iterating if it ends after one frame, or if a frame
+        cannot be read: after the frames before it.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import room_film
+    >>> path = [tisfm.rigid.pose_matrix([0.12 * k, 0, 0.05 * k, 0, 0.012 * k, 0]) for k in range(7)]
+    >>> film = room_film(path, 180, 240, samples=2)
+    >>> settings = tisfm.Settings.preset("fast", motion="camera")
+    >>> stream = tisfm.reconstruct_stream(film.frames, camera=film.camera, settings=settings)
+    >>> for frame in stream:
+    ...     if frame.piece >= 0:
+    ...         assert frame.pose.shape == (4, 4) and frame.depth.shape == (180, 240)
+    >>> frame.index
+    6
+    """
+    settings = checked_settings(settings, ("camera",))
+    calibrate = checked_calibrate(calibrate, is_known=camera is not None)
+    if calibrate == "radial":
+        raise InputError(
+            'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
+        )
+    camera, _ = checked_camera(camera)
+    if not is_whole(delay):
+        raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
+    if delay < SHORTEST:
+        raise InputError(f"delay is {delay}: expected {SHORTEST} frames at least")
+    frames = FrameSource(
+        source,
+        step=step,
+        start=start,
+        stop=stop,
+        size=size,
+        crop=crop,
+        mask=mask,
+        bad_frames=bad_frames,
+    )
+    return _streamed(frames, camera, calibrate, settings, int(delay))
+
+
+def _streamed(
+    frames: FrameSource,
+    camera: Camera | Path | None,
+    calibrate: Calibrate,
+    settings: Settings,
+    delay: int,
+) -> Iterator[StreamedFrame]:
+    from tisfm import runtime
+    from tisfm.reconstruction.streaming.stream import Stream
+
+    runtime.start()
+    yield from Stream(frames, camera, calibrate, settings, delay).frames()

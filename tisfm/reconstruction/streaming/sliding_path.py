@@ -1,0 +1,349 @@
+"""The camera's path through a sequence without end: old poses stay, new ones continue them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.outcome import Status
+from tisfm.reconstruction.calibration.self_calibration import models_and_focal
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.mapping.models import continued, models_again, models_of
+from tisfm.reconstruction.mapping.solution import WORTHLESS, FocalEstimate, Piece, Way
+from tisfm.reconstruction.path.path_finder import why_lost, with_others
+from tisfm.reconstruction.rolling_shutter.unrolled_path import KNOWN_ROUNDS, unrolled_way
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
+from tisfm.reconstruction.tracks.tracker import Seen, Tracker
+from tisfm.reconstruction.tracks.views import View, Views
+from tisfm.shutter import Rolling, instants_of
+
+REMEMBERED = 16  # views with poses that stay, from which the path is continued
+ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretch:
+    """Poses of the frames that are remembered.
+
+    Attributes
+    ----------
+    pieces : dict of int to Piece
+        By their numbers, which they keep.
+    held : dict of int to (4, 4) float64
+        Poses that stay as they are, by frame.
+    lost : dict of int to Status
+        Frames that have not been settled, and have no pose.
+    rolling : Rolling or None
+        How frames that have not been settled moved while they were read, if rows are not read at
+        once: poses and points are those of middle rows then.
+    """
+
+    pieces: dict[int, Piece]
+    held: dict[int, np.ndarray]
+    lost: dict[int, Status]
+    rolling: Rolling | None = None
+
+
+class Remembered(Sequence[Seen]):
+    """Tracks in every frame of a sequence, of which early ones are forgotten."""
+
+    def __init__(self) -> None:
+        self._seen: dict[int, Seen] = {}
+        self._count = 0
+
+    def append(self, seen: Seen) -> None:
+        """Add the next frame."""
+        self._seen[self._count] = seen
+        self._count += 1
+
+    def frames(self) -> list[int]:
+        """Return the frames that are remembered."""
+        return list(self._seen)
+
+    def forget(self, frame: int) -> None:
+        """Forget a frame."""
+        del self._seen[frame]
+
+    def changed(self, others: Mapping[int, Seen]) -> "Remembered":
+        """Return the same with other tracks in some frames."""
+        changed = Remembered()
+        changed._seen = {frame: others.get(frame, seen) for frame, seen in self._seen.items()}
+        changed._count = self._count
+        return changed
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, frame: int) -> Seen:  # type: ignore[override]
+        return self._seen[frame]
+
+    def __iter__(self) -> Iterator[Seen]:
+        return iter(self._seen.values())
+
+
+class SlidingPath:
+    """Takes the frames of a sequence one after the other, and finds where the camera was.
+
+    Poses that have been settled stay. The path of later frames is grown from the last views whose
+    poses are settled, and so in their axes and of their scale.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    focal_known : bool
+        Or its focal length is a guess: it is found with the first path, and stays.
+    readout : float or None
+        Of the shutter, as in `tisfm.Camera`; None if it is found with the first path, and stays.
+    limit : float
+        Of the focal length: with a larger deviation, the guess stays.
+    is_guess : bool
+        Whether the focal length is a guess though it is not to be found. Then a path does not begin
+        before a single plane.
+
+    Attributes
+    ----------
+    camera : Camera
+    focal : FocalEstimate or None
+        If it was to be found, and was.
+    readout : float or None
+        As it is known; 0 once the first path shows none.
+    readout_deviation : float
+        Its standard deviation; 0 where it was given.
+    seen : Remembered
+        Tracks in every frame, those of middle rows where a readout is undone.
+    settled : int
+        Frames up to this one have their final poses, or none for ever; −1 before there are any.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        focal_known: bool = True,
+        readout: float | None = 0.0,
+        limit: float = WORTHLESS,
+        is_guess: bool = False,
+    ) -> None:
+        self.camera = camera
+        self.focal: FocalEstimate | None = None
+        self.readout, self.readout_deviation = readout, 0.0
+        self._focal_known, self._limit = focal_known, limit
+        self._focal_stated = focal_known and not is_guess
+        self.seen = Remembered()
+        self._read = Remembered()  # tracks as rows were read
+        self._unrolled: dict[int, View] = {}
+        self._taken: dict[int, tuple[int, float | None]] = {}  # index and time, by frame
+        self.settled = -1
+        self._tracker = Tracker(camera, TRACKING)
+        self._views = Views(camera, focal_known=focal_known)
+        self._last: tuple[np.ndarray, np.ndarray | None]
+        self._shape = (0, 0)
+        self._held: dict[int, dict[int, np.ndarray]] = {}  # poses that stay, by piece and frame
+        self._pieces = 0
+
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        *,
+        taken: tuple[int, float | None] | None = None,
+    ) -> None:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, optional
+            Which of its pixels to ignore.
+        taken : (int, float or None), optional
+            Its number in the source, and when it was taken, s; by default the next number.
+        """
+        seen = self._tracker.go_on(grey, ignored)
+        if self._views.needs(seen, max(grey.shape)):
+            self._views.add(len(self.seen), grey, seen, ignored)
+        self._taken[len(self.seen)] = taken or (len(self.seen), None)
+        self.seen.append(seen)
+        self._read.append(seen)
+        self._last = grey, ignored
+
+    def found(self, *, at_end: bool = False) -> Stretch:
+        """Return the path of the frames that are remembered; at the end, no more will come."""
+        views, (grey, ignored) = self._views, self._last
+        self._shape = grey.shape
+        last, different = len(self.seen) - 1, len(views.chosen)
+        if at_end and (not views.chosen or views.chosen[-1].frame != last):
+            views.add(last, grey, self.seen[last], ignored)
+        views.close_loops(self._shape)
+        stretch = self._through(different)
+        if self.readout is None and stretch.pieces:
+            self._find_readout(stretch)
+        if not self.readout:
+            return stretch
+        for _ in range(KNOWN_ROUNDS):
+            rolling = self._unroll(stretch)
+            stretch = replace(self._through(different), rolling=rolling)
+        return stretch
+
+    def _through(self, different: int) -> Stretch:
+        """Return the path through views and tracks as they are known."""
+        views = self._views
+        settled = {frame for poses in self._held.values() for frame in poses}
+        left = [k for k, view in enumerate(views.chosen) if view.frame not in settled]
+        pieces: dict[int, Piece] = {}
+        for number in sorted(self._held, key=lambda one: -max(self._held[one])):
+            held = self._held[number]
+            known = [k for k, view in enumerate(views.chosen) if view.frame in held]
+            model = continued(*self._among(sorted(known + left)), self.camera, self._shape, held)
+            poses = dict(sorted({**model.poses, **held}.items()))
+            pieces[number] = Piece(poses=poses, views=tuple(model.poses), points=model.points)
+            left = [k for k in left if views.chosen[k].frame not in model.poses]
+        among = self._among(left)
+        if self._focal_known:
+            models = models_of(*among, self.camera, self._shape, focal_known=self._focal_stated)
+        else:
+            models, self.focal = models_and_focal(
+                *among, self.camera, self._shape, "focal", limit=self._limit
+            )
+            if self.focal is not None:  # from now on it is known
+                self.camera, self._focal_known = self.focal.taken(self.camera), True
+                views.use(self.camera)
+        for model in sorted(models, key=lambda one: min(one.poses)):
+            number = max([*pieces, self._pieces - 1]) + 1
+            pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
+        later = [frame for frame in self.seen.frames() if frame > self.settled]
+        complete, unplaced = with_others(
+            list(pieces.values()), self.seen, later, self.camera, self._shape
+        )
+        lost = {
+            frame: why_lost(self.seen[frame], complete, different, focal_known=self._focal_stated)
+            for frame in unplaced
+        }
+        return Stretch(
+            pieces=dict(zip(pieces, complete, strict=True)),
+            held={frame: pose for poses in self._held.values() for frame, pose in poses.items()},
+            lost=lost,
+        )
+
+    def settle(self, last: int, pieces: Mapping[int, Piece]) -> None:
+        """Let the poses of frames up to the last one stay as they are in these pieces."""
+        self.settled = last
+        for number, piece in pieces.items():
+            if min(piece.poses) > last:
+                continue
+            held = {frame: pose for frame, pose in piece.poses.items() if frame <= last}
+            missing = ANCHORS - sum(frame in held for frame in piece.views)
+            later = [frame for frame in sorted(piece.views) if frame > last]
+            held.update({frame: piece.poses[frame] for frame in later[: max(0, missing)]})
+            self._held[number] = held
+            self._pieces = max(self._pieces, number + 1)
+
+    @property
+    def pieces(self) -> set[int]:
+        """The pieces that can be continued."""
+        return set(self._held)
+
+    def forget(self, before: int, *, kept: set[int]) -> list[int]:
+        """Forget frames before this one, unless they are kept; return those that were forgotten."""
+        views = self._views
+        frames = [view.frame for view in views.chosen]
+        settled = sum(frame <= self.settled for frame in frames)
+        views.forget(max(0, settled - REMEMBERED))
+        of_views = {view.frame for view in views.chosen}
+        gone = [frame for frame in self.seen.frames() if frame < before and frame not in kept]
+        for frame in gone:
+            self.seen.forget(frame)
+            self._read.forget(frame)
+        there = of_views.union(self.seen.frames())
+        self._taken = {frame: self._taken[frame] for frame in sorted(there)}
+        self._unrolled = {f: view for f, view in self._unrolled.items() if f in of_views}
+        for number, held in list(self._held.items()):
+            self._held[number] = {frame: pose for frame, pose in held.items() if frame in there}
+            if sum(frame in held for frame in of_views) < 2:
+                del self._held[number]
+        return gone
+
+    def _among(
+        self, numbers: Sequence[int]
+    ) -> tuple[list[View], dict[tuple[int, int], np.ndarray]]:
+        """Return some of the views, and their matches."""
+        place = {number: k for k, number in enumerate(numbers)}
+        matches = {
+            (place[earlier], place[later]): both
+            for (earlier, later), both in self._views.matches.items()
+            if earlier in place and later in place
+        }
+        chosen = [self._views.chosen[number] for number in numbers]
+        return [self._unrolled.get(view.frame, view) for view in chosen], matches
+
+    def _find_readout(self, stretch: Stretch) -> None:
+        """Find the readout with the first path; what that does not show is taken for 0."""
+        views, camera, shape = list(self._views.chosen), self.camera.pinhole(), self._shape
+        matches = self._views.matches
+        tracks = Shelf(Seen.arrays, Seen.of_arrays)  # of all frames, forgotten ones without any
+        there, none = (
+            set(self._read.frames()),
+            Seen.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
+        )
+        for frame in range(len(self._read)):
+            tracks.append(self._read[frame] if frame in there else none)
+
+        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
+            models = models_again(views, matches, camera, shape, known)
+            pieces, unplaced = with_others(
+                [Piece(poses=m.poses, views=tuple(m.poses), points=m.points) for m in models],
+                seen,
+                sorted(there),
+                camera,
+                shape,
+            )
+            return replace(way, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
+
+        way = Way(
+            pieces=list(stretch.pieces.values()),
+            unplaced=list(stretch.lost),
+            views=views,
+            seen=tracks,
+            camera=camera,
+            focal=None,
+            score=0.0,
+        )
+        instants = np.zeros(len(self._read))
+        for frame, instant in self._instants().items():
+            instants[frame] = instant
+        _, rolling = unrolled_way(way, near, matches, instants, None, shape)
+        self.readout = 0.0 if rolling is None else rolling.readout
+        self.readout_deviation = 0.0 if rolling is None else rolling.deviation
+
+    def _unroll(self, stretch: Stretch) -> Rolling:
+        """Undo the readout in views and tracks that are not settled, by a path through them."""
+        views = self._views.chosen
+        read = {view.frame: view.seen for view in views}
+        read |= {frame: self._read[frame] for frame in self._read.frames()}
+        unrolling = Unrolling(
+            read,
+            list(stretch.pieces.values()),
+            self._instants(),
+            self.readout or 0.0,
+            self.readout_deviation,
+            self.camera,
+            self._shape,
+        )
+        new = [frame for frame in self._read.frames() if frame > self.settled]
+        self.seen = self.seen.changed({frame: unrolling.tracks(frame) for frame in new})
+        for view in views:
+            if view.frame > self.settled:
+                self._unrolled[view.frame] = unrolling.view(view)
+        whole = unrolling.rolling
+        return replace(
+            whole,
+            rates={frame: rate for frame, rate in whole.rates.items() if frame > self.settled},
+        )
+
+    def _instants(self) -> dict[int, float]:
+        """Return when the frames that are remembered were taken, in intervals."""
+        numbers, times = zip(*self._taken.values(), strict=True)
+        return dict(zip(self._taken, map(float, instants_of(numbers, times)), strict=True))

@@ -1,0 +1,364 @@
+"""A stream of frames: read, given poses and depth, given out, forgotten."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.camera_file import read_camera
+from tisfm.errors import InputError
+from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
+from tisfm.outcome import Status
+from tisfm.reconstruction.calibration.self_calibration import OF_EXIF, calibration_of
+from tisfm.reconstruction.depth.pose_adjustment import adjusted
+from tisfm.reconstruction.depth.segment_depth import (
+    REACH,
+    FrameDepth,
+    PieceDepths,
+    effort_of,
+    unit_of,
+)
+from tisfm.reconstruction.depth.window_depth import WindowDepth
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import WORTHLESS, Piece
+from tisfm.reconstruction.pipeline import NO_PARALLAX, begins_piece
+from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, calibration_in
+from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
+from tisfm.reconstruction.streaming.sliding_path import SlidingPath, Stretch
+from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
+from tisfm.reconstruction.tracks.triangulation import depths_of
+from tisfm.settings import Settings
+from tisfm.sources import FrameSource, SourceFrame
+from tisfm.sources.frame_reader import warn_of
+from tisfm.trajectory.times import fault_between
+
+AHEAD = 3  # a third of the delay is used for the path, but not given out yet
+
+
+class Stream:
+    """Frames in, frames with poses and depth out.
+
+    Parameters
+    ----------
+    source : FrameSource
+    camera : Camera, Path or None
+        Of the frames as they come, or its file; None for a guess.
+    calibrate : {"nothing", "focal"}
+        What of it is found from the frames, with the first path.
+    settings : Settings
+    delay : int
+        Frames that are read, at most, before the one before them is given out.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        camera: Camera | Path | None,
+        calibrate: Calibrate,
+        settings: Settings,
+        delay: int,
+    ) -> None:
+        self._source, self._camera, self._settings = source, camera, settings
+        self._calibrate, self._calibration = calibrate, GIVEN
+        self._guess: FocalGuess | None = None
+        self._stated = GIVEN
+        self._share_of_rows = 1.0  # of a frame, where it is cropped
+        self._shape = (0, 0)  # height and width of the source's frames, px
+        self._scale = 1.0  # px of the source's frames to a px of those that are used
+        self._delay, self._effort = delay, effort_of(settings)
+        self._folder = Path()
+        self._frames: PreparedFrames
+        self._path: SlidingPath
+        self._about: dict[int, tuple[int, str, float | None]] = {}  # index, name and time
+        self._keys: dict[int, tuple[int, WindowDepth]] = {}  # the last of each piece
+        self._begun: set[int] = set()  # pieces
+        self._told = 0
+        self._notes: list[str] = list(source.notes)  # not yet given as warnings
+        self._have_times_fault = False
+
+    def frames(self) -> Iterator[StreamedFrame]:
+        """Yield every frame, in order; an error of the source after the frames before it."""
+        fault: Exception | None = None
+        count = 0
+        with (
+            TemporaryDirectory(prefix="tisfm-") as folder,
+            closing(self._source.frames()) as incoming,
+        ):
+            self._folder = Path(folder)
+            while fault is None:
+                try:
+                    frame = next(incoming, None)
+                    if frame is None:
+                        break
+                    self._add(frame, count)
+                except Exception as error:
+                    fault = error
+                    break
+                finally:
+                    self._warn_of_skipped()
+                    warn_of(self._notes, stacklevel=4)
+                    self._notes.clear()
+                del frame  # or it would be held while others are worked on
+                count += 1
+                if len(self._about) > self._delay:
+                    yield from self._given(count - 1 - self._delay // AHEAD)
+            if self._about and (count > 1 or fault is not None):
+                yield from self._given(count - 1, at_end=True)
+        if fault is not None:
+            raise fault
+        if count < 2:
+            raise InputError(
+                f"{self._source.title} has {count} frame{'s' * (count != 1)} that can be read: "
+                "expected at least 2"
+            )
+
+    def _add(self, frame: SourceFrame, number: int) -> None:
+        if number == 0:
+            if isinstance(self._camera, Path):
+                height, width = frame.full or frame.image.shape[:2]
+                camera = read_camera(self._camera, (height, width))
+                self._stated = calibration_in(self._camera, camera.focal)
+            elif self._camera is not None:
+                camera = self._camera
+            else:
+                self._guess = guess_focal(
+                    self._source.first_file or frame.full or frame.image.shape
+                )
+                camera = Camera(focal=self._guess.focal)
+            camera_taken = camera
+            camera = self._source.camera_after(camera, frame.full)
+            height, width = frame.full or frame.image.shape[:2]
+            self._shape, self._scale = (height, width), camera_taken.focal / camera.focal
+            for name in (CACHE, PICTURES):
+                (self._folder / name).mkdir()
+            self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
+            whole = self._source.camera_after(replace(camera_taken, readout=1.0), frame.full)
+            self._share_of_rows = whole.readout or 1.0
+            stated = self._guess is not None and self._guess.origin == "exif"
+            self._path = SlidingPath(
+                self._frames.camera,
+                focal_known=self._calibrate == "nothing",
+                readout=self._frames.camera.readout,
+                limit=OF_EXIF if stated else WORTHLESS,
+                is_guess=self._guess is not None or not self._stated.seen,
+            )
+        self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
+        self._look_at_time(number, frame)
+        self._about[number] = frame.index, frame.name, frame.time
+
+    def _look_at_time(self, number: int, frame: SourceFrame) -> None:
+        """Note the first frame whose time is not after that of the frame before."""
+        if self._have_times_fault or number - 1 not in self._about:
+            return
+        before = self._about[number - 1]
+        fault = fault_between(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
+        if fault:
+            self._have_times_fault = True
+            self._notes.append(f"{fault}: use the numbers of frames instead of times")
+
+    def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
+        """Yield the frames up to one, and forget what later ones do not need."""
+        path, first = self._path, self._path.settled + 1
+        stretch = path.found(at_end=at_end)
+        self._take_camera()
+        if self._path.readout:
+            self._frames.unroll_again(stretch.rolling)
+        pieces = {
+            number: self._final(number, piece, stretch, first)
+            for number, piece in stretch.pieces.items()
+            if any(first <= frame <= last for frame in piece.poses)
+        }
+        path.settle(last, pieces)
+        placed = {frame: number for number, piece in pieces.items() for frame in piece.poses}
+        depths = {
+            number: _InOrder(self._depths(number, piece, first - 1))
+            for number, piece in pieces.items()
+        }
+        for frame in range(first, last + 1):
+            number = placed.get(frame, -1)
+            if number < 0:
+                yield self._frame(frame, None, -1, stretch.lost[frame], None, False)
+                continue
+            depth, key = depths[number].of(frame), depths[number].key
+            if key is not None and key[0] <= frame:  # it may be that of a frame of the next lot
+                self._keys[number] = key
+            status = Status("converged") if depth is not None else NO_PARALLAX
+            if number not in self._begun and number > 0:
+                status = begins_piece(status)
+            self._begun.add(number)
+            keyframe = key is not None and key[0] == frame
+            yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
+        self._forget()
+
+    def _take_camera(self) -> None:
+        """Take the camera of the path, and warn once if it is not to be relied on."""
+        path = self._path
+        self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
+        found = calibration_of(
+            self._path.focal,
+            self._guess,
+            self._path.camera,
+            sought=self._calibrate != "nothing",
+            focal=self._scale * self._path.camera.focal,
+            shape=self._shape,
+            stated=self._stated,
+        )
+        if path.readout and path.readout_deviation:  # it was not given
+            found = replace(
+                found,
+                readout=max(-1.0, min(path.readout / self._share_of_rows, 1.0)),
+                readout_std=path.readout_deviation / self._share_of_rows,
+            )
+        if not found.seen and found != self._calibration:
+            warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
+        self._calibration = found
+
+    def _final(self, number: int, piece: Piece, stretch: Stretch, first: int) -> Piece:
+        """Return a piece with its final poses, in its own axes and unit."""
+        piece = self._adjusted(number, piece, stretch)
+        if number in self._begun:
+            return piece
+        begin = min(frame for frame in piece.poses if frame >= first)
+        depth = next(iter(self._depths(number, piece, first - 1)), None)
+        if depth is not None:
+            unit = unit_of(depth.inverse_depth)
+        else:
+            seen = self._path.seen[begin]
+            unit = float(np.median([*depths_of(seen, piece.points, piece.poses[begin])[1], 1.0]))
+        return _moved(piece, piece.poses[begin], unit)
+
+    def _adjusted(self, number: int, piece: Piece, stretch: Stretch) -> Piece:
+        """Return the piece with its new poses adjusted to the images, if it is to be accurate."""
+        if self._effort != "accurate":
+            return piece
+        here = self._remembered(piece)
+        if number in self._keys:
+            since = self._keys[number][0]
+            here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
+        stars = self._depths(number, here, -1).stars()
+        held = {frame: stretch.held[frame] for frame in here.poses if frame in stretch.held}
+        poses = adjusted(
+            here.poses, stars, self._frames.grey, self._frames.camera, self._settings, held=held
+        )
+        return replace(piece, poses={**piece.poses, **poses, **held})
+
+    def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
+        """Return what finds the depth of the frames of a piece after one of them."""
+        depths = PieceDepths(
+            self._frames,
+            self._remembered(piece),
+            self._path.seen,
+            self._settings,
+            self._effort,
+            before=self._keys.get(number),
+            after=after,
+        )
+        # The first keyframe, which the unit is of, is to be one that is given out, if any is.
+        depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
+        return depths
+
+    def _remembered(self, piece: Piece) -> Piece:
+        """Return the piece of those frames alone that are still there."""
+        there = set(self._path.seen.frames())
+        return replace(
+            piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in there}
+        )
+
+    def _frame(
+        self,
+        frame: int,
+        pose: np.ndarray | None,
+        piece: int,
+        status: Status,
+        depth: FrameDepth | None,
+        keyframe: bool,
+    ) -> StreamedFrame:
+        index, name, time = self._about.pop(frame)
+        shape = self._frames.shape
+        return StreamedFrame(
+            index=index,
+            name=name,
+            time=time,
+            pose=np.full((4, 4), np.nan) if pose is None else pose.copy(),
+            piece=piece,
+            status=status,
+            keyframe=keyframe,
+            # Copies: a keyframe's depth is needed for later frames.
+            inverse_depth=np.full(shape, np.nan, np.float32)
+            if depth is None
+            else depth.inverse_depth.copy(),
+            inverse_depth_std=np.full(shape, np.inf, np.float32)
+            if depth is None
+            else depth.deviation.copy(),
+            picture=read_picture(self._folder, frame),
+            camera=self._frames.camera,
+            calibration=self._calibration,
+        )
+
+    def _forget(self) -> None:
+        """Forget what the path and depth of later frames do not need."""
+        self._frames.settle(self._path.settled)
+        kept = {key for key, _ in self._keys.values()}
+        for frame in self._path.forget(self._path.settled + 1 - REACH, kept=kept):
+            self._frames.forget(frame)
+        alive = self._path.pieces
+        self._keys = {number: key for number, key in self._keys.items() if number in alive}
+
+    def _warn_of_skipped(self) -> None:
+        for _, reason in self._source.skipped[self._told :]:
+            warnings.warn(f"{reason}; the frame is skipped", stacklevel=4)
+        self._told = len(self._source.skipped)
+
+
+class _InOrder:
+    """Depth of the frames of a piece in their order; a keyframe's is known before it is its turn.
+
+    Attributes
+    ----------
+    key : (int, WindowDepth) or None
+        The last keyframe so far, and its depth.
+    """
+
+    def __init__(self, depths: PieceDepths) -> None:
+        self.key: tuple[int, WindowDepth] | None = None
+        self._depths, self._found = depths, self._sorted(depths)
+        self._next: FrameDepth | None = next(self._found, None)
+
+    def of(self, frame: int) -> FrameDepth | None:
+        """Return the depth of a frame, None if it has none; frames are asked for in order."""
+        while self._next is not None and self._next.frame < frame:
+            self._next = next(self._found, None)
+        return self._next if self._next is not None and self._next.frame == frame else None
+
+    def _sorted(self, depths: PieceDepths) -> Iterator[FrameDepth]:
+        waiting: tuple[FrameDepth, WindowDepth] | None = None
+        for depth in depths:
+            if waiting is not None and depth.frame > waiting[0].frame:
+                self.key = waiting[0].frame, waiting[1]
+                yield waiting[0]
+                waiting = None
+            if depth.frame in depths.settled:
+                waiting = depth, depths.settled[depth.frame]
+            else:
+                yield depth
+        if waiting is not None:
+            self.key = waiting[0].frame, waiting[1]
+            yield waiting[0]
+
+
+def _moved(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
+    """Return the piece in the axes of a camera, (4, 4) camera to world, and another unit."""
+    poses = {}
+    for frame, pose in piece.poses.items():
+        poses[frame] = np.linalg.solve(origin, pose)
+        poses[frame][:3, 3] /= unit
+    points = {
+        track: (point - origin[:3, 3]) @ origin[:3, :3] / unit
+        for track, point in piece.points.items()
+    }
+    return Piece(poses=poses, views=piece.views, points=points)

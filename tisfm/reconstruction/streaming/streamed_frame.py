@@ -1,0 +1,74 @@
+"""A frame of a sequence without end."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.outcome import Status
+from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreamedFrame:
+    """A frame of a stream: where the camera was, and the depth it shows.
+
+    Attributes
+    ----------
+    index : int
+        Its number in the source, from 0; frames that are left out count.
+    name : str
+    time : float or None
+        Seconds.
+    pose : (4, 4) float64
+        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity.
+        NaN for a frame without one.
+    piece : int
+        Which piece it belongs to; each has a scale of its own, in which the median depth of its
+        first keyframe is 1. −1 for a frame without a pose.
+    status : Status
+        ``"converged"`` if it has a pose and depth; with a message.
+    keyframe : bool
+        Whether its depth was found from several others, rather than rendered from keyframes.
+    inverse_depth, inverse_depth_std : (H, W) float32
+        1/unit of the poses, and its standard deviation; NaN and infinity where there is none. The
+        deviation is infinite as well where pixels are masked: depth there is carried from around.
+    picture : (H, W) or (H, W, 3) uint8
+        The frame without distortion, RGB.
+    camera : Camera
+        Its pinhole.
+    calibration : Calibration
+        Where its focal length is from, as for `Reconstruction`.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.scenes import two_blocks
+    >>> scene = two_blocks(48, 64)
+    >>> stream = tisfm.reconstruct_stream([scene.frame0] * 3, camera=scene.camera)
+    >>> for frame in stream:  # a camera at rest shows no path
+    ...     print(frame.index, frame.piece, frame.status)
+    0 -1 no_motion
+    1 -1 no_motion
+    2 -1 no_motion
+    """
+
+    index: int
+    name: str
+    time: float | None
+    pose: np.ndarray = field(repr=False)
+    piece: int
+    status: Status
+    keyframe: bool
+    inverse_depth: np.ndarray = field(repr=False)
+    inverse_depth_std: np.ndarray = field(repr=False)
+    picture: np.ndarray = field(repr=False)
+    camera: Camera = field(repr=False)
+    calibration: Calibration = field(repr=False, default=GIVEN)
+
+    @property
+    def depth(self) -> np.ndarray:
+        """Depth, (H, W) float32, in the unit of the poses; NaN for none."""
+        depth = np.full_like(self.inverse_depth, np.nan)
+        np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
+        return depth

@@ -1,0 +1,268 @@
+"""The path of a long sequence, found in parts, so that memory is bounded.
+
+Parts overlap. Each is grown by itself, then all are brought together: a part's views in groups,
+each moved by a similarity, so that what parts have in common coincides, at joints and where places
+are seen again. Scale may drift along a part, and is brought back with the rest.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.calibration.self_calibration import models_and_focal
+from tisfm.reconstruction.geometry.sim3 import agreed, mean_pose, misfit, moved_pose, refined
+from tisfm.reconstruction.geometry.sim3_graph import Edge, placed
+from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.models import Model
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.submaps.submap import GrownPart, Matches, PartGrower
+from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.triangulation import triangulated
+from tisfm.reconstruction.tracks.views import View
+
+MOST, OVERLAP = 370, 40  # views of a part, at most, and of two parts that follow one another
+GROUPS, SMALLEST_GROUP = 120, 8  # of views: about so many, of so many views at least
+# Points that two groups share; at a joint, and where a place is seen again, those that agree, and
+# their share.
+FEWEST, FEWEST_AGREE, SHARE_AGREE = 15, 20, 0.5
+SAMPLE = 60  # points that an edge keeps
+EXACT = 0.002  # of their distance: no points are more exact
+
+
+def parts_of(count: int) -> list[tuple[int, int]]:
+    """Return the first view of each part, and the one after its last."""
+    if count <= MOST:
+        return [(0, count)]
+    parts = -(-(count - OVERLAP) // (MOST - OVERLAP))
+    begins = [k * (count - OVERLAP) // parts for k in range(parts + 1)]
+    return [(begin, end + OVERLAP) for begin, end in pairwise(begins)]
+
+
+def focal_from_parts(
+    views: Sequence[View],
+    matches: Matches,
+    camera: Camera,
+    shape: tuple[int, int],
+    calibrate: Calibrate,
+    *,
+    limit: float,
+) -> FocalEstimate | None:
+    """Return the focal length of the first part that shows it, or else of that which does best.
+
+    Arguments are as for `models_and_focal`. None is returned if no part leads to a path.
+    """
+    best = None
+    for begin, end in parts_of(len(views)):
+        inside = {
+            (earlier - begin, later - begin): both
+            for (earlier, later), both in matches.items()
+            if begin <= earlier and later < end
+        }
+        own = [views[k] for k in range(begin, end)]
+        _, found = models_and_focal(own, inside, camera, shape, calibrate, limit=limit)
+        if found is None:
+            continue
+        if best is None or found.deviation * best.focal < best.deviation * found.focal:
+            best = found
+        if best.is_seen:
+            break
+    return best
+
+
+def models_in_parts(
+    views: Sequence[View],
+    matches: Matches,
+    camera: Camera,
+    shape: tuple[int, int],
+    seen: Sequence[Seen],
+    *,
+    focal_known: bool = True,
+) -> list[Model]:
+    """Find poses of views and points of tracks, as `models_of` does, in bounded memory.
+
+    Parameters
+    ----------
+    views, matches, camera, shape, focal_known
+        As for `tisfm.reconstruction.mapping.models.models_of`.
+    seen : sequence of Seen
+        Tracks in every frame.
+
+    Returns
+    -------
+    list of Model
+        The largest first. A view is in one of them at most.
+    """
+    size = max(SMALLEST_GROUP, len(views) // GROUPS)
+    spans = parts_of(len(views))
+    grower = PartGrower(views, matches, camera, shape, spans, size, focal_known=focal_known)
+    parts = grower.parts()
+    begins = np.cumsum([0, *(len(part.groups) for part in parts)]).tolist()
+    edges = [*_inside(parts, begins), *_joints(parts, begins, views)]
+    edges += sorted(_loops(parts, begins, matches), key=lambda edge: -edge.worth)
+    whole = []
+    for place in placed(begins[-1], edges):
+        inside = [number for number, begin in enumerate(begins[:-1]) if begin in place]
+        poses = _merged(
+            [parts[k] for k in inside],
+            [[place[node] for node in range(*begins[k : k + 2])] for k in inside],
+        )
+        whole.append({views[view].frame: pose for view, pose in sorted(poses.items())})
+    models, taken = [], set[int]()
+    # Parts that do not go together both have the views where they overlap: the larger keeps them.
+    for poses in sorted(whole, key=lambda one: (-len(one), min(one))):
+        own = {frame: pose for frame, pose in poses.items() if frame not in taken}
+        if len(own) >= SMALLEST:
+            taken.update(own)
+            models.append(Model(poses=own, points=triangulated(seen, own, camera, shape)))
+    return sorted(models, key=lambda one: (-len(one.poses), min(one.poses)))
+
+
+def _inside(parts: Sequence[GrownPart], begins: Sequence[int]) -> Iterator[Edge]:
+    """Give edges between groups of one part: as it was grown, they lie right."""
+    for part, begin in zip(parts, begins[:-1], strict=True):
+        for first in range(len(part.groups)):
+            for second in range(first + 1, len(part.groups)):
+                both = part.shows[first] & part.shows[second]
+                if both.sum() < FEWEST:
+                    if second > first + 1:
+                        continue
+                    both = part.shows[first] | part.shows[second]  # a part does not fall apart
+                points = part.points[both]
+                distances = part.distances(first, points)
+                yield _edge(begin + first, begin + second, np.eye(4), points, distances, EXACT)
+
+
+def _joints(
+    parts: Sequence[GrownPart], begins: Sequence[int], views: Sequence[View]
+) -> Iterator[Edge]:
+    """Give edges between groups of parts that have views in common, by the tracks of these."""
+    for k, part in enumerate(parts):
+        for n, other in enumerate(parts[k + 1 :], start=k + 1):
+            shared = sorted(set(part.poses) & set(other.poses))
+            if len(shared) < 2:
+                continue
+            tracks, at, there = np.intersect1d(
+                part.tracks.tracks, other.tracks.tracks, assume_unique=True, return_indices=True
+            )
+            points, others = part.tracks.positions[at], other.tracks.positions[there]
+            middle = part.posed(shared)[:, :3, 3].mean(axis=0)
+            distances = np.linalg.norm(points - middle, axis=1)
+            found = agreed(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
+            if found is None:
+                continue
+            similarity, agree = found
+            similarity = refined(
+                similarity,
+                (points[agree], others[agree]),
+                distances[agree],
+                (part.posed(shared), other.posed(shared)),
+            )
+            for first, second, common in _common(part, other, shared):
+                here = np.unique(np.concatenate([views[view].seen.tracks for view in common]))
+                both = agree & np.isin(tracks, here)
+                if both.sum() >= FEWEST:
+                    yield _edge(
+                        begins[k] + first, begins[n] + second, similarity,
+                        points[both], distances[both], EXACT,
+                    )  # fmt: skip
+
+
+def _common(
+    part: GrownPart, other: GrownPart, shared: Sequence[int]
+) -> Iterator[tuple[int, int, list[int]]]:
+    """Give groups of two parts with the views that both have."""
+    for first, views in enumerate(part.groups):
+        for second, others in enumerate(other.groups):
+            common = sorted(set(shared).intersection(views, others))
+            if common:
+                yield first, second, common
+
+
+def _loops(parts: Sequence[GrownPart], begins: Sequence[int], matches: Matches) -> Iterator[Edge]:
+    """Give edges between groups of different parts that show the same place."""
+    found: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
+    holding: dict[int, list[int]] = {}
+    for number, part in enumerate(parts):
+        for view in part.detected:
+            holding.setdefault(view, []).append(number)
+    for (earlier, later), both in sorted(matches.items()):
+        for k in holding.get(earlier, ()):
+            for n in holding.get(later, ()):
+                part, other = parts[k], parts[n]
+                if part.span == other.span:
+                    continue
+                points = part.detected_at(earlier, both[:, 0])
+                others = other.detected_at(later, both[:, 1])
+                known = np.isfinite(points[:, 0]) & np.isfinite(others[:, 0])
+                if not known.any():
+                    continue
+                first, second = part.group_of(earlier), other.group_of(later)
+                distances = part.distances(first, points[known])
+                found.setdefault((begins[k] + first, begins[n] + second), []).append(
+                    (points[known], others[known], distances)
+                )
+    for (first, second), lots in sorted(found.items()):
+        points, others, distances = map(np.concatenate, zip(*lots, strict=True))
+        _, once = np.unique(np.hstack([points, others]), axis=0, return_index=True)
+        points, others, distances = points[once], others[once], distances[once]
+        fit = agreed(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
+        if fit is not None:
+            similarity, agree = fit
+            off = misfit(similarity, points[agree], others[agree], distances[agree])
+            deviation = float(np.median(off))
+            yield _edge(
+                first, second, similarity, points[agree], distances[agree], deviation, certain=False
+            )
+
+
+def _edge(
+    first: int,
+    second: int,
+    similarity: np.ndarray,
+    points: np.ndarray,
+    distances: np.ndarray,
+    deviation: float,
+    certain: bool = True,
+) -> Edge:
+    some = np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)
+    return Edge(
+        first=first,
+        second=second,
+        similarity=similarity,
+        points=points[some],
+        distances=distances[some],
+        deviation=max(deviation, EXACT),
+        worth=float(len(points)),
+        certain=certain,
+    )
+
+
+def _merged(
+    parts: Sequence[GrownPart], places: Sequence[Sequence[np.ndarray]]
+) -> dict[int, np.ndarray]:
+    """Return the poses of views in common coordinates.
+
+    From the middle of a group to that of the next, and from a part to the next one, one pose goes
+    over into the other.
+    """
+    found: dict[int, list[tuple[np.ndarray, float]]] = {}
+    for part, place in zip(parts, places, strict=True):
+        middles = [float(np.mean(views)) for views in part.groups]
+        begin, end = part.span
+        for view, pose in part.poses.items():
+            inside = min(view - begin + 1, end - view)  # the nearer to an end, the less it counts
+            at = float(np.interp(view, middles, np.arange(len(middles))))
+            low = min(int(at), len(middles) - 1)
+            high = min(low + 1, len(middles) - 1)
+            for group, share in ((low, 1 - at + low), (high, at - low)):
+                if share > 0:
+                    found.setdefault(view, []).append(
+                        (moved_pose(place[group], pose), share * inside)
+                    )
+    return {
+        view: mean_pose(np.array([pose for pose, _ in several]), np.array([w for _, w in several]))
+        for view, several in found.items()
+    }

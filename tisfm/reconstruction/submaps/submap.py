@@ -1,0 +1,228 @@
+"""Parts of a long sequence, each grown by itself, and what of it is kept to join them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.models import Shared
+from tisfm.reconstruction.tracks.triangulation import TrackPoints
+from tisfm.reconstruction.tracks.views import View
+
+Matches = Mapping[tuple[int, int], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GrownPart:
+    """Views of a part that are in one coordinate system.
+
+    Attributes
+    ----------
+    span : (int, int)
+        The first view of the part, and the one after its last.
+    poses : dict of int to (4, 4) float64
+        Camera to world, by view, in order.
+    groups : list of list of int
+        The views, some that follow one another at a time.
+    points : (P, 3) float64
+        Those that poses were adjusted for.
+    shows : (G, P) bool
+        Which of them views of each group show.
+    tracks : TrackPoints
+        Points of tracks in views that other parts have as well.
+    detected : dict of int to ((N,) int64, (N, 3) float64)
+        By view: points that are matched with views of other parts, and where they are.
+    """
+
+    span: tuple[int, int]
+    poses: dict[int, np.ndarray]
+    groups: list[list[int]]
+    points: np.ndarray
+    shows: np.ndarray
+    tracks: TrackPoints
+    detected: dict[int, tuple[np.ndarray, np.ndarray]]
+
+    def group_of(self, view: int) -> int:
+        """Return the number of the group that has a view."""
+        return next(k for k, views in enumerate(self.groups) if views[0] <= view <= views[-1])
+
+    def posed(self, views: Sequence[int]) -> np.ndarray:
+        """Return the poses of views, (N, 4, 4)."""
+        return np.array([self.poses[view] for view in views])
+
+    def distances(self, group: int, points: np.ndarray) -> np.ndarray:
+        """Return how far points, (N, 3), are from the middle of a group's views, (N,)."""
+        middle = self.posed(self.groups[group])[:, :3, 3].mean(axis=0)
+        return np.asarray(np.linalg.norm(points - middle, axis=1))
+
+    def detected_at(self, view: int, numbers: np.ndarray) -> np.ndarray:
+        """Return where detected points of a view are, (N, 3), NaN where that is not known."""
+        known, positions = self.detected[view]
+        there = np.full((len(numbers), 3), np.nan)
+        if len(known):
+            place = np.searchsorted(known, numbers).clip(0, len(known) - 1)
+            same = known[place] == numbers
+            there[same] = positions[place[same]]
+        return there
+
+
+class PartGrower:
+    """Grows parts of a sequence, one at a time.
+
+    Parameters
+    ----------
+    views, matches, camera, shape, focal_known
+        As for `tisfm.reconstruction.mapping.models.models_of`.
+    spans : sequence of (int, int)
+        The first view of each part, and the one after its last.
+    size : int
+        Of groups, about: views.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        matches: Matches,
+        camera: Camera,
+        shape: tuple[int, int],
+        spans: Sequence[tuple[int, int]],
+        size: int,
+        *,
+        focal_known: bool = True,
+    ) -> None:
+        self._views, self._matches, self._spans = views, matches, spans
+        self._camera, self._shape, self._size = camera, shape, size
+        self._focal_known = focal_known
+        self._elsewhere = _matched_elsewhere(matches, spans)
+
+    def parts(self) -> list[GrownPart]:
+        """Return all parts; one that falls apart is several."""
+        found = [self._grown(list(range(*span))) for span in self._spans]
+        # Where a part has no beginning of its own, it continues the one before, or after.
+        count = len(found)
+        for k in range(1, count):
+            found[k] += self._continued(self._spans[k], found[k], found[k - 1])
+        for k in reversed(range(count - 1)):
+            found[k] += self._continued(self._spans[k], found[k], found[k + 1])
+        return [part for several in found for part in several]
+
+    def _continued(
+        self, span: tuple[int, int], own: Sequence[GrownPart], others: Sequence[GrownPart]
+    ) -> list[GrownPart]:
+        """Return what views of a part that are left are in, grown from those of another part."""
+        left = set(range(*span)).difference(*(part.poses for part in own))
+        if len(left) < SMALLEST:
+            return []
+        for other in sorted(others, key=lambda part: -len(part.poses)):
+            known = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
+            if len(known) < 2:
+                continue
+            grown = self._grown(sorted(left.union(known)), known)
+            if any(not left.isdisjoint(part.poses) for part in grown):
+                return grown
+        return []
+
+    def _grown(
+        self, numbers: Sequence[int], known: Mapping[int, np.ndarray] | None = None
+    ) -> list[GrownPart]:
+        """Return what some views are in, by themselves, or grown from poses that are known."""
+        views, place = (
+            [self._views[k] for k in numbers],
+            {view: k for k, view in enumerate(numbers)},
+        )
+        inside = {
+            (place[earlier], place[later]): both
+            for (earlier, later), both in self._matches.items()
+            if earlier in place and later in place
+        }
+        shared = Shared.of(views, inside, self._shape, focal_known=self._focal_known)
+        if known is None:
+            grown = shared.grown(self._camera)
+        else:
+            by_frame = {views[place[view]].frame: pose for view, pose in known.items()}
+            grown = [shared.continued(self._camera, by_frame)]
+        return [
+            self._part(shared, whole, views, numbers)
+            for whole in grown
+            if whole.num_reg_images() >= SMALLEST
+        ]
+
+    def _part(
+        self,
+        shared: Shared,
+        whole: Any,
+        views: Sequence[View],
+        numbers: Sequence[int],
+    ) -> GrownPart:
+        model = shared.model(whole)
+        inside = [k for k, view in enumerate(views) if view.frame in model.poses]
+        groups = np.array_split(np.array(inside), max(1, round(len(inside) / self._size)))
+        points, shown = _shown(whole)
+        twice = [
+            views[k].seen.tracks
+            for k in inside
+            if sum(begin <= numbers[k] < end for begin, end in self._spans) > 1
+        ]
+        return GrownPart(
+            span=(numbers[0], numbers[-1] + 1),
+            poses={numbers[k]: model.poses[views[k].frame] for k in inside},
+            groups=[[numbers[k] for k in some] for some in groups],
+            points=points,
+            shows=_by_group(shown, [int(some[-1]) for some in groups], len(points)),
+            tracks=model.points.among(np.concatenate([np.empty(0, np.int64), *twice])),
+            detected=_detected(shared, points, shown, numbers, self._elsewhere),
+        )
+
+
+def _matched_elsewhere(matches: Matches, spans: Sequence[tuple[int, int]]) -> dict[int, np.ndarray]:
+    """Return, by view, the detected points that are matched with views that no part has with it."""
+    found: dict[int, list[np.ndarray]] = {}
+    for (earlier, later), both in matches.items():
+        if not any(begin <= earlier and later < end for begin, end in spans):
+            for view, side in ((earlier, 0), (later, 1)):
+                found.setdefault(view, []).append(both[:, side])
+    return {view: np.unique(np.concatenate(lots)) for view, lots in found.items()}
+
+
+def _shown(whole: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of pycolmap's reconstruction, (P, 3), and what views show of them.
+
+    The latter, (N, 3) int64, are numbers of points, of views, and of points in these views; all
+    from 0.
+    """
+    points, shown = [], []
+    for number, (_, point) in enumerate(sorted(whole.points3D.items())):
+        points.append(np.array(point.xyz))
+        shown += [(number, one.image_id - 1, one.point2D_idx) for one in point.track.elements]
+    return np.array(points).reshape(-1, 3), np.array(shown, np.int64).reshape(-1, 3)
+
+
+def _by_group(shown: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
+    """Return which points views of each group, up to its last one, show, (G, P)."""
+    shows = np.zeros((len(ends), count), bool)
+    shows[np.searchsorted(ends, shown[:, 1]), shown[:, 0]] = True
+    return shows
+
+
+def _detected(
+    shared: Shared,
+    points: np.ndarray,
+    shown: np.ndarray,
+    numbers: Sequence[int],
+    wanted: Mapping[int, np.ndarray],
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Return, by view, which of the wanted points are known, and where they are."""
+    found = {}
+    for k in np.unique(shown[:, 1]).tolist():
+        view = numbers[k]
+        if view not in wanted:
+            continue
+        own = shown[shown[:, 1] == k]
+        detected = own[:, 2] - len(shared.views[k].seen.tracks)
+        kept = np.isin(detected, wanted[view])
+        order = np.argsort(detected[kept])
+        found[view] = detected[kept][order], points[own[kept, 0][order]]
+    return found

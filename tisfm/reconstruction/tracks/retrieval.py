@@ -1,0 +1,137 @@
+"""Views that seem to show the same place, however long apart they were taken."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.motion.sparse_matches import Described
+from tisfm.reconstruction.frames.disk_cache import Shelf
+
+WORDS, SAMPLE, ROUNDS = 32, 8192, 8  # of the codebook: descriptors that it is clustered from
+PER_VIEW = 3  # earlier views that are compared with a view
+BETWEEN = 3  # views, at least, from one of them to the next
+FEWEST = 30  # points of a view that can be found again
+ALIKE = 0.4  # of the likeness of neighbours: views less alike are not compared
+LEVELS = 255.0
+BLOCK = 512  # views whose codes are in memory at a time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """What a view looks like, in little memory.
+
+    Attributes
+    ----------
+    points : (N, 2) float64
+        (x, y), px from the upper left pixel's centre.
+    levels : (N, 128) uint8
+        Roots of descriptors of these points, times 255.
+    """
+
+    points: np.ndarray
+    levels: np.ndarray
+
+    @classmethod
+    def of(cls, found: Described) -> "Look":
+        """Return the look of a view with these points."""
+        return cls(points=found.points, levels=np.rint(found.roots * LEVELS).astype(np.uint8))
+
+    @classmethod
+    def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "Look":
+        """Return the look that has these arrays."""
+        return cls(points=points, levels=levels)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return self.points, self.levels
+
+    def described(self) -> Described:
+        """Return the points with their descriptors."""
+        return Described(points=self.points, roots=self.levels.astype(np.float32) / LEVELS)
+
+
+def similar(looks: Sequence[Look], *, apart: int) -> list[tuple[int, int]]:
+    """Return pairs of views that may show the same place, the earlier first, in order.
+
+    Parameters
+    ----------
+    looks : sequence of Look
+        Of views in the order of their frames.
+    apart : int
+        Views from the earlier to the later one, at least.
+
+    References
+    ----------
+    Jégou et al., "Aggregating local image descriptors into compact codes", TPAMI 2012,
+    doi 10.1109/TPAMI.2011.235 (VLAD); the codebook is clustered from these views themselves.
+    Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (each
+    word's part is of unit length).
+    """
+    seen = [k for k, look in enumerate(looks) if len(look.points) >= FEWEST]
+    if len(seen) < 2 or seen[-1] - seen[0] < apart:
+        return []
+    codebook = _codebook(looks, seen)
+    codes = Shelf[np.ndarray](lambda block: (block,), np.asarray)
+    found: list[tuple[float, int, int]] = []
+    following = []
+    for begin in range(0, len(seen), BLOCK):
+        block = np.stack([_code(looks[k].levels, codebook) for k in seen[begin : begin + BLOCK]])
+        likeness = np.hstack([*(block @ before.T for before in codes), block @ block.T])
+        codes.append(block)
+        for row, later in enumerate(seen[begin : begin + BLOCK], start=begin):
+            alike = likeness[row - begin, :row]
+            following += alike[-1:].tolist()
+            found += [
+                (float(alike[column]), seen[column], later)
+                for column in _most_alike(alike, seen, later - apart)
+            ]
+    least = ALIKE * float(np.median(np.array(following, np.float32)))
+    return [(earlier, later) for like, earlier, later in found if like >= least]
+
+
+def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
+    """Return which of the views seen, up to the last one, a view is most alike, in order."""
+    chosen: list[int] = []
+    for column in np.argsort(-alike, kind="stable").tolist():
+        if len(chosen) == PER_VIEW:
+            break
+        far = all(abs(seen[column] - seen[other]) >= BETWEEN for other in chosen)
+        if seen[column] <= last and far:
+            chosen.append(column)
+    return sorted(chosen)
+
+
+def _codebook(looks: Sequence[Look], seen: Sequence[int]) -> np.ndarray:
+    """Return the centres of clusters of descriptors, (WORDS, 128) float32."""
+    each = max(1, SAMPLE // len(seen))
+    # Some of each view, evenly: seeds of a random choice are not needed.
+    some = []
+    for k in seen[:: -(-len(seen) // SAMPLE)]:
+        levels = looks[k].levels
+        some.append(levels[np.linspace(0, len(levels) - 1, min(each, len(levels))).astype(int)])
+    sample = np.vstack(some).astype(np.float32)
+    centres = sample[np.linspace(0, len(sample) - 1, WORDS).astype(int)]
+    for _ in range(ROUNDS):
+        word = _words(sample, centres)
+        for k in range(WORDS):
+            if (word == k).any():
+                centres[k] = sample[word == k].mean(axis=0)
+    return centres
+
+
+def _words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Return the nearest centre of each descriptor, (N,)."""
+    nearness = levels @ centres.T - (centres**2).sum(axis=1) / 2
+    return np.asarray(nearness.argmax(axis=1))
+
+
+def _code(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Return the code of a view, (WORDS · 128,) float32, of unit length."""
+    values = levels.astype(np.float32)
+    word = _words(values, centres)
+    sums = np.zeros_like(centres)
+    for k in np.unique(word):
+        part = (values[word == k] - centres[k]).sum(axis=0)
+        sums[k] = part / max(float(np.linalg.norm(part)), 1e-6)
+    return np.asarray(sums.ravel() / max(float(np.linalg.norm(sums)), 1e-6))

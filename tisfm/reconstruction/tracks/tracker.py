@@ -1,0 +1,252 @@
+"""Points carried from frame to frame along the image motion, and placed by what they look like."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.frames.frame_flow import flow_between, share_of, smaller
+from tisfm.settings import Settings
+
+CELLS = 32  # along the longer side, unless told otherwise: each has a point begun that has none
+APART = 0.6  # of a cell: of tracks that have come into one square of this side, the oldest goes on
+STRUCTURE = 5  # px: the window in which a point is to stand out
+STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
+BORDER = 4  # px that no point comes nearer to
+# The way there and back ends no further from its start: px, and a share of the longer side.
+RETURN, RETURN_SHARE = 0.5, 0.5 / 640
+PATCH = 7  # px across, of what is compared along a track
+UNLIKE = 12.0  # grey levels, mean difference of patches of one track, but for brightness
+# Of the search for the place where a point looks as before: it begins where the flow leads.
+WINDOW, ROUNDS, STEP = 11, 10, 0.01
+FURTHEST = 1.0  # px from where the flow leads: what is found beyond is something else
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Where tracks are in a frame.
+
+    Attributes
+    ----------
+    points : (N, 2) float64
+        (x, y), px from the upper left pixel's centre.
+    tracks : (N,) int64
+        The number of the track of each, ascending.
+    """
+
+    points: np.ndarray
+    tracks: np.ndarray
+
+    @classmethod
+    def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Seen":
+        """Return what has these arrays."""
+        return cls(points=points, tracks=tracks)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return self.points, self.tracks
+
+    def shared(self, other: "Seen") -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices, here and in another frame, of the tracks that are in both."""
+        _, here, there = np.intersect1d(
+            self.tracks, other.tracks, assume_unique=True, return_indices=True
+        )
+        return here, there
+
+
+class Tracker:
+    """Carries points from each frame to the next.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    settings : Settings
+        Of the image motion.
+    cells : int
+        Along the longer side: a point is begun in every cell that has none.
+    """
+
+    def __init__(self, camera: Camera, settings: Settings, cells: int = CELLS) -> None:
+        self._camera, self._settings, self._cells = camera, settings, cells
+        self._grey: np.ndarray | None = None
+        self._small: np.ndarray | None = None
+        self._seen = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+        self._count = 0
+
+    def go_on(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> Seen:
+        """Take the next frame, (H, W) uint8, and return where tracks are in it.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, optional
+            Pixels that no track may lie on.
+        flow : (h, w, 2) float32, optional
+            Image motion from the frame before, px of its own size, which is that of `smaller`. By
+            default it is found.
+        """
+        small = smaller(grey)
+        points, tracks = self._seen.points, self._seen.tracks
+        if self._grey is not None and self._small is not None:
+            if flow is None:
+                share = share_of(small, grey)
+                flow = flow_between(self._small, small, share, self._camera, self._settings)
+            points, kept = carried(self._grey, grey, points, flow)
+            points, tracks = points[kept], tracks[kept]
+            kept = spread(points, APART * _cell(grey, self._cells))
+            points, tracks = points[kept], tracks[kept]
+        if ignored is not None:
+            x, y = np.rint(points).astype(np.intp).T
+            points, tracks = points[~ignored[y, x]], tracks[~ignored[y, x]]
+        begun = seeds(grey, points, ignored, self._cells)
+        numbers = np.arange(self._count, self._count + len(begun))
+        self._count += len(begun)
+        self._grey, self._small = grey, small
+        self._seen = Seen(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
+        return self._seen
+
+
+def carried(
+    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, flow: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where points of frame 0 are in frame 1, and which of them were found there.
+
+    The flow leads to a place; where the point looks as before near by, that is taken. A point is
+    found if, sought from there in frame 0, it comes back to where it was, and what is around it is
+    alike. Few points pass that, but those drift little.
+
+    Parameters
+    ----------
+    grey0, grey1 : (H, W) uint8
+    points : (N, 2) float64
+    flow : (h, w, 2) float32
+        Image motion from frame 0 to frame 1, px of its own size.
+
+    Returns
+    -------
+    moved : (N, 2) float64
+    found : (N,) bool
+
+    References
+    ----------
+    Lucas and Kanade, "An iterative image registration technique with an application to stereo
+    vision", IJCAI 1981. Kalal, Mikolajczyk and Matas, "Forward-backward error", ICPR 2010,
+    doi 10.1109/ICPR.2010.675.
+    """
+    height, width = grey0.shape
+    if len(points) == 0:
+        return points, np.zeros(0, bool)
+    motion = _flow_at(flow, points, grey0)
+    led = points + motion
+    near, seen = _sought(grey0, grey1, points, led)
+    taken = seen & (np.hypot(*(near - led).T) < FURTHEST)
+    moved = np.where(taken[:, None], near, led)
+    returned, found = _sought(grey1, grey0, moved, moved - motion)
+    found &= np.hypot(*(returned - points).T) < max(RETURN, RETURN_SHARE * max(height, width))
+    low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
+    found &= ((moved >= low) & (moved <= high)).all(axis=1)
+    difference = _patches(grey0, points) - _patches(grey1, moved)
+    difference -= difference.mean(axis=1, keepdims=True)
+    found &= np.abs(difference).mean(axis=1) < UNLIKE
+    return moved, found
+
+
+def _sought(
+    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, near: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where points of frame 0 look as before, near places in frame 1, and whether any do."""
+    found, seen, _ = cv2.calcOpticalFlowPyrLK(
+        grey0,
+        grey1,
+        points.astype(np.float32),
+        near.astype(np.float32),
+        winSize=(WINDOW, WINDOW),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ROUNDS, STEP),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-5,
+    )
+    return found.astype(np.float64), seen[:, 0] > 0
+
+
+def seeds(
+    grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None, cells: int = CELLS
+) -> np.ndarray:
+    """Return the points that stand out most in each cell without a point, (N, 2) float64.
+
+    Parameters
+    ----------
+    grey : (H, W) uint8
+    points : (M, 2) float64
+        Those that are there already.
+    ignored : (H, W) bool, or None
+    cells : int
+        Along the longer side.
+
+    References
+    ----------
+    Shi and Tomasi, "Good features to track", CVPR 1994, doi 10.1109/CVPR.1994.323794.
+    """
+    height, width = grey.shape
+    cell = _cell(grey, cells)
+    rows, columns = height // cell, width // cell
+    if not rows * columns:
+        return np.empty((0, 2))
+    strength = cv2.cornerMinEigenVal(grey, STRUCTURE)
+    least = max(float(np.quantile(strength[::2, ::2], STANDING_OUT)), 1e-6)
+    inside = np.zeros((height, width), bool)
+    inside[BORDER:-BORDER, BORDER:-BORDER] = True
+    if ignored is not None:
+        inside &= ~ignored
+    strength[~inside] = 0
+    taken = np.zeros((rows + 1, columns + 1), bool)
+    column, row = (points / cell).astype(np.intp).T
+    taken[row.clip(0, rows), column.clip(0, columns)] = True
+    blocks = strength[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
+    blocks = blocks.transpose(0, 2, 1, 3).reshape(rows, columns, cell * cell)
+    best = blocks.argmax(axis=-1)
+    row, column = np.nonzero((blocks.max(axis=-1) > least) & ~taken[:rows, :columns])
+    y, x = np.divmod(best[row, column], cell)
+    return np.stack([column * cell + x, row * cell + y], axis=1).astype(np.float64)
+
+
+def _cell(grey: np.ndarray, cells: int) -> int:
+    """Return the side of the cells that points are begun in, px."""
+    return max(BORDER, round(max(grey.shape) / cells))
+
+
+def spread(points: np.ndarray, side: float) -> np.ndarray:
+    """Return the indices of the first points in squares of this side, ascending."""
+    _, first = np.unique(points // side, axis=0, return_index=True)
+    return np.sort(first)
+
+
+def _flow_at(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarray:
+    """Return the flow at points of the frame, px of the frame."""
+    scale = share_of(flow, grey)
+    return _sampled(flow, (points + 0.5) * scale - 0.5) / scale
+
+
+def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return an image, (H, W) or (H, W, 2), at points, bilinearly, (N,) or (N, 2)."""
+    x, y = np.ascontiguousarray(points.T, np.float32)
+    values = cv2.remap(
+        image, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return values[:, 0].astype(np.float64)
+
+
+def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return what is around points, (N, PATCH²) float32."""
+    offsets = np.arange(PATCH, dtype=np.float32) - PATCH // 2
+    dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
+    x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
+    patches = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return patches.reshape(len(points), -1).astype(np.float32)

@@ -1,0 +1,206 @@
+"""Views: the frames that a path is built from, and which of their points are the same."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.errors import InputTypeError
+from tisfm.motion.sparse_matches import Described, alike, described
+from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.frame_flow import share_of, smaller
+from tisfm.reconstruction.tracks.retrieval import Look, similar
+from tisfm.reconstruction.tracks.tracker import Seen
+
+# A frame becomes a view where tracks have moved by this share of the longer side since the last
+# view, or fewer than this share of its tracks are still seen.
+MOVED, KEPT = 0.025, 0.35
+PER_CELL = 4  # points of a cell: fewer than for pairs, since views are matched with several
+MATCHED = 3  # views before, that a view is matched with by what points look like
+FEWEST_MATCHES = 15
+# Of views that only seem to show the same place: matches that one motion explains, and their share.
+FEWEST_OF_LOOP, SHARE_OF_LOOP = 25, 0.4
+# Of frames out of order: views, at least; the share that shows something of the view before, at
+# most; and the share that shows something of others, at least.
+FEWEST_TO_ORDER, FOLLOWING, KNOWN_ELSEWHERE = 8, 0.4, 0.7
+INLIER = 2.0  # px, of 640 across: from an epipolar line
+TRIALS = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What a frame shows.
+
+    Attributes
+    ----------
+    frame : int
+    seen : Seen
+        Tracks.
+    detected : (M, 2) float64
+        Points that are matched by what they look like, px.
+    """
+
+    frame: int
+    seen: Seen
+    detected: np.ndarray
+
+    @classmethod
+    def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
+        """Return the view that has these arrays."""
+        points, tracks, detected = arrays
+        return cls(frame=int(frame.item()), seen=Seen.of_arrays(points, tracks), detected=detected)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return what it is made of."""
+        return np.array(self.frame), *self.seen.arrays(), self.detected
+
+
+class Views:
+    """Chooses views among the frames of a sequence, and matches them.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    focal_known : bool
+        Whether matches have to fit its focal length, or any.
+    on_disk : bool
+        Whether views lie on disk: then they cannot be forgotten.
+
+    Attributes
+    ----------
+    chosen : list of View, or Shelf of View
+        In the order of their frames.
+    matches : dict of (int, int) to (N, 2) int32 array
+        For pairs of indices of views: indices of their detected points that are the same.
+    """
+
+    def __init__(self, camera: Camera, *, focal_known: bool = True, on_disk: bool = False) -> None:
+        self.chosen: list[View] | Shelf[View] = (
+            Shelf(View.arrays, View.of_arrays) if on_disk else []
+        )
+        self.matches: dict[tuple[int, int], np.ndarray] = {}
+        self._camera, self._focal_known = camera, focal_known
+        self._looks: list[Look] | Shelf[Look] = (
+            Shelf(Look.arrays, Look.of_arrays) if on_disk else []
+        )
+        self._matchable: list[int] = []  # views that show enough
+        self._compared: set[tuple[int, int]] = set()
+
+    def use(self, camera: Camera) -> None:
+        """Let matches from now on fit a camera whose focal length is known."""
+        self._camera, self._focal_known = camera, True
+
+    def needs(self, seen: Seen, longer_side: int, share: float = MOVED) -> bool:
+        """Return whether a frame shows enough that is new to become a view."""
+        if not self.chosen:
+            return len(seen.tracks) > 0
+        before = self.chosen[-1].seen
+        index0, index1 = before.shared(seen)
+        if len(index0) < KEPT * len(before.tracks):
+            return True
+        if len(index0) == 0:
+            return len(seen.tracks) > 0
+        moved = np.hypot(*(seen.points[index1] - before.points[index0]).T)
+        return bool(np.median(moved) > share * longer_side)
+
+    def add(self, frame: int, grey: np.ndarray, seen: Seen, ignored: np.ndarray | None) -> None:
+        """Make a view of a frame, (H, W) uint8, without its ignored pixels, (H, W) bool."""
+        found = _described(grey, ignored)
+        number = len(self.chosen)
+        self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
+        self._looks.append(Look.of(found))
+        for earlier in self._matchable[-MATCHED:]:
+            self._match(earlier, number, grey.shape, fewest=FEWEST_MATCHES, share=0.0)
+        if len(found.points) >= FEWEST_MATCHES:
+            self._matchable.append(number)
+
+    def close_loops(self, shape: tuple[int, int]) -> None:
+        """Match views that show the same place again; shape is that of frames."""
+        for pair in similar(self._looks, apart=MATCHED + 1):
+            if pair not in self._compared:
+                self._match(*pair, shape, fewest=FEWEST_OF_LOOP, share=SHARE_OF_LOOP)
+
+    def forget(self, count: int) -> None:
+        """Forget the first views."""
+        if isinstance(self.chosen, Shelf) or isinstance(self._looks, Shelf):
+            raise InputTypeError("views lie on disk: they cannot be forgotten")
+        del self.chosen[:count], self._looks[:count]
+        self._matchable = [k - count for k in self._matchable if k >= count]
+        self.matches = {
+            (earlier - count, later - count): both
+            for (earlier, later), both in self.matches.items()
+            if earlier >= count
+        }
+        self._compared = {(i - count, k - count) for i, k in self._compared if i >= count}
+
+    def out_of_order(self) -> bool:
+        """Return whether most views show nothing of the view before, but what others show."""
+        count = len(self.chosen)
+        if count < FEWEST_TO_ORDER:
+            return False
+        follows = sum(
+            (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
+        )
+        others = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
+        return follows < FOLLOWING * (count - 1) and len(others) > KNOWN_ELSEWHERE * count
+
+    def _share_tracks(self, first: int, second: int) -> bool:
+        index, _ = self.chosen[first].seen.shared(self.chosen[second].seen)
+        return len(index) >= FEWEST_MATCHES
+
+    def _match(
+        self, earlier: int, later: int, shape: tuple[int, ...], *, fewest: int, share: float
+    ) -> None:
+        self._compared.add((earlier, later))
+        first, second = self._looks[earlier].described(), self._looks[later].described()
+        both = np.stack(alike(first, second), axis=1)
+        if len(both) < fewest:
+            return
+        inlier = self._fitting(first.points[both[:, 0]], second.points[both[:, 1]], shape)
+        if inlier is None:
+            return
+        agreed = both[inlier[:, 0] > 0]
+        if len(agreed) >= max(fewest, share * len(both)):
+            self.matches[earlier, later] = agreed.astype(np.int32)
+
+    def _fitting(
+        self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]
+    ) -> np.ndarray | None:
+        """Return which points one motion explains, (N, 1), None if there is no motion."""
+        height, width = shape
+        threshold = INLIER * max(height, width) / 640
+        try:
+            if self._focal_known:
+                cx, cy = self._camera.center_for(height, width)
+                focal = self._camera.focal
+                _, inlier = cv2.findEssentialMat(
+                    before,
+                    after,
+                    np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
+                    method=cv2.USAC_MAGSAC,
+                    prob=0.999,
+                    threshold=threshold,
+                    maxIters=TRIALS,
+                )
+            else:
+                _, inlier = cv2.findFundamentalMat(
+                    before, after, cv2.USAC_MAGSAC, threshold, 0.999, TRIALS
+                )
+        except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
+            return None
+        return None if inlier is None else np.asarray(inlier)
+
+
+def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
+    """Return points of a frame and what they look like, found on the level of the flow."""
+    small = smaller(grey)
+    found = described(small, per_cell=PER_CELL)
+    points = (found.points + 0.5) / share_of(small, grey) - 0.5
+    if ignored is None:
+        return Described(points=points, roots=found.roots)
+    column, row = np.rint(points).astype(np.intp).T
+    height, width = grey.shape
+    kept = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return Described(points=points[kept], roots=found.roots[kept])
