@@ -16,6 +16,7 @@ from tisfm.scenes import bare_patches
 from tisfm.settings import Settings
 
 
+@pytest.mark.nightly
 def test_smoke_of_the_peers(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(peers, "RESULTS", tmp_path)
     threads = str(os.cpu_count())  # as the tests started Taichi
@@ -43,6 +44,7 @@ def test_names_in_the_picture_overlap_neither_each_other_nor_the_marks():
     assert not any(box.contains(*centre) for box in boxes for centre in centres)
 
 
+@pytest.mark.nightly
 def test_smoke_of_the_changes(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(ablation, "RESULTS", tmp_path)
     monkeypatch.setattr(ablation, "CHANGES", {"one warp": {"warps": 1}, "none": {"warps": 2}})
@@ -86,6 +88,7 @@ def test_the_noise_is_what_it_says():
     assert {method.noise for method in untextured.methods().values()} == {0, 2, 5}
 
 
+@pytest.mark.nightly
 def test_three_frames_are_compared_with_two(tmp_path, monkeypatch, capsys):
     from tisfm.scenes import two_blocks
 

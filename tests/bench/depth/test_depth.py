@@ -346,6 +346,7 @@ def test_pairs_without_depth_are_named():
     assert any("silent: forward-f320 (little_parallax)" in note for note in notes(held))
 
 
+@pytest.mark.nightly
 def test_smoke_of_the_comparison(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(depth, "RESULTS", tmp_path)
     options = ["--smoke", "--preset", "fast", "--threads", THREADS]
@@ -406,6 +407,7 @@ def test_scenes_are_rendered_when_their_turn_comes_at_the_focal_length_of_their_
     assert {pair.group for pair in rooms} <= set(ROOMS)
 
 
+@pytest.mark.nightly
 def test_wrong_focal_lengths(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(focal, "FOCALS", (600.0,))
     monkeypatch.setattr(focal, "RATIOS", (1.0, 5 / 3))

@@ -188,6 +188,7 @@ def test_a_result_with_labels_is_read(clip, monkeypatch):
         next(Reconstruct("fast").run(clip))
 
 
+@pytest.mark.nightly
 def test_smoke(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sequences, "RESULTS", tmp_path)
     options = ["--smoke", "--threads", THREADS, "--only", "homography", "DIS"]

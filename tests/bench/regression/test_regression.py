@@ -135,6 +135,7 @@ def run(before, monkeypatch, tmp_path):
     return code, (tmp_path / "smoke-regression.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.nightly
 def test_the_same_checkout_gives_the_same_bits(tmp_path, monkeypatch):
     code, text = run(ROOT, monkeypatch, tmp_path)
     assert code == 0

@@ -180,7 +180,7 @@ class Few(Entry):
         return super().load().take(range(4))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_chained_pairs_of_real_frames(shared_data):
     (sequence,) = find_sequences(shared_data / "tartanair")
     entry = Few(sequence=sequence)

@@ -38,7 +38,7 @@ def test_speed():
     assert long_runs.speed([0.0, 1.0, 1.5, 2.0], 2, 4) == pytest.approx(2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_smoke(capsys):
     pytest.importorskip("distributed")
     assert long_runs.main(["--smoke"]) == 0

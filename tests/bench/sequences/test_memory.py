@@ -8,7 +8,7 @@ import pytest
 from bench.sequences import memory
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_short_film_in_a_process_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "RESULTS", tmp_path)
     monkeypatch.setattr(memory, "LOT", 12)

@@ -85,10 +85,13 @@ def test_lines_of_this_checkout_by_folder():
     assert lines["tests/bench/structure"] == here
 
 
-def test_this_checkout_has_no_cycle_of_modules(tmp_path):
-    source = read(ROOT)
-    assert not cycles(source.graph)
-    draw(source, tmp_path / "rooms.png", "title")
+def test_this_checkout_has_no_cycle_of_modules():
+    assert not cycles(read(ROOT).graph)
+
+
+@pytest.mark.nightly
+def test_this_checkout_is_drawn(tmp_path):
+    draw(read(ROOT), tmp_path / "rooms.png", "title")
     assert (tmp_path / "rooms.png").stat().st_size > 10_000
 
 
@@ -120,6 +123,7 @@ def test_loops_are_folded_whatever_their_number():
     assert (way.stops, way.back) == (7, 3)
 
 
+@pytest.mark.nightly
 def test_the_way_of_a_pair():
     way = trace(ROOT, Path(sys.executable), "field")
     (call,) = way.calls
@@ -131,6 +135,7 @@ def test_the_way_of_a_pair():
         trace(ROOT, Path(sys.executable), "none")
 
 
+@pytest.mark.nightly
 def test_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(structure, "RESULTS", tmp_path)
     assert structure.main([str(ROOT), "--names", "x", "--motion"]) == 0

@@ -40,7 +40,7 @@ def test_report():
     assert "| – | 400 |" in unknown
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_smoke(capsys):
     pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
     pytest.importorskip("playwright", reason="playwright is not installed")
