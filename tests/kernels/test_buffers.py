@@ -128,7 +128,7 @@ def test_pairs_of_a_sequence_share_memory():
 
     gc.collect()
     buffers.release()  # what other tests have left
-    frames = np.random.default_rng(0).integers(0, 255, (2, 200, 300), dtype=np.uint8)
+    frames = np.random.default_rng(0).integers(0, 255, (2, 100, 150), dtype=np.uint8)
     first = tisfm.interpret(*frames)
     second = tisfm.interpret(*frames)
     kept = []
