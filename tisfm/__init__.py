@@ -1,31 +1,27 @@
-"""Dense structure and 3D motion from image sequences, on a CPU, without training."""
+"""Dense structure and 3D motion from image sequences, on a CPU, without training.
+
+``import tisfm`` imports no other package: each name is loaded when it is first used.
+"""
 
 import sys
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
 from pathlib import Path
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from tisfm.doctor.answering import answer, is_asked
-from tisfm.machine.address_space import require_for_import
-
-if is_asked():  # where the libraries below crash or hang, the doctor says so
-    answer()
-if "cv2" not in sys.modules:  # OpenCV crashes below this, with one thread and with several
-    require_for_import(0.28e9, more_with_threads=0.19e9)
-
-from tisfm.camera import Camera
-from tisfm.interpretation import Interpretation
-from tisfm.pair import interpret
-from tisfm.reconstruction.entry import reconstruct
-from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.streaming.entry import reconstruct_stream
-from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
-from tisfm.sequence import interpret_sequence
-from tisfm.settings import Settings
-from tisfm.version import __version__
+if TYPE_CHECKING:
+    from tisfm.camera import Camera
+    from tisfm.interpretation import Interpretation
+    from tisfm.pair import interpret
+    from tisfm.reconstruction.entry import reconstruct
+    from tisfm.reconstruction.result.moving_object import MovingObject
+    from tisfm.reconstruction.result.reconstruction import Reconstruction
+    from tisfm.reconstruction.streaming.entry import reconstruct_stream
+    from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
+    from tisfm.sequence import interpret_sequence
+    from tisfm.settings import Settings
+    from tisfm.version import __version__
 
 __all__ = [
     "Camera",
@@ -41,6 +37,19 @@ __all__ = [
     "reconstruct_stream",
 ]
 
+_DEFINED_IN = {
+    "Camera": "tisfm.camera",
+    "Interpretation": "tisfm.interpretation",
+    "MovingObject": "tisfm.reconstruction.result.moving_object",
+    "Reconstruction": "tisfm.reconstruction.result.reconstruction",
+    "Settings": "tisfm.settings",
+    "StreamedFrame": "tisfm.reconstruction.streaming.streamed_frame",
+    "__version__": "tisfm.version",
+    "interpret": "tisfm.pair",
+    "interpret_sequence": "tisfm.sequence",
+    "reconstruct": "tisfm.reconstruction.entry",
+    "reconstruct_stream": "tisfm.reconstruction.streaming.entry",
+}
 _SUBMODULES = (
     "camera_file",
     "datasets",
@@ -61,11 +70,11 @@ _SUBMODULES = (
 )
 
 
-class _KernelsOfCheckout:
-    """Finds `tisfm.kernels` beside this package.
+class _CheckoutKernelsFinder:
+    """Finds the package `tisfm.kernels` in a checkout, where it lies beside this package.
 
-    That is where it lies in a checkout. Python started there takes this folder for the package,
-    whatever is installed.
+    Python started in the checkout takes its folder ``tisfm`` for the package, even if another
+    version is installed.
     """
 
     @staticmethod
@@ -76,11 +85,15 @@ class _KernelsOfCheckout:
 
 
 if not Path(__file__).with_name("kernels").is_dir():
-    sys.meta_path.append(_KernelsOfCheckout)
+    sys.meta_path.append(_CheckoutKernelsFinder)
 
 
-def __getattr__(name: str) -> ModuleType:
-    """Load a submodule when it is first named, so that ``import tisfm`` stays fast."""
+def __getattr__(name: str) -> Any:
+    """Load a public name or a submodule when it is first used."""
+    if name in _DEFINED_IN:
+        value = getattr(import_module(_DEFINED_IN[name]), name)
+        globals()[name] = value  # the next use finds it without this function
+        return value
     if name in _SUBMODULES:
         return import_module(f"tisfm.{name}")
     raise AttributeError(f"module 'tisfm' has no attribute {name!r}")

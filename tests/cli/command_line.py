@@ -17,7 +17,7 @@ RECORDS = {"run.json", "run.csv"}
 TISFM = (
     sys.executable,
     "-c",
-    "import sys; from tisfm.cli.command_line import main; sys.exit(main())",
+    "import sys; from tisfm.cli import main; sys.exit(main())",
 )
 
 

@@ -15,7 +15,6 @@ from tests.doctor.hanging import hasty_trial, write_module_that_hangs
 from tests.waiting import PATIENCE
 from tisfm.doctor import machine, packages, trying
 from tisfm.doctor.control_groups import GroupLimits, group_limits
-from tisfm.doctor.examination import COMMANDS
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
 from tisfm.doctor.trying import Trial, results, try_out
 from tisfm.machine.kernel_cache import LOCK
@@ -145,7 +144,7 @@ def test_what_it_asks_for_is_declared():
 
 
 def test_a_tisfm_that_cannot_be_imported():
-    found, *_ = packages.about_tisfm({COMMANDS: {"error": "ImportError: broken"}})
+    found, *_ = packages.about_tisfm({"tisfm": {"error": "ImportError: broken"}})
     if found.text.startswith("not installed"):
         pytest.skip("tisfm is not installed here")
     assert found.verdict == "wrong" and "ImportError: broken" in found.text

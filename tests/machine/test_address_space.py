@@ -13,7 +13,7 @@ from tisfm.formats import write_png
 from tisfm.machine import address_space
 from tisfm.scenes import two_blocks
 
-COMMAND = "import sys\nfrom tisfm.cli.command_line import main\nsys.exit(main())\n"
+COMMAND = "import sys\nfrom tisfm.cli import main\nsys.exit(main())\n"
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="other systems hold nobody to it")
 
 
@@ -86,16 +86,6 @@ def test_what_fits_is_not_refused(monkeypatch):
         address_space.require(4e9, "a large thing")
     monkeypatch.setattr(address_space, "limit", lambda: None)
     address_space.require(4e15, "a large thing")
-
-
-@on_linux
-def test_only_the_command_ends_the_process(limited, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["a/program.py"])
-    with pytest.raises(MemoryError):
-        address_space.require_for_import(4e9)
-    monkeypatch.setattr(sys, "argv", ["bin/tisfm"])
-    with pytest.raises(SystemExit, match="tisfm: the limit of the address space"):
-        address_space.require_for_import(4e9)
 
 
 def map_failed():

@@ -18,6 +18,7 @@ from tisfm.cli.console import tell_error
 from tisfm.cli.demo import Demo
 from tisfm.cli.doctor import Doctor
 from tisfm.cli.evaluate import Eval
+from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.export import Export
 from tisfm.cli.figures import Figures
 from tisfm.cli.known_options import SHELLS, known_options
@@ -31,9 +32,6 @@ from tisfm.errors import InputError, TisfmError, is_user_error
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
-
-WRONG_OPTION = 2
-INTERRUPTED, BROKEN_PIPE = 130, 141  # exit codes of programs ended by a signal, as shells count
 
 
 @dataclass(kw_only=True)

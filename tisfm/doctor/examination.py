@@ -9,7 +9,6 @@ from tisfm.doctor.finding import Finding, as_json, as_text, is_well
 from tisfm.doctor.trying import Trial, Tried, results, try_out
 from tisfm.machine.terminal import printable
 
-COMMANDS = "tisfm.cli.command_line"  # what a command imports first
 _KERNEL_LIMIT = 45.0  # s: a slow machine compiles
 _GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
 
@@ -19,7 +18,7 @@ def examine() -> list[Finding]:
     base, extras, unread = packages.requirements()
     modules = [packages.module_of(name) for name in base if name != "taichi"]
     optional = [packages.module_of(name) for found in extras.values() for name in found]
-    kernel = Trial([COMMANDS, "kernel:default"], limit=_KERNEL_LIMIT)
+    kernel = Trial(["tisfm", "kernel:default"], limit=_KERNEL_LIMIT)
     imports = Trial([*modules, *optional])
     archs = Trial(["archs", "software_vulkan"], limit=_GPU_LIMIT)
     tried = results(imports, kernel, archs)

@@ -94,7 +94,7 @@ def about_tisfm(tried: Tried, unread: str = "") -> Iterator[Finding]:
             advice="in the checkout: pip install -e .",
         )
         return
-    error = tried.get("tisfm.cli.command_line", {}).get("error")
+    error = tried.get("tisfm", {}).get("error")
     if error:
         yield Finding(
             name="tisfm",

@@ -24,6 +24,15 @@ def try_import(name: str) -> None:
     tell(name, seconds=time.perf_counter() - begin)
 
 
+def try_command_line(name: str) -> None:
+    """Import all that a command imports first, unless the address space is too small for it."""
+    from tisfm.machine.address_space import import_libraries
+
+    import_libraries()
+    import_module("tisfm.cli.command_line")
+    tell(name)
+
+
 def try_kernel(name: str) -> None:
     """Start Taichi as tisfm does, on an arch; compile and run one small kernel."""
     import numpy as np
@@ -87,6 +96,8 @@ def main(names: list[str]) -> None:
                 try_archs(name)
             elif name == "software_vulkan":
                 try_software_vulkan(name)
+            elif name == "tisfm":
+                try_command_line(name)
             else:
                 try_import(name)
         except BaseException as error:

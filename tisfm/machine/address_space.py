@@ -5,12 +5,14 @@ far more than they use. What is too little for sure is refused beforehand.
 """
 
 import os
-import sys
 from pathlib import Path
 
 from tisfm.errors import OutOfMemoryError
 
 _SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
+_OPENCV = 0.28e9  # that NumPy and OpenCV reserve with one thread each, bytes; measured
+_OPENCV_THREADS = 0.19e9  # more that they reserve with several threads, bytes; measured
+_SCIPY = 0.28e9  # that SciPy and the other libraries reserve, bytes; measured
 _STACK = 8 << 20  # of a thread, bytes, as most systems have it
 _ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
 
@@ -37,7 +39,7 @@ def require(amount: float, purpose: str) -> None:
 
     Raises
     ------
-    MemoryError
+    OutOfMemoryError
         If less is left.
     """
     bound = limit()
@@ -56,28 +58,20 @@ def require(amount: float, purpose: str) -> None:
         )
 
 
-def require_for_import(amount: float, *, more_with_threads: float = 0.0) -> None:
-    """Check that the limit leaves as much as an import takes; end the command where it does not.
-
-    Parameters
-    ----------
-    amount : float
-        What the libraries of it reserve with one thread each, bytes.
-    more_with_threads : float
-        What they reserve besides where they start threads, bytes.
+def import_libraries() -> None:
+    """Import OpenCV, unless the limit leaves too little for OpenCV or for SciPy after it.
 
     Raises
     ------
-    MemoryError
-        If less is left.
+    OutOfMemoryError
+        If too little is left: OpenCV would crash while it is imported, and SciPy would hang.
     """
     threads = os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count())
-    try:
-        require(amount + more_with_threads * (threads != "1"), "loading the libraries")
-    except MemoryError as error:
-        if Path(sys.argv[0]).stem == "tisfm":  # the command: one line, as for any other error
-            raise SystemExit(f"tisfm: {error}") from None
-        raise
+    several = _OPENCV_THREADS if threads != "1" else 0.0
+    require(_OPENCV + several, "loading the libraries")
+    import cv2  # noqa: F401
+
+    require(_SCIPY, "loading the libraries")
 
 
 def require_for_taichi(threads: int) -> None:
@@ -88,7 +82,7 @@ def require_for_taichi(threads: int) -> None:
 
     Raises
     ------
-    MemoryError
+    OutOfMemoryError
         If less is left.
     """
     each = _STACK + _ARENA
