@@ -105,7 +105,7 @@ def no_array():
 
 @pytest.mark.parametrize("fail", [map_failed, no_thread, no_array])
 def test_libraries_that_run_out_are_one_line(limited, monkeypatch, capsys, fail):
-    monkeypatch.setattr(command_line, "_parse", lambda arguments: fail)
+    monkeypatch.setattr(command_line, "parse_command", lambda arguments: fail)
     assert command_line.main(["run"]) == 1
     text = "not enough memory: give smaller frames, or raise the limit of 3 GB (ulimit -v)"
     assert capsys.readouterr().err == f"tisfm: {text}\n"
@@ -113,6 +113,6 @@ def test_libraries_that_run_out_are_one_line(limited, monkeypatch, capsys, fail)
 
 def test_without_a_limit_a_library_that_fails_is_a_bug(monkeypatch):
     monkeypatch.setattr(address_space, "limit", lambda: None)
-    monkeypatch.setattr(command_line, "_parse", lambda arguments: map_failed)
+    monkeypatch.setattr(command_line, "parse_command", lambda arguments: map_failed)
     with pytest.raises(ImportError):
         command_line.main(["run"])

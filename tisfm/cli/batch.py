@@ -7,14 +7,18 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+from tyro.conf import Positional, arg
+
+from tisfm.cli.command_line import parse_command
 from tisfm.cli.console import tell
+from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import Foretelling, progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
@@ -30,6 +34,38 @@ TRIES = 3  # of a job whose process was killed
 _WANTED = (-signal.SIGINT, -signal.SIGTERM)  # a process that was told to end
 _CALL = "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 _FLAGS = {"yes": "--", "no": "--no-"}
+
+
+@dataclass(kw_only=True)
+class Batch:
+    """Interpret or reconstruct many videos, each in a process of its own.
+
+    LIST is a CSV file: its first line names the columns source, output and, as they are needed,
+    options of the command, such as preset, focal or motion; then a line for each video. An empty
+    cell leaves an option out, yes and no turn one on and off. Paths are relative to where the
+    command runs. What fails is said, and stops no other.
+    """
+
+    jobs: Annotated[Positional[Path], arg(metavar="LIST")]
+    """A CSV file with columns source and output, and one for each option, such as focal."""
+    command: Literal["run", "reconstruct"] = "run"
+    """What is done with each."""
+    workers: int = 1
+    """Videos at a time."""
+    threads: int | None = None
+    """Most CPU threads of each; by default its share of all cores."""
+    resume: bool = False
+    """Continue runs and reconstructions that were interrupted."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        return batch(
+            self.jobs,
+            self.command,
+            workers=self.workers,
+            threads=self.threads,
+            resume=self.resume,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +130,13 @@ def batch(
     path: Path,
     command: Command,
     *,
-    check: Callable[[list[str]], None],
     workers: int = 1,
     threads: int | None = None,
     resume: bool = False,
 ) -> int:
     """Run a command for every line of a list; return the exit code, 1 if any of them failed.
 
-    `check` refuses arguments that the command does not take. Each job has a process of its own,
+    Each job has a process of its own,
     with so many threads, by default its share of the cores. One that is killed is begun again.
     """
     if workers < 1:
@@ -113,7 +148,7 @@ def batch(
     calls = [_arguments(job, command, each, resume=resume) for job in jobs]
     for job, call in zip(jobs, calls, strict=True):
         try:
-            check(call)
+            _check(call)
         except ValueError as error:
             raise InputError(f"{path}, line {job.line}: {error}") from error
     failed = 0
@@ -140,6 +175,13 @@ def batch(
     done = len(jobs) - failed
     tell(f"{done} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
     return 1 if failed else 0
+
+
+def _check(call: list[str]) -> None:
+    """Raise WrongOptionError if a command does not take these arguments."""
+    if {"--help", "-h"} & set(call):
+        raise WrongOptionError("help is no option of a job: remove this column")
+    parse_command(call)
 
 
 def _job(row: dict[str, str], where: str, line: int) -> Job:

@@ -1,82 +1,68 @@
-"""The command line: which commands there are, and how errors are told."""
+"""The command line: its commands, the text of errors, and exit codes."""
 
 import contextlib
 import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Annotated, Literal, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import reduce
+from importlib import import_module
+from operator import or_
+from typing import Annotated, Any, get_args
 
 import cv2
 import tyro
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import subcommand
 
+from tisfm.checks import hint
 from tisfm.cli.console import tell_error
-from tisfm.cli.demo import Demo
-from tisfm.cli.doctor import Doctor
-from tisfm.cli.evaluate import Eval
 from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
-from tisfm.cli.export import Export
-from tisfm.cli.figures import Figures
-from tisfm.cli.known_options import SHELLS, known_options
-from tisfm.cli.mistakes import explained
 from tisfm.cli.options import SettingsOptions
-from tisfm.cli.reconstruct import Reconstruct
-from tisfm.cli.report import Report
-from tisfm.cli.run import Run
-from tisfm.cli.view import View
-from tisfm.errors import InputError, TisfmError, is_user_error
+from tisfm.cli.parsing import WrongOptionError, parse, suggestion
+from tisfm.errors import MissingPackageError, TisfmError, is_user_error
 from tisfm.machine.address_space import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
+SHELLS = ("bash", "zsh", "fish", "tcsh")
+# What the scripts of tyro lack: names of files where no option or value fits.
+_COMPLETE_FILES = {
+    "bash": "complete -o default -F _tyro_tisfm tisfm",
+    "zsh": "(( compstate[nmatches] )) || _files",
+    "fish": "complete --command tisfm --force-files",
+}
+OF_TISFM = ("--help", "--version", "--completion")
+# Commands in the order of the help, with their modules and classes. A module is imported when its
+# command is called.
+COMMANDS = {
+    "run": ("tisfm.cli.run", "Run"),
+    "reconstruct": ("tisfm.cli.reconstruct", "Reconstruct"),
+    "eval": ("tisfm.cli.evaluate", "Eval"),
+    "batch": ("tisfm.cli.batch", "Batch"),
+    "export": ("tisfm.cli.export", "Export"),
+    "report": ("tisfm.cli.report", "Report"),
+    "view": ("tisfm.cli.view", "View"),
+    "demo": ("tisfm.cli.demo", "Demo"),
+    "figures": ("tisfm.cli.figures", "Figures"),
+    "doctor": ("tisfm.cli.doctor", "Doctor"),
+}
+_DESCRIPTION = (
+    "Dense structure and 3D motion from image sequences, on a CPU, without training. "
+    "Try `tisfm demo` first. `tisfm run --help` explains every setting. `tisfm doctor` says what "
+    "is wrong with an installation. `tisfm --completion bash` prints a script by which the shell "
+    "completes commands and options."
+)
 
-@dataclass(kw_only=True)
-class Batch:
-    """Interpret or reconstruct many videos, each in a process of its own.
-
-    LIST is a CSV file: its first line names the columns source, output and, as they are needed,
-    options of the command, such as preset, focal or motion; then a line for each video. An empty
-    cell leaves an option out, yes and no turn one on and off. Paths are relative to where the
-    command runs. What fails is said, and stops no other.
-    """
-
-    jobs: Annotated[Positional[Path], arg(metavar="LIST")]
-    """A CSV file with columns source and output, and one for each option, such as focal."""
-    command: Literal["run", "reconstruct"] = "run"
-    """What is done with each."""
-    workers: int = 1
-    """Videos at a time."""
-    threads: int | None = None
-    """Most CPU threads of each; by default its share of all cores."""
-    resume: bool = False
-    """Continue runs and reconstructions that were interrupted."""
-
-    def __call__(self) -> int:
-        """Run the command and return the exit code."""
-        from tisfm.cli.batch import batch
-
-        return batch(
-            self.jobs,
-            self.command,
-            check=refuse_wrong,
-            workers=self.workers,
-            threads=self.threads,
-            resume=self.resume,
-        )
-
-
-Command = Run | Reconstruct | Eval | Batch | Export | Report | View | Demo | Figures | Doctor
+Command = Callable[[], int]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    Errors that were foreseen are one line on standard error and exit code 1 (2 for a wrong
-    option). Any other is a bug, and leaves its traceback.
+    An error that the user can mend is one line on standard error, with exit code 1, or 2 for a
+    wrong option. Any other error is a bug, and leaves its traceback.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
@@ -94,8 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             arguments = ["--completion", arguments[0].partition("=")[2], *arguments[1:]]
         if arguments[:1] == ["--completion"]:
             return _print_completion(arguments[1:])
-        command = _parse_or_explain(arguments)
-        return command()
+        return parse_command(arguments)()
+    except WrongOptionError as error:
+        return _fail(str(error), WRONG_OPTION)
     except KeyboardInterrupt:
         print("tisfm: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -116,17 +103,85 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
 
 
-def _print_completion(shells: list[str]) -> int:
-    """Print what a shell completes by; return the exit code."""
-    from tisfm.cli.completion import completion_script
+def parse_command(arguments: Sequence[str]) -> Command:
+    """Return the command that arguments ask for.
 
+    Raises
+    ------
+    WrongOptionError
+        If the command or an option does not exist, or a value is wrong or missing.
+    SystemExit
+        After the help, if the arguments ask for it.
+    """
+    if not arguments:
+        raise WrongOptionError(
+            f"a command is missing: give one of {', '.join(COMMANDS)}; tisfm demo is a good "
+            "beginning"
+        )
+    name, *others = arguments
+    if name in COMMANDS:
+        kind, default = _command(name, arguments)
+        command: Command = parse(name, kind, others, default)
+        return command
+    if name in ("--help", "-h") and not others:
+        _all_commands(["--help"])
+    option = name.partition("=")[0]
+    if option in OF_TISFM:
+        raise WrongOptionError(
+            f"{option} stands alone, or with its value after a space; see tisfm --help"
+        )
+    if name.startswith("-"):
+        raise WrongOptionError(
+            f"tisfm has no option {option}{suggestion(option, OF_TISFM)}; see tisfm --help"
+        )
+    raise WrongOptionError(
+        f"tisfm has no command {name}{suggestion(name, COMMANDS)}; expected {', '.join(COMMANDS)}"
+    )
+
+
+def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
+    """Return the class of a command, and an instance with defaults that the arguments choose."""
+    module, kind = COMMANDS[name]
+    command = getattr(import_module(module), kind)
+    if name not in ("run", "eval"):
+        return command, None
+    preset = _preset(arguments)
+    settings = Settings.preset(preset)
+    if "--sequence" in arguments:  # the path of a sequence needs one motion, that of the camera
+        settings = Settings.preset(preset, motion="camera")
+    required = ("source", "output") if name == "run" else ("folders",)
+    options = SettingsOptions(**asdict(settings))
+    missing = dict.fromkeys(required, tyro.MISSING)
+    return command, command(**missing, preset=preset, settings=options)
+
+
+def _all_commands(arguments: list[str]) -> None:
+    """Let tyro print what concerns all commands: the help, or a script for a shell."""
+    kinds = []
+    for name in COMMANDS:
+        command, default = _command(name)
+        given = {} if default is None else {"default": default}
+        kinds.append(Annotated[command, subcommand(name, prefix_name=False, **given)])
+    tyro.cli(reduce(or_, kinds), prog="tisfm", args=arguments, description=_DESCRIPTION)
+
+
+def _print_completion(shells: Sequence[str]) -> int:
+    """Print the script by which a shell completes commands and options; return the exit code."""
     if len(shells) != 1:
-        return _fail(f"--completion takes one shell: {', '.join(SHELLS)}", WRONG_OPTION)
+        raise WrongOptionError(f"--completion takes one shell: {', '.join(SHELLS)}")
+    shell = shells[0]
+    if shell not in SHELLS:
+        raise WrongOptionError(
+            f"--completion is {shell!r}{hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
+        )
     try:
-        script = completion_script(shells[0], known_options(_parse))
-    except ValueError as error:  # an unknown shell
-        return _fail(str(error), WRONG_OPTION)
-    print(script, end="")
+        with contextlib.suppress(SystemExit):
+            _all_commands(["--tyro-print-completion", shell])
+    except ImportError as error:  # tyro needs shtab for tcsh
+        raise MissingPackageError(
+            f"completion for {shell} needs shtab, which is not installed: pip install shtab"
+        ) from error
+    print(_COMPLETE_FILES.get(shell, ""))
     return 0
 
 
@@ -136,52 +191,7 @@ def _fail(text: str, code: int = 1) -> int:
     return code
 
 
-def _parse_or_explain(arguments: list[str]) -> Command:
-    """Parse arguments; where they are wrong, say so in a line and leave with exit code 2."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            return _parse(arguments)
-    except SystemExit as end:
-        if end.code in (0, None):  # help
-            raise
-    raise SystemExit(_fail(explained(arguments, said.getvalue(), _parse), WRONG_OPTION))
-
-
-def _parse(arguments: list[str]) -> Command:
-    preset = _preset(arguments)
-    settings = SettingsOptions(**asdict(Settings.preset(preset)))
-    run = Run(source=tyro.MISSING, output=tyro.MISSING, preset=preset, settings=settings)
-    of_path = settings  # a sequence has one motion, that of the camera
-    if "--sequence" in arguments:
-        of_path = SettingsOptions(**asdict(Settings.preset(preset, motion="camera")))
-    evaluation = Eval(folders=tyro.MISSING, preset=preset, settings=of_path)
-    commands = (
-        Annotated[Run, subcommand("run", default=run, prefix_name=False)]
-        | Annotated[Reconstruct, subcommand("reconstruct", prefix_name=False)]
-        | Annotated[Eval, subcommand("eval", default=evaluation, prefix_name=False)]
-        | Annotated[Batch, subcommand("batch", prefix_name=False)]
-        | Annotated[Export, subcommand("export", prefix_name=False)]
-        | Annotated[Report, subcommand("report", prefix_name=False)]
-        | Annotated[View, subcommand("view", prefix_name=False)]
-        | Annotated[Demo, subcommand("demo", prefix_name=False)]
-        | Annotated[Figures, subcommand("figures", prefix_name=False)]
-        | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
-    )
-    return tyro.cli(commands, prog="tisfm", args=arguments, description=__doc_cli__)
-
-
-def refuse_wrong(arguments: list[str]) -> None:
-    """Raise ValueError if the parser refuses arguments, with what is wrong about them."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            _parse(arguments)
-    except SystemExit:
-        raise InputError(explained(arguments, said.getvalue(), _parse)) from None
-
-
-def _preset(arguments: list[str]) -> Preset:
+def _preset(arguments: Sequence[str]) -> Preset:
     """Find the preset before the rest is parsed, so that help shows its values as defaults."""
     preset: Preset = "balanced"
     for index, argument in enumerate(arguments):
@@ -191,10 +201,3 @@ def _preset(arguments: list[str]) -> Preset:
             if given in get_args(Preset):  # else the parser refuses it
                 preset = given  # type: ignore[assignment]
     return preset
-
-
-__doc_cli__ = (
-    "Dense structure and 3D motion from image sequences, on a CPU, without training. "
-    "Try `tisfm demo` first; `tisfm run --help` explains every setting. `tisfm doctor` says what "
-    "is wrong with an installation, `tisfm --completion bash` prints what a shell completes by."
-)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.progress import Progress
 from tyro.conf import Positional, UseAppendAction, arg
@@ -26,6 +26,13 @@ if TYPE_CHECKING:  # their import takes seconds: it imports Taichi and SciPy
     from tisfm.exports.formats import Format
     from tisfm.exports.result_frames import PairFrames, SequenceFrames
 
+FormatName = Literal[
+    "tum", "kitti", "ply", "glb", "mesh-ply", "mesh-glb", "gltf-camera", "chan", "colmap",
+    "colmap-text", "nerfstudio", "undistortion", "undistortion-tiff", "depth-tum", "depth-kitti",
+    "depth-exr", "depth-tiff", "depth-pfm", "depth-dpt", "masks", "video-depth", "video-flow",
+    "video-side-by-side", "video-anaglyph", "video-wiggle",
+]  # fmt: skip
+
 
 @dataclass(kw_only=True)
 class Export:
@@ -42,7 +49,7 @@ class Export:
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
     """The folder of a reconstruction or a run."""
-    to: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FORMAT")]
+    to: UseAppendAction[tuple[FormatName, ...]]
     """What to write: give it once for each, or several with commas."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
     """Folder for the files, another than DIR; made if need be. Files of the same name are
@@ -72,7 +79,7 @@ class Export:
         return export(
             self.folder,
             self.output,
-            formats=[name for word in self.to for name in word.replace(" ", "").split(",") if name],
+            formats=self.to,
             frames=(self.start, self.stop, self.step),
             frames_per_second=self.fps,
             scale=self.scale,

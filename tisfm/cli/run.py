@@ -10,9 +10,9 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from tisfm import runtime
 from tisfm.camera import Camera
@@ -30,7 +30,7 @@ from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign
 from tisfm.running.background import Background
 from tisfm.running.pair_chunks import Chunk, FinishedChunk, chunks_of, interpret_chunk
-from tisfm.running.pair_files import USUAL
+from tisfm.running.pair_files import USUAL, checked_outputs
 from tisfm.running.pair_writer import PairWriter
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.running.pool import WorkerPool, check_workers, open_pool
@@ -41,6 +41,8 @@ from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.window import Window, WindowSize, window_of
+
+Output = Literal["depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz"]
 
 
 @dataclass(kw_only=True)
@@ -73,9 +75,9 @@ class Run:
     """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
     resume: bool = False
     """Continue a run that was interrupted: skip the pairs it finished."""
-    outputs: str | None = None
-    """What is written of each pair, with commas: some of depth, depth16, flow, anaglyph, figure,
-    ply, pose, npz. By default all but flow and ply, which are large."""
+    outputs: UseAppendAction[tuple[Output, ...]] = ()
+    """What is written of each pair: several with commas between, or the option several times. By
+    default all but flow and ply, which are large."""
     figures: int = 1
     """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
@@ -138,13 +140,11 @@ class Run:
 
     def _outputs(self) -> tuple[str, ...]:
         """Return what is written, or raise ValueError."""
-        from tisfm.running.pair_writer import USUAL, checked_outputs
-
         if self.figures < 0:
             raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
-        chosen = USUAL if self.outputs is None else self.outputs.replace(" ", "").split(",")
+        chosen = self.outputs or USUAL
         more = ["flow"] * self.flo + ["ply"] * self.ply
-        return checked_outputs([*filter(None, chosen), *more])
+        return checked_outputs([*chosen, *more])
 
 
 def run(

@@ -5,6 +5,7 @@ import re
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_args, get_origin
 
 import cv2
 import numpy as np
@@ -15,9 +16,9 @@ from hypothesis import strategies as st
 from tests.cli.command_line import TISFM, assert_one_line
 from tisfm.checks import hint, nearest
 from tisfm.cli import progress, reconstruct
-from tisfm.cli.command_line import _parse
-from tisfm.cli.known_options import known_options
+from tisfm.cli.command_line import COMMANDS, _command
 from tisfm.cli.options import FrameOptions
+from tisfm.cli.parsing import option_types
 from tisfm.cli.progress import Foretelling
 
 WRONG = {
@@ -71,18 +72,29 @@ def test_a_mistake_is_the_same_line_in_a_terminal_of_few_characters(place, line,
     assert_one_line(done.returncode, done.stderr.decode("ascii"), *WRONG[line])
 
 
-NUMBERS = {"INT", "FLOAT", "FRAME"}
+def numbers_of(command):
+    """Return the options of a command that take numbers, and how many."""
+    found = {}
+    for name, kind in option_types(_command(command)[0]).items():
+        kinds = [one for one in get_args(kind) or (kind,) if one is not type(None)]
+        parts = [get_args(one) if get_origin(one) is tuple else (one,) for one in kinds]
+        if get_origin(kind) is tuple:
+            parts = [get_args(kind)]
+        counts = [len(one) for one in parts if set(one) <= {int, float}]
+        if counts:
+            found[name] = counts[0]
+    return found
 
 
-@pytest.mark.parametrize("command", known_options(_parse).commands)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_word_for_a_number_is_told_in_words(tisfm_run, command):
     """Of every option that takes numbers."""
-    shapes = known_options(_parse, command=command).shapes[command]
-    numeric = {name: shape for name, shape in shapes.items() if _takes_numbers(shape)}
+    numeric = numbers_of(command)
     needed = {"figures": ["a", "b", "-o", "y"], "demo": [], "doctor": [], "batch": ["x"]}
-    words = needed.get(command, ["x", "-o", "y"] if "-o" in shapes else ["x"])
-    for name, shape in numeric.items():
-        code, out, err = tisfm_run(command, *words, name, *["two"] * _count(shape))
+    has_output = "-o" in option_types(_command(command)[0])
+    words = needed.get(command, ["x", "-o", "y"] if has_output else ["x"])
+    for name, count in numeric.items():
+        code, out, err = tisfm_run(command, *words, name, *["two"] * count)
         assert out == "" and code == 2, name
         assert_one_line(code, err, f"{name} is 'two", "expected ", "number")
         assert not any(word in err for word in ("INT", "FLOAT", "None", "literal", "type"))
@@ -93,22 +105,13 @@ def test_a_word_for_a_number_is_told_in_words(tisfm_run, command):
 
 
 def test_options_that_take_numbers_are_found():
-    shapes = known_options(_parse).shapes
-    assert sum(_takes_numbers(shape) for taken in shapes.values() for shape in taken.values()) > 90
-    assert _count(shapes["run"]["--stiffness"]) == 6 and _count(shapes["export"]["--scale"]) == 3
-
-
-def _takes_numbers(shape):
-    return bool(NUMBERS & set(re.findall(r"\w+", shape)))
-
-
-def _count(shape):
-    return len([word for word in re.findall(r"\w+", shape) if word in {*NUMBERS, "DISTANCE"}])
+    assert sum(len(numbers_of(command)) for command in COMMANDS) > 90
+    assert numbers_of("run")["--stiffness"] == 6 and numbers_of("export")["--scale"] == 3
 
 
 def test_outputs_are_told_the_nearest(tisfm_run, frames):
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--outputs", "depht,npz")
-    assert_one_line(code, err, "depht", "did you mean 'depth'?")
+    assert_one_line(code, err, "depht", "did you mean depth?")
 
 
 def test_a_list_of_videos_is_told_the_nearest(tisfm_run, place):
@@ -122,14 +125,12 @@ def test_help_is_left_alone(tisfm_run):
     assert code == 0 and "--preset" in out and err == ""
 
 
-def test_options_are_read_from_the_help():
-    known = known_options(_parse)
-    assert known.commands[:2] == ("run", "reconstruct") and "doctor" in known.commands
-    assert known.options["run"]["--preset"] == ("paper", "fast", "balanced", "accurate")
-    assert known.options["run"]["--threads"] == () and known.options["run"]["-o"] == ()
-    assert {"--no-report", "--report", "--no-figures"} <= set(known.options["run"])
-    assert known.options["reconstruct"]["--mesh"] == ("ply", "glb")
-    assert known.options["demo"].keys() >= {"--output", "--height", "--help"}
+def test_the_options_of_a_command_are_those_of_its_help(tisfm_run):
+    for command in COMMANDS:
+        _, out, _ = tisfm_run(command, "--help")
+        of_help = set(re.findall(r"(?<=[ │,])--[a-z][a-z-]*", out))
+        types = option_types(_command(command)[0])
+        assert {name for name in types if name.startswith("--")} <= of_help, command
 
 
 @given(st.text(max_size=12), st.lists(st.text(max_size=12), max_size=5))

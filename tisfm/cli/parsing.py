@@ -1,0 +1,211 @@
+"""Parsing of arguments by tyro, with an error of one line for each argument that tyro refuses.
+
+The errors are made from the events of `tyro._errors`, a private module: pyproject.toml bounds
+tyro by its minor version, and tests/cli/test_wrong_options.py checks every kind of event.
+"""
+
+import types
+from collections.abc import Iterable, Sequence
+from dataclasses import fields, is_dataclass
+from itertools import takewhile
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NoReturn,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import tyro
+from tyro import _errors
+
+from tisfm.checks import nearest
+from tisfm.errors import InputError
+
+T = TypeVar("T")
+SEVERAL = {"export": ("--to",), "run": ("--outputs",)}
+"""Options that may have several values with commas between, by commands."""
+_LISTED = 12  # values of an option that an error lists although it names the nearest; set by hand
+
+
+class WrongOptionError(InputError):
+    """The arguments of a command are not those that it takes."""
+
+
+def parse(name: str, command: type[T], arguments: Sequence[str], default: T | None = None) -> T:
+    """Return a command with the values that its arguments give.
+
+    Parameters
+    ----------
+    name : str
+        Name of the command on the command line.
+    command : type
+        Its dataclass.
+    arguments : sequence of str
+        The arguments after the name.
+    default : command, optional
+        Values of options that are not given, instead of the defaults of the dataclass.
+
+    Raises
+    ------
+    WrongOptionError
+        If an argument is wrong, or one is missing.
+    SystemExit
+        After the help, if the arguments ask for it.
+    """
+    words = _with_commas_split(arguments, SEVERAL.get(name, ()))
+    options = option_types(command)
+    _refuse_unknown(name, words, options)
+
+    def refuse(event: _errors.ParseErrorEvent) -> NoReturn:
+        raise WrongOptionError(f"{_explanation(name, event, words)}; see tisfm {name} --help")
+
+    given = {} if default is None else {"default": default}
+    with _errors.on_parse_error(refuse):
+        return tyro.cli(command, prog=f"tisfm {name}", args=words, **given)
+
+
+def option_types(command: type) -> dict[str, Any]:
+    """Return the names of the options of a command, such as "--preset", with their types."""
+    found: dict[str, Any] = {"--help": bool, "-h": bool}
+    for field in fields(command):
+        kind = get_type_hints(command, include_extras=True)[field.name]
+        markers = list(get_args(kind)[1:]) if get_origin(kind) is Annotated else []
+        kind = get_args(kind)[0] if markers else kind
+        if is_dataclass(kind):
+            found |= option_types(kind)  # type: ignore[arg-type]  # it is a class
+            continue
+        if tyro.conf.Positional[int].__metadata__[0] in markers:
+            continue
+        labels = [marker for marker in markers if hasattr(marker, "aliases")]
+        own = next((label.name for label in labels if label.name), field.name).replace("_", "-")
+        found[f"--{own}"] = kind
+        if kind is bool and tyro.conf.FlagCreatePairsOff[bool].__metadata__[0] not in markers:
+            found[f"--no-{own}"] = kind
+        found |= {alias: kind for label in labels for alias in label.aliases or ()}
+    return found
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return ": did you mean …?" with the nearest known word; "" if none is similar."""
+    found = nearest(word, known)
+    return "" if found is None else f": did you mean {found}?"
+
+
+def _with_commas_split(arguments: Sequence[str], several: Sequence[str]) -> list[str]:
+    """Return the arguments with ``--to a,b`` written as ``--to a --to b``."""
+    words: list[str] = []
+    waiting = iter(arguments)
+    for word in waiting:
+        name, equals, value = word.partition("=")
+        if name not in several:
+            words.append(word)
+            continue
+        given = value if equals else next(waiting, "")
+        values = [one for one in given.replace(" ", "").split(",") if one] or [given]
+        words += [part for one in values for part in (name, one)] if given else [name]
+    return words
+
+
+def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) -> None:
+    for word in takewhile(lambda one: one != "--", words):
+        option = word.partition("=")[0]
+        # tyro takes underscores for dashes.
+        if option.startswith("--") and option.replace("_", "-") not in options:
+            raise WrongOptionError(
+                f"tisfm {name} has no option {option}{suggestion(option, options)}; see tisfm "
+                f"{name} --help"
+            )
+
+
+def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) -> str:
+    """Return in words why tyro refuses the arguments of a command."""
+    if isinstance(event, _errors.InvalidChoice):
+        known = [choice for choice in _choices(event.argument) if choice != "None"]
+        meant = suggestion(event.value, known)
+        option = event.argument.display_name()
+        if meant and len(known) > _LISTED:
+            return f"{option} is {event.value!r}{meant}"
+        return f"{option} is {event.value!r}{meant}; expected one of {', '.join(known)}"
+    if isinstance(event, _errors.BadValue) and event.argument.is_positional():
+        count, label = event.argument.lowered.nargs, event.argument.lowered.metavar
+        return f"tisfm {name} takes {count} {event.argument.field.intern_name}: give {label}"
+    if isinstance(event, (_errors.BadValue, _errors.InstantiationFailure)) and event.argument:
+        argument = event.argument
+        option, expected = argument.display_name(), _expected(argument)
+        given = _values_of(argument.lowered.name_or_flags, words)
+        if not given:
+            return f"{option} stands without its value: expected {expected}"
+        text = " ".join(given)
+        return f"{option} is {text!r}{suggestion(text, _literals(argument))}; expected {expected}"
+    if isinstance(event, _errors.UnrecognizedArgs):
+        return f"tisfm {name} has no place for {' '.join(event.tokens)}"
+    if isinstance(event, _errors.MissingArgs):
+        missing = [
+            one.arg.lowered.metavar
+            if one.arg.is_positional()
+            else f"{one.arg.lowered.name_or_flags[0]} {one.arg.lowered.metavar}"
+            for one in event.missing_arguments
+        ]
+        return f"tisfm {name} needs {', '.join(map(str, missing))}"
+    message = getattr(event, "message", "these options are wrong")
+    return " ".join(str(message).split())
+
+
+def _choices(argument: Any) -> list[str]:
+    """Return the values of an option in the order of its declaration."""
+    declared = _literals(argument)
+    return declared or [str(choice) for choice in argument.lowered.choices or ()]
+
+
+def _literals(argument: Any) -> list[str]:
+    found = [
+        str(value)
+        for kind in _alternatives(argument.field.type_stripped)
+        if get_origin(kind) is Literal
+        for value in get_args(kind)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """Return the types of a union, or of the items of a tuple of any length, without None."""
+    if get_origin(kind) in (Union, types.UnionType):
+        return [one for part in get_args(kind) for one in _alternatives(part)]
+    if get_origin(kind) is tuple and get_args(kind)[-1] is Ellipsis:
+        return _alternatives(get_args(kind)[0])
+    return [] if kind is type(None) else [kind]
+
+
+def _expected(argument: Any) -> str:
+    """Return in words the values that an option takes, such as "a whole number"."""
+    told: list[str] = []
+    for kind in _alternatives(argument.field.type_stripped):
+        parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
+        if get_origin(kind) is Literal:
+            told += map(str, get_args(kind)[:_LISTED])
+        elif set(parts) <= {int, float}:
+            noun = "whole number" if set(parts) == {int} else "number"
+            told.append(f"a {noun}" if len(parts) == 1 else f"{len(parts)} {noun}s")
+        else:
+            told.append(str(argument.lowered.metavar or "a value"))
+    return " or ".join(dict.fromkeys(told))
+
+
+def _values_of(names: Sequence[str], words: Sequence[str]) -> list[str]:
+    """Return the words that are given to an option, where it is given last."""
+    values: list[str] = []
+    is_open = False
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name.replace("_", "-") in names:
+            values, is_open = [value] if equals else [], not equals
+        elif word.startswith("-") and word.lstrip("-")[:1].isalpha():
+            is_open = False
+        elif is_open:
+            values.append(word)
+    return values
