@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from tests.draws import nightly_except
+
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = ("gallery", "settings_pictures", "failures")
 CELL = re.compile(r"^```\{code-cell\} python\n((?::[^\n]*\n)*)(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -49,8 +51,7 @@ def no_window():
     plt.switch_backend(before)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", nightly_except("gallery", "failures", of=PAGES))
 def test_the_page_is_true(page, no_window, tmp_path, monkeypatch):
     """Its cells draw; then all that the page claims is looked at."""
     monkeypatch.chdir(tmp_path)

@@ -6,23 +6,24 @@ import pytest
 import tisfm
 from bench.objects import statue
 from bench.shared.sequences import MIDDLEBURY, find_pairs
+from tests.draws import nightly_except
 from tisfm.formats import read_image
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.sources import FrameSource
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("taken", nightly_except(5, of=[5, None]))
 @pytest.mark.parametrize(("name", "pairs"), [("flowergarden", 28), ("statue", 30)])
-def test_every_pair_is_interpreted(shared_data, name, pairs):
+def test_every_pair_is_interpreted(shared_data, name, pairs, taken):
     assert len(FrameSource(shared_data / name)) == pairs
     settings = tisfm.Settings.preset("fast")
     count = 0
-    for result in tisfm.interpret_sequence(shared_data / name, settings=settings):
+    for result in tisfm.interpret_sequence(shared_data / name, settings=settings, stop=taken):
         assert result.status in ("converged", "iteration_limit")
         assert np.isfinite(result.flow).all()
         assert 0.1 < np.linalg.norm(result.flow, axis=-1).mean() < 10
         count += 1
-    assert count == pairs
+    assert count == (pairs if taken is None else taken - 1)
 
 
 def test_the_tree_stands_out_from_the_houses(shared_data):
@@ -42,7 +43,7 @@ def test_the_walking_man_moves_on_his_own(shared_data):
     assert np.linalg.norm(man - wall) > 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # of one pair: the test above, and tests/motion/test_runaways.py
 def test_the_man_and_the_cyclist_have_labels_of_their_own(shared_data):
     pairs = list(statue.statue_pairs(shared_data))
     assert len(pairs) == 14
@@ -69,7 +70,7 @@ def flows(shared_data, preset, *names):
     [
         ("fast", 0.393),  # OpenCV's DIS medium
         ("balanced", 0.24),
-        pytest.param("accurate", 0.18, marks=pytest.mark.slow),
+        pytest.param("accurate", 0.18, marks=pytest.mark.nightly),
     ],
 )
 def test_end_point_error_on_middlebury(shared_data, preset, bar):
@@ -78,8 +79,13 @@ def test_end_point_error_on_middlebury(shared_data, preset, bar):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "bar"), [("yosemite_clouds", 2.4), ("yosemite_cloudless", 1.5)])
+@pytest.mark.parametrize(
+    ("name", "bar"),
+    [
+        ("yosemite_clouds", 2.4),
+        pytest.param("yosemite_cloudless", 1.5, marks=pytest.mark.nightly),
+    ],
+)
 def test_angular_error_on_yosemite(shared_data, name, bar):
     (pair,) = flows(shared_data, "accurate", name)
     assert angular_error(*pair) < bar
@@ -90,7 +96,7 @@ def test_end_point_error_on_alley(shared_data):
     assert endpoint_error(*pair) < 0.19
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # of smaller displacements: the tests above
 def test_outliers_of_stereo_pairs(shared_data):
     """Displacements of up to 60 px."""
     rates = [outlier_rate(*pair) for pair in flows(shared_data, "balanced", "cones", "motorcycle")]

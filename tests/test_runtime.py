@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE
 from tisfm import runtime
 
@@ -442,7 +443,10 @@ print(len(found), len(set(found)))
 """
 
 
-@pytest.mark.parametrize(("count", "before"), [(1, "runtime.start()"), (3, "")])
+@pytest.mark.parametrize(
+    ("count", "before"),
+    [pytest.param(1, "runtime.start()", marks=pytest.mark.nightly), (3, "")],
+)
 def test_the_first_interpretation_may_be_in_any_thread(count, before):
     code = INTERPRET_IN_THREADS.format(count=count, before=before)
     assert answer(code) == f"{count} 1"
@@ -476,7 +480,7 @@ print(len(set(alone)), sum(map(sum, found)))
 """
 
 
-@pytest.mark.parametrize("motion", ["field", "camera", "objects"])
+@pytest.mark.parametrize("motion", nightly_except("objects", of=["field", "camera", "objects"]))
 def test_eight_threads_at_once_get_the_bits_of_one(motion):
     assert answer(EIGHT, motion) == "4 32"
 
@@ -503,7 +507,7 @@ threading.Thread(target=afterwards).start()
 """
 
 
-@pytest.mark.parametrize("before", ["", "interpret()"], ids=["first", "second"])
+@pytest.mark.parametrize("before", nightly_except("", of=["", "interpret()"]))
 def test_an_interpretation_may_outlive_the_main_thread(before):
     """It has no second thread then."""
     assert answer(OUTLIVE.format(before=before)) == "converged"

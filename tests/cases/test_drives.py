@@ -40,12 +40,20 @@ def folder(shared_data, request):
 
 
 @pytest.mark.parametrize("folder", ["kitti_cars/images"], indirect=True)
-@pytest.mark.parametrize(("size", "focal"), [(640, 721.5), (640, None), (800, None)])
+@pytest.mark.parametrize(
+    ("size", "focal"),
+    [
+        (640, None),
+        pytest.param(640, 721.5, marks=pytest.mark.nightly),
+        pytest.param(800, None, marks=pytest.mark.nightly),
+    ],
+)
 def test_a_street_with_cars(folder, size, focal):
     camera = None if focal is None else tisfm.Camera(focal=focal)
     assert_forward(path_of(folder, size=size, camera=camera))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("folder", ["clips/carnd_solidWhiteRight.mp4"], indirect=True)
 def test_a_motorway(folder):
     assert_forward(path_of(folder, start=120, stop=161, step=2))

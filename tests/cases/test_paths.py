@@ -9,6 +9,7 @@ import pytest
 import tisfm
 import tisfm.focal_guess
 from tests.cases import inputs
+from tests.draws import nightly_except
 from tests.reconstruction.films import path_error
 from tisfm.rigid import pose_matrix
 
@@ -91,11 +92,11 @@ ABOVE = (0, -0.35, 0)  # m/frame, as a drone that looks down
     ("poses", "scene"),
     [
         (flight(ABOVE), {}),
-        (flight(ABOVE, 0.02), {}),
+        pytest.param(flight(ABOVE, 0.02), {}, marks=pytest.mark.nightly),
         (flight((0.3, 0, 0.12), 0.01), {"normal": (0.5, 0, 0.866)}),
-        (flight(ABOVE), {"relief": 0.02}),
+        pytest.param(flight(ABOVE), {"relief": 0.02}, marks=pytest.mark.nightly),
         (flight(ABOVE), {"relief": 0.05}),
-        (flight(ABOVE), {"relief": 0.1}),
+        pytest.param(flight(ABOVE), {"relief": 0.1}, marks=pytest.mark.nightly),
     ],
     ids=["flat", "wobbling", "slanted", "relief 2 %", "relief 5 %", "relief 10 %"],
 )
@@ -118,7 +119,7 @@ def test_a_plane_and_a_guessed_focal_length_give_no_path():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stated", [1.0, 0.7, 1.5])
+@pytest.mark.parametrize("stated", nightly_except(1.0, of=[1.0, 0.7, 1.5]))
 def test_a_camera_that_only_turns_gives_no_path_whatever_focal_length_is_stated(stated):
     poses = np.array([pose_matrix((0, 0, 0, 0, 0.025 * k, 0.004 * k)) for k in range(COUNT)])
     films = tisfm.scenes.room_film(poses, 120, 160, samples=1)
@@ -138,7 +139,7 @@ def page(height=700):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning")
-@pytest.mark.parametrize("focal", [None, FOCAL])
+@pytest.mark.parametrize("focal", nightly_except(None, of=[None, FOCAL]))
 def test_a_page_that_scrolls_shows_no_readout(focal):
     found = path_of([page()[9 * k : 9 * k + HEIGHT] for k in range(COUNT)], focal=focal)
     assert found.calibration.readout == 0

@@ -177,8 +177,10 @@ def test_with_too_little_parallax_nothing_is_carried(scene):
     assert with_carried_background(pyramid, settings, flat, labels, motion) is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("folder", "first"), [("tartanair", 2), ("hololens", 8)])
+@pytest.mark.parametrize(
+    ("folder", "first"),
+    [("tartanair", 2), pytest.param("hololens", 8, marks=pytest.mark.nightly)],
+)
 def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, first):
     """There, noise fits one motion and another; edges fit the background's where it is carried."""
     focal, _, *center = np.loadtxt(shared_data / folder / "camera.txt", skiprows=1)

@@ -127,9 +127,19 @@ def test_a_right_pose_is_not_doubted(posed, noise, known):
     assert result.status == "converged"
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("kind", STATIC_KINDS)
+@pytest.mark.parametrize(("preset", "focal"), [("fast", 225.0), ("balanced", 900.0)])
+def test_right_poses_of_all_scenes(kind, preset, focal):
+    assert_pose_is_right(kind, focal, preset)
+
+
+@pytest.mark.nightly
 @pairwise(kind=STATIC_KINDS, focal=[225.0, 240.0, 450.0, 900.0], preset=["fast", "balanced"])
-def test_right_poses_of_all_scenes(kind, focal, preset):
+def test_right_poses_of_all_scenes_and_focal_lengths(kind, focal, preset):
+    assert_pose_is_right(kind, focal, preset)
+
+
+def assert_pose_is_right(kind, focal, preset):
     scene = static_scene(kind, 180, 240, seed=1, focal=focal)
     settings = tisfm.Settings.preset(preset, motion="camera")
     result = interpreted(scene, settings, pose=pose_matrix(scene.motions[0]))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.rendered import two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.objects import runaways
@@ -192,7 +193,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
         assert not estimate.inverse_depth[labels == 1].any()
 
 
-@pytest.mark.parametrize("first", [2, 14])
+@pytest.mark.parametrize("first", nightly_except(14, of=[2, 14]))
 def test_who_walks_past_does_not_run_away(shared_data, first):
     """The flow of the man, or of a part of him, once came to be 46 and 130 px."""
     files = sorted((shared_data / "statue").iterdir())

@@ -9,7 +9,7 @@ import tisfm
 from tests.reconstruction.cars import CARS, FRAMES, NEAR
 from tisfm.datasets import find_sequences
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly  # of a rendered street: test_below_ground.py
 
 MEASURED = (0, 8, 16)  # frames in which cars that move are to be labelled
 # A car of which less than half is seen does not count; standing cars count at any distance.

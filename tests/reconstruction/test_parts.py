@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tests.one_thread import bits_on_one_thread, several_threads
-from tests.reconstruction.walks import CAMERA, centres, frames, residual
+from tests.reconstruction import walks
+from tests.reconstruction.walks import SMALL, SMALL_CAMERA, centres, residual
 from tisfm.reconstruction.geometry import sim3_graph as similarity_graph
 from tisfm.reconstruction.mapping.incremental import SMALLEST
 from tisfm.reconstruction.mapping.solution import FocalEstimate
@@ -21,8 +22,12 @@ from tisfm.reconstruction.submaps.joining import focal_from_parts, parts_of
 WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
 
 
+def frames(*arguments, **options):
+    return walks.frames(*arguments, size=SMALL, **options)
+
+
 def path_in_parts(images, most=10, overlap=5):
-    finder = PathFinder(CAMERA)
+    finder = PathFinder(SMALL_CAMERA)
     for image in images:
         finder.add(image)
     with (
@@ -35,7 +40,7 @@ def path_in_parts(images, most=10, overlap=5):
 
 
 def bits():
-    found = path_in_parts(frames(WALK))
+    found = path_in_parts(frames(WALK[:14]))
     poses = [pose.tobytes() for piece in found.pieces for pose in piece.poses.values()]
     return hashlib.sha256(b"".join(poses)).hexdigest()
 
@@ -81,7 +86,8 @@ def test_a_round_trip_closes_across_parts():
     found = np.array([piece.poses[k][:3, 3] for k in range(48)])
     length = np.linalg.norm(np.diff(found, axis=0), axis=1).sum()
     assert any(not edge.certain for edge in edges)  # a place that was seen again
-    assert np.linalg.norm(found[0] - found[-1]) < 0.006 * length
+    # Measured: 0.0064 of frames of 180 × 240. In px the limit is that of 0.006 at 240 × 320.
+    assert np.linalg.norm(found[0] - found[-1]) < 0.008 * length
     assert residual(found, centres(way)) < 0.005
 
 
@@ -120,18 +126,18 @@ def test_two_scenes_are_two_pieces():
 
 @pytest.mark.slow
 def test_a_part_without_a_beginning_of_its_own_continues_the_next():
-    turning = [(0, 0, 0.012 * k - 0.2) for k in range(16)]
-    going = [(0.02 * k, 0.04 * k, 0.01 * k - 0.02) for k in range(20)]
+    turning = [(0, 0, 0.012 * k - 0.152) for k in range(12)]
+    going = [(0.02 * k, 0.04 * k, 0.01 * k - 0.02) for k in range(14)]
     found = path_in_parts(frames(turning + going))
     (piece,) = found.pieces
-    assert len(piece.poses) > 30
-    turned = [k for k in piece.poses if k < 16]
+    assert len(piece.poses) > 22
+    turned = [k for k in piece.poses if k < 12]
     assert np.ptp([piece.poses[k][:3, 3] for k in turned], axis=0).max() < 0.1 * np.linalg.norm(
-        piece.poses[35][:3, 3] - piece.poses[16][:3, 3]
+        piece.poses[25][:3, 3] - piece.poses[12][:3, 3]
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # another process finds the same bits in the test below
 def test_the_same_bits_twice():
     assert bits() == bits()
 
@@ -151,7 +157,7 @@ def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
     monkeypatch.setattr(parts, "models_and_focal", models_and_focal)
     views = list(range(4 * 330 + 40))
     assert [begin for begin, _ in parts_of(len(views))] == list(shares)
-    found = focal_from_parts(views, {}, CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_parts(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 5
-    found = focal_from_parts(views[:700], {}, CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_parts(views[:700], {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 50  # no part shows it well

@@ -27,6 +27,12 @@ def found(film):
     return tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
 
 
+@pytest.fixture(scope="module")
+def path(film):
+    """Return the reconstruction of the path alone."""
+    return tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+
+
 def scale_of(found, film):
     ratio = [np.nanmedian(true / found.depth(k)) for k, true in enumerate(film.depth)]
     return np.median(ratio)
@@ -130,8 +136,7 @@ def test_depth_of_keyframes_alone(film, found):
             assert np.isnan(sparse.depth(frame)).all()
 
 
-def test_the_path_alone(film, found):
-    path = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+def test_the_path_alone(path, found):
     assert path.keyframes == () and np.isnan(path.depth(0)).all()
     assert all(status == "converged" for status in path.status)
     np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
@@ -139,8 +144,7 @@ def test_the_path_alone(film, found):
     assert moved == pytest.approx(moved_before, rel=0.5)  # units: of tracks, and of all pixels
 
 
-def test_a_path_whose_depth_is_nowhere_to_be_seen_has_the_unit_of_its_tracks(film, monkeypatch):
-    path = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
+def test_a_path_without_depth_in_any_frame_has_the_unit_of_its_tracks(film, path, monkeypatch):
     monkeypatch.setattr(PieceDepths, "__iter__", lambda self: iter(()))
     blind = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
     assert {str(status) for status in blind.status} == {"little_parallax"}
@@ -330,7 +334,7 @@ def test_what_covers_the_scene_is_in_no_cloud(film):
 
 def test_distortion_is_removed(film):
     camera = Camera(focal=film.camera.focal, distortion=(-0.05, 0.01, 0.0, 0.0))
-    found = tisfm.reconstruct(film.frames, camera=camera, settings=FAST)
+    found = tisfm.reconstruct(film.frames, camera=camera, settings=FAST, depth_of="none")
     assert found.camera == camera.pinhole()
     assert (found.piece == 0).all()
 
@@ -359,11 +363,12 @@ def test_a_failure_leaves_no_complete_folder(film, tmp_path):
         yield from film.frames[:3]
         raise OSError("the camera is gone")
 
+    options = {"camera": film.camera, "settings": FAST, "folder": tmp_path, "depth_of": "none"}
     with pytest.raises(OSError, match="gone"):
-        tisfm.reconstruct(broken(), camera=film.camera, settings=FAST, folder=tmp_path)
+        tisfm.reconstruct(broken(), **options)
     assert not (tmp_path / "reconstruction.json").exists()
     assert not (tmp_path / "cache").exists()
-    tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=tmp_path)
+    tisfm.reconstruct(film.frames, **options)
     assert len(Reconstruction.load(tmp_path)) == len(film.frames)
 
 

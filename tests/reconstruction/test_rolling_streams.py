@@ -16,7 +16,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.sources import FrameSource
 
 FAST = Settings.preset("fast", motion="camera")
-COUNT, DELAY, READOUT = 40, 16, 0.8
+COUNT, DELAY, READOUT = 24, 16, 0.8
 
 
 @cache
@@ -30,9 +30,9 @@ def film(readout=READOUT):
 
 
 @cache
-def streamed(readout, of=READOUT):
-    camera = replace(film(of).camera, readout=readout)
-    frames = tisfm.reconstruct_stream(film(of).frames, camera=camera, settings=FAST, delay=DELAY)
+def streamed(readout, of=READOUT, count=COUNT):
+    camera, frames = replace(film(of).camera, readout=readout), film(of).frames[:count]
+    frames = tisfm.reconstruct_stream(frames, camera=camera, settings=FAST, delay=DELAY)
     return list(frames)
 
 
@@ -82,7 +82,8 @@ def test_pictures_are_what_the_middle_rows_saw():
 
 @pytest.mark.slow
 def test_rows_that_are_read_at_once_leave_everything_as_it_is():
-    for one, other in zip(streamed(None, of=0.0), streamed(0.0, of=0.0), strict=True):
+    found, given = (streamed(readout, of=0.0, count=DELAY + 2) for readout in (None, 0.0))
+    for one, other in zip(found, given, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
         np.testing.assert_array_equal(one.inverse_depth, other.inverse_depth)
         assert one.calibration.readout == 0 and one.camera.readout is None

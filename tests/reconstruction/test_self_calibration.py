@@ -14,6 +14,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
+from tests.draws import nightly_except
 from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm import Camera, Reconstruction, Settings
@@ -321,7 +322,7 @@ def test_poses_that_are_given_leave_the_guess():
     assert result.calibration.origin == "guessed"
 
 
-@pytest.mark.parametrize("radial", [-0.1, 0.1])
+@pytest.mark.parametrize("radial", nightly_except(-0.1, of=[-0.1, 0.1]))
 def test_a_radial_coefficient_is_found_and_removed(radial, tmp_path):
     frames, wide = through_a_lens(radial)
     result = tisfm.reconstruct(
@@ -342,7 +343,7 @@ def test_a_radial_coefficient_is_found_and_removed(radial, tmp_path):
     assert np.isfinite(result.depth(result.keyframes[0])).all()
 
 
-@pytest.mark.parametrize("radial", [-0.2, 0.2])
+@pytest.mark.parametrize("radial", nightly_except(0.2, of=[-0.2, 0.2]))
 def test_a_lens_that_distorts_is_suspected(radial):
     frames, _ = through_a_lens(radial)
     with pytest.warns(GuessedFocalWarning, match="lens seems to distort"):

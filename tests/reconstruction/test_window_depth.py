@@ -41,7 +41,10 @@ def test_depth_of_rendered_scenes(kind, limit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "share"), [("sideways", 0.55), ("forward+rotation", 0.5)])
+@pytest.mark.parametrize(
+    ("kind", "share"),
+    [("sideways", 0.55), pytest.param("forward+rotation", 0.5, marks=pytest.mark.nightly)],
+)
 def test_the_error_falls_with_frames(kind, share):
     scene = views(kind, 240, 320, 8)
     errors = [scene.errors(found_in(scene.first(count))).mean() for count in (1, 2, 4, 8)]

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 
 from tests.rendered import shared
-from tisfm import scenes
+from tisfm import Camera, scenes
 
-HEIGHT, WIDTH = 240, 320
-CAMERA = scenes.room(8, 8).camera.__class__(focal=0.6 * WIDTH)
+SIZE, SMALL = (240, 320), (180, 240)  # of frames
+CAMERA, SMALL_CAMERA = (Camera(focal=0.6 * width) for _, width in (SIZE, SMALL))
 
 
 def pose(forward=0.0, sideways=0.0, turn=0.0):
@@ -19,23 +19,23 @@ def pose(forward=0.0, sideways=0.0, turn=0.0):
 
 
 @shared
-def _view(seed, forward, sideways, turn):
+def _view(seed, forward, sideways, turn, height, width):
     at = pose(forward, sideways, turn)
     # The twist whose exponential is this pose: its translation is linear in V.
     columns = [scenes.rigid_motion((*axis, 0, turn, 0))[1] for axis in np.eye(3)]
     velocity = np.linalg.solve(np.transpose(columns), at[:3, 3])
     moved = scenes.room(
-        HEIGHT, WIDTH, seed=seed, camera_motion=(*velocity, 0, turn, 0), noise=0, samples=2
+        height, width, seed=seed, camera_motion=(*velocity, 0, turn, 0), noise=0, samples=2
     )
     return moved.frame1
 
 
-def frames(steps, *, seed=0, noise=1.0):
+def frames(steps, *, seed=0, noise=1.0, size=SIZE):
     """Return frames, (H, W) uint8, taken from steps, each (forward, sideways, turn)."""
     random = np.random.default_rng(seed)
     seen = []
     for step in steps:
-        grey = _view(seed, *(float(value) for value in step))
+        grey = _view(seed, *(float(value) for value in step), *size)
         noisy = grey + noise * random.standard_normal(grey.shape)
         seen.append(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8))
     return seen
