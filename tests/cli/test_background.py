@@ -14,8 +14,9 @@ import pytest
 from tests.cli.command_line import assert_one_line, files, promised, record
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import pair
+from tisfm.folders import run_record
 from tisfm.formats.atomic import atomic_write
-from tisfm.running import pair_files, run_record
+from tisfm.running import pair_files
 from tisfm.running.background import Background
 
 

@@ -12,7 +12,7 @@ from tests.cli.command_line import TISFM, assert_one_line, files
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.cli import batch as module
 from tisfm.cli.batch import TRIES, read_jobs
-from tisfm.formats.result_folder import is_written_to
+from tisfm.folders.result_folder import is_written_to
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from tests.waiting import PATIENCE
 from tisfm.cli.export import FormatName
 from tisfm.cli.run import Output
 from tisfm.exports.formats import FORMATS
-from tisfm.running.run_record import ENDINGS
+from tisfm.folders.run_record import ENDINGS
 
 # Asks bash as a user does who presses TAB after the words.
 ASK = """

@@ -14,9 +14,9 @@ from tests.cli.command_line import FRAMES
 from tests.exports.made import made
 from tests.exports.runs import run_of
 from tisfm.cli.console import print_whole, tell, tell_error
+from tisfm.folders.run_record import RunRecord
 from tisfm.formats import write_png
 from tisfm.formats.csv_table import csv_table
-from tisfm.running.run_record import RunRecord
 
 ESC = "\x1b[31mred\x1b]0;title\x07\x9b2J"
 MARKUP = "[red]x[/red] [/bold] :bomb:"

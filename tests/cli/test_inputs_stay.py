@@ -12,8 +12,8 @@ from tests.cli.command_line import FRAMES, H, W, assert_one_line, files, forbid,
 from tisfm import pair
 from tisfm.cli import demo
 from tisfm.evaluation import pairs
+from tisfm.folders.result_folder import LOCK, InputFiles
 from tisfm.formats import write_flo, write_png
-from tisfm.formats.result_folder import LOCK, InputFiles
 from tisfm.running import pair_writer
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
 from tests.waiting import started, wait_for
+from tisfm.folders.result_folder import LOCK, FolderInUseError, locked_folder
 from tisfm.formats import write_png
-from tisfm.formats.result_folder import LOCK, FolderInUseError, locked_folder
 
 QUIET = ("run", "frames", "-o", "out", "--no-figures")
 MANY = 24

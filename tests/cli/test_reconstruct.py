@@ -15,7 +15,7 @@ from tests.cli.command_line import assert_one_line
 from tests.reconstruction.films import along, depth_error, walk
 from tisfm import Reconstruction
 from tisfm.camera_file import read_camera, write_camera
-from tisfm.formats.result_folder import FolderInUseError, locked_folder
+from tisfm.folders.result_folder import FolderInUseError, locked_folder
 from tisfm.trajectory import read_kitti, read_tum, write_kitti, write_tum
 
 COUNT = 9

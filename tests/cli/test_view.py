@@ -14,7 +14,7 @@ from tests.cli.command_line import TISFM, assert_one_line
 from tests.view.results import write_reconstruction, write_record_of, write_run
 from tests.waiting import PATIENCE, started
 from tisfm.cli.command_line import main
-from tisfm.formats.result_folder import locked_folder
+from tisfm.folders.result_folder import locked_folder
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 

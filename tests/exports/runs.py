@@ -7,7 +7,7 @@ import numpy as np
 
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
-from tisfm.formats.records import FORMAT
+from tisfm.folders.run_record import FORMAT
 from tisfm.outcome import History, Status
 from tisfm.running.pair_files import motion_rows
 

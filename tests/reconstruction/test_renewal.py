@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.formats.result_folder import FolderInUseError, locked_folder
+from tisfm.folders.result_folder import FolderInUseError, locked_folder
 from tisfm.reconstruction.result import renewal
 from tisfm.reconstruction.result.renewal import EARLIER, renewed_folder
 

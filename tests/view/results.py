@@ -8,7 +8,7 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
-from tisfm.formats.records import FORMAT
+from tisfm.folders.run_record import FORMAT
 from tisfm.outcome import Status
 from tisfm.reconstruction.result.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject

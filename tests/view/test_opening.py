@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
+from tisfm.folders.result_folder import LOCK, locked_folder
 from tisfm.formats import FormatError
-from tisfm.formats.result_folder import LOCK, locked_folder
 from tisfm.results.opening import NothingYetError, how_far, open_result
 
 

@@ -12,7 +12,7 @@ import pytest
 from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tests.waiting import PATIENCE
-from tisfm.formats.result_folder import locked_folder
+from tisfm.folders.result_folder import locked_folder
 from tisfm.point_cloud import PointCloud
 from tisfm.results.opening import open_result
 

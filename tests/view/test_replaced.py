@@ -15,7 +15,7 @@ from tests.view.results import (
     write_record_of,
     write_run,
 )
-from tisfm.formats.result_folder import locked_folder
+from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.result.folder import write_depth
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")

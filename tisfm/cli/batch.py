@@ -22,9 +22,9 @@ from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import Foretelling, progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
+from tisfm.folders.run_record import RECORD
 from tisfm.reconstruction.result.folder import ASKED
 from tisfm.reconstruction.result.renewal import CHUNKS
-from tisfm.running.run_record import RECORD
 
 Command = Literal["run", "reconstruct"]
 

@@ -28,10 +28,10 @@ from tisfm.cli.figures import PAPER_FIGURES
 from tisfm.cli.progress import progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
+from tisfm.folders.result_folder import LOCK, make_folder, make_inner_folder
+from tisfm.folders.run_record import ENDINGS, read_record
 from tisfm.formats.float_maps import require_writable_flow
-from tisfm.formats.result_folder import LOCK, make_folder, make_inner_folder
 from tisfm.running.pool import open_pool
-from tisfm.running.run_record import ENDINGS, read_record
 
 
 @dataclass(kw_only=True)

@@ -16,7 +16,6 @@ from tisfm.cli.figures import write_paper_figures
 from tisfm.errors import is_user_error
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
-from tisfm.machine.workers import stated
 from tisfm.metrics import (
     PoseErrors,
     angular_error,
@@ -29,6 +28,7 @@ from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.running.pair_writer import USUAL, PairWriter
+from tisfm.running.worker import stated
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 

@@ -35,8 +35,8 @@ from tisfm.evaluation.sequences import (
     reconstruct_and_compare,
 )
 from tisfm.evaluation.trajectory_result import TrajectoryResult
+from tisfm.folders.result_folder import InputFiles, make_folder
 from tisfm.formats import atomic_write
-from tisfm.formats.result_folder import InputFiles, make_folder
 from tisfm.reconstruction.progress import Progress
 from tisfm.runtime import Arch
 from tisfm.settings import Settings

@@ -15,7 +15,7 @@ from tisfm.checks import hint
 from tisfm.cli.console import tell
 from tisfm.cli.progress import MUCH, progress_bar
 from tisfm.errors import InputError
-from tisfm.formats.result_folder import make_folder
+from tisfm.folders.result_folder import make_folder
 from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.result.folder import DEPTH, RECORD
 from tisfm.reconstruction.result.reconstruction import Reconstruction

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from tisfm.camera import Camera
 from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
 from tisfm.cli.options import CameraOptions
-from tisfm.formats.result_folder import InputFiles, make_folder
+from tisfm.folders.result_folder import InputFiles, make_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure

@@ -24,16 +24,16 @@ from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.folders.result_folder import locked_folder
+from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
-from tisfm.formats.result_folder import locked_folder
 from tisfm.fusion.mesh import check_library
 from tisfm.machine.amounts import as_size
 from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.report import refuse_foreign
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers

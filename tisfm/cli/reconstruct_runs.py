@@ -10,7 +10,7 @@ import tisfm
 from tisfm.cli.console import start_kernels, tell_device
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
-from tisfm.formats.result_folder import locked_folder
+from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
 from tisfm.reconstruction.chunks.shared_camera import Finished
 from tisfm.reconstruction.progress import Progress

@@ -8,10 +8,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from tisfm.cli.console import tell
+from tisfm.folders.run_record import RECORD, read_record
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import write_reconstruction_report, write_run_report
-from tisfm.running.run_record import RECORD, read_record
 from tisfm.sources import Source
 
 

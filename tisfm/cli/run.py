@@ -23,8 +23,9 @@ from tisfm.cli.progress import MUCH, Foretelling, RunProgress
 from tisfm.cli.report import report_run
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
+from tisfm.folders.result_folder import InputFiles, alive_in
+from tisfm.folders.run_record import RECORD
 from tisfm.formats.float_maps import require_writable_flow
-from tisfm.formats.result_folder import InputFiles, alive_in
 from tisfm.interpretation import Interpretation
 from tisfm.machine.amounts import as_size
 from tisfm.report import refuse_foreign
@@ -34,7 +35,6 @@ from tisfm.running.pair_files import USUAL, checked_outputs
 from tisfm.running.pair_writer import PairWriter
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.running.pool import WorkerPool, check_workers, open_pool
-from tisfm.running.run_record import RECORD
 from tisfm.runtime import Arch
 from tisfm.settings import Preset, Settings
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen

@@ -14,8 +14,8 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
+from tisfm.folders.result_folder import InputFiles, make_folder, make_inner_folder
 from tisfm.formats import atomic_write, write_flo
-from tisfm.formats.result_folder import InputFiles, make_folder, make_inner_folder
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
 from tisfm.settings import Settings

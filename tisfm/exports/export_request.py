@@ -9,7 +9,7 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
 from tisfm.errors import InputError
 from tisfm.exports.result_frames import PairFrames, SequenceFrames
-from tisfm.formats.result_folder import make_inner_folder
+from tisfm.folders.result_folder import make_inner_folder
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 

@@ -8,9 +8,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from tisfm.folders.result_folder import LOCK, is_there, locked_folder, make_folder, remove
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import is_temporary
-from tisfm.formats.result_folder import LOCK, is_there, locked_folder, make_folder, remove
 
 FORMAT = 1
 RECORD = "export.json"  # written last, removed first

@@ -8,8 +8,8 @@ import numpy as np
 
 from tisfm.exports.pieces import chosen_frames
 from tisfm.exports.result_frames import ResultFrames
+from tisfm.folders.result_folder import make_inner_folder
 from tisfm.formats import write_png
-from tisfm.formats.result_folder import make_inner_folder
 
 
 def write_masks(

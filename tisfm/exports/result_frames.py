@@ -10,10 +10,10 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError
+from tisfm.folders.run_record import RECORD as RUN
+from tisfm.folders.run_record import refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
-from tisfm.formats.records import NAME as RUN
-from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import STATUSES, Status
 from tisfm.reconstruction.result.folder import DEPTH, depth_path

@@ -1,11 +1,12 @@
 """A run or a reconstruction on one page of HTML, which needs no network and no other file.
 
 Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
-May import: `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top level `camera`,
+May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top
+level `camera`,
 `focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
 """
 
-from tisfm.reconstruction.result.report_file import REPORT, is_report
+from tisfm.folders.side_files import REPORT, is_report
 from tisfm.report.file import refuse_foreign
 from tisfm.report.reconstruction_report import write_reconstruction_report
 from tisfm.report.run_report import write_run_report

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from tisfm.errors import InputError
+from tisfm.folders.side_files import REPORT, is_report
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.result.report_file import REPORT, is_report
 
 
 def refuse_foreign(folder: Path) -> Path:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from tisfm.reconstruction.result.report_file import MARK
+from tisfm.folders.side_files import MARK
 from tisfm.report.setting_rows import SettingRow
 from tisfm.report.statuses import StatusCount, color_of
 from tisfm.report.style import SCRIPT, STYLE

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tisfm.errors import InputError
-from tisfm.formats.result_folder import is_written_to
+from tisfm.folders.result_folder import is_written_to
 from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.results.reconstruction_result import ReconstructionResult

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
+from tisfm.folders.run_record import RECORD, refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
-from tisfm.formats.records import NAME as RECORD
-from tisfm.formats.records import refuse_other_format
 from tisfm.interpretation import Interpretation
 from tisfm.outcome import Status
 from tisfm.reconstruction.result.moving_object import MovingObject

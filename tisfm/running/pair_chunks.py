@@ -11,11 +11,11 @@ from typing import Any
 
 from tisfm import runtime
 from tisfm.errors import is_user_error
-from tisfm.formats.result_folder import InputFiles
-from tisfm.machine.workers import check_worker, stated
+from tisfm.folders.result_folder import InputFiles
+from tisfm.folders.run_record import is_unchanged
 from tisfm.running.pair_files import Ranges, Sums
 from tisfm.running.pairs import PairSource, PairWork
-from tisfm.running.run_record import is_unchanged
+from tisfm.running.worker import check_worker, stated
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.version import __version__

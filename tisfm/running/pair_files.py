@@ -11,6 +11,9 @@ import numpy as np
 
 from tisfm.checks import hint
 from tisfm.errors import InputError
+from tisfm.folders.checksums import check_sum
+from tisfm.folders.result_folder import InputFiles
+from tisfm.folders.run_record import ENDINGS
 from tisfm.formats import (
     atomic_write,
     choose_depth_scale,
@@ -18,12 +21,9 @@ from tisfm.formats import (
     write_flo,
     write_png,
 )
-from tisfm.formats.records import check_sum
-from tisfm.formats.result_folder import InputFiles
 from tisfm.interpretation import Interpretation
 from tisfm.machine.terminal import printable
 from tisfm.rigid import rigid_motion
-from tisfm.running.run_record import ENDINGS
 from tisfm.show import (
     anaglyph,
     comparison_figure,

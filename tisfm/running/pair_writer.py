@@ -10,12 +10,12 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.formats.result_folder import InputFiles, locked_folder, make_folder
+from tisfm.folders.result_folder import InputFiles, locked_folder, make_folder
+from tisfm.folders.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
+from tisfm.folders.side_files import TIMINGS
 from tisfm.interpretation import Interpretation
-from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import USUAL, PairFiles, Ranges, Sums, checked_outputs
-from tisfm.running.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
 from tisfm.settings import Settings
 from tisfm.show.stereo import DISPARITY
 from tisfm.version import __version__

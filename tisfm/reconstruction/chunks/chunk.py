@@ -17,15 +17,15 @@ from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.errors import RunError, is_user_error
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.folders.result_folder import remove, remove_link
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
-from tisfm.formats.result_folder import remove, remove_link
-from tisfm.machine.workers import check_worker, stated
 from tisfm.reconstruction.chunks.spans import Span
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.request import files_below
+from tisfm.running.worker import check_worker, stated
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source

@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import file_of
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.formats.result_folder import (
+from tisfm.folders.result_folder import (
     alive_in,
     locked_folder,
     make_folder,

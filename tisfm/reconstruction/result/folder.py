@@ -17,17 +17,17 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.errors import InputError
+from tisfm.folders.result_folder import make_inner_folder
+from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large
 from tisfm.formats.images import decode
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
-from tisfm.formats.result_folder import make_inner_folder
 from tisfm.outcome import Status
 from tisfm.reconstruction.result.calibration import as_json, from_json
 from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.result.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.trajectory.poses import check_poses
 

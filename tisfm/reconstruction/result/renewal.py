@@ -6,8 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tisfm.formats.atomic import copy_file, is_temporary
-from tisfm.formats.result_folder import (
+from tisfm.folders.result_folder import (
     LOCK,
     is_there,
     locked_folder,
@@ -17,6 +16,8 @@ from tisfm.formats.result_folder import (
     remove_link,
     try_to_remove,
 )
+from tisfm.folders.side_files import REPORT, is_report
+from tisfm.formats.atomic import copy_file, is_temporary
 from tisfm.reconstruction.result.folder import (
     BEGUN,
     CACHE,
@@ -29,7 +30,6 @@ from tisfm.reconstruction.result.folder import (
     RECORD,
     write_record,
 )
-from tisfm.reconstruction.result.report_file import REPORT, is_report
 
 EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
 # The same, while not all of it is there yet, and while not all of it is back.

@@ -12,12 +12,12 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.errors import InputError
+from tisfm.folders.checksums import check_sum, content, differing, said
+from tisfm.folders.result_folder import LOCK
+from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
-from tisfm.formats.records import check_sum, content, differing, said
-from tisfm.formats.result_folder import LOCK
 from tisfm.reconstruction.result.folder import ASKED, BEGUN, RECORD
-from tisfm.reconstruction.result.report_file import REPORT, TIMINGS
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.sources.paths import files_matching

@@ -10,8 +10,6 @@ from typing import Any
 
 from isal import isal_zlib
 
-from tisfm.formats.reading import FormatError
-
 _PIECE = 2**20  # bytes of a file that are read at a time
 _MOST_SAID = 4  # differences
 
@@ -52,26 +50,3 @@ def said(differences: Iterable[str]) -> str:
     found = list(differences)
     more = len(found) - _MOST_SAID
     return "; ".join(found[:_MOST_SAID] + [f"and {more} more"] * (more > 0))
-
-
-NAME, FORMAT = "run.json", 2
-
-
-def refuse_other_format(path: Path, record: Any) -> None:
-    """Raise FormatError if a record is of a format that this version does not read.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file, for the message.
-    record : object
-        Its JSON. JSON that is not a record of any version raises nothing here.
-    """
-    if not isinstance(record, dict) or not {"format", "version"} & record.keys():
-        return
-    found = record.get("format", 1)  # files of format 1 do not state it
-    if found != FORMAT:
-        raise FormatError(
-            f"{path} is of format {found}, written by tisfm {record.get('version')}; this version "
-            f"reads format {FORMAT}: run anew, without --resume"
-        )

@@ -6,8 +6,8 @@ import time
 import pytest
 
 from tests.waiting import PATIENCE
-from tisfm.formats import result_folder
-from tisfm.formats.result_folder import LOCK, FolderInUseError, is_written_to, locked_folder
+from tisfm.folders import result_folder
+from tisfm.folders.result_folder import LOCK, FolderInUseError, is_written_to, locked_folder
 
 
 def test_it_is_written_to_while_the_lock_is_held(tmp_path):

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from tisfm.formats.result_folder import (
+from tisfm.folders.result_folder import (
     is_there,
     locked_folder,
     make_inner_folder,

@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.errors import InputError
+from tisfm.folders.checksums import check_sum, differing, said
+from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
-from tisfm.formats.records import FORMAT, NAME, check_sum, differing, refuse_other_format, said
+from tisfm.formats.reading import FormatError
 from tisfm.outcome import Status
-from tisfm.reconstruction.result.report_file import TIMINGS
 from tisfm.trajectory.times import fault_between
 
-RECORD, TABLE = NAME, "run.csv"
+RECORD = "run.json"
+TABLE = "run.csv"
+FORMAT = 2  # of `RECORD`, as this version writes and reads it
 # What has to be the same, with the first frame that is taken and how many there are to the next.
 ASKED = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
@@ -174,6 +177,26 @@ class RunRecord:
         self._is_written = True
         end = time.monotonic()
         self._next = end + max(_LEAST_APART, _SHARE * (end - begin))
+
+
+def refuse_other_format(path: Path, record: Any) -> None:
+    """Raise FormatError if a record is of a format that this version does not read.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file, for the message.
+    record : object
+        Its JSON. JSON that is not a record of any version raises nothing here.
+    """
+    if not isinstance(record, dict) or not {"format", "version"} & record.keys():
+        return
+    found = record.get("format", 1)  # files of format 1 do not state it
+    if found != FORMAT:
+        raise FormatError(
+            f"{path} is of format {found}, written by tisfm {record.get('version')}; this version "
+            f"reads format {FORMAT}: run anew, without --resume"
+        )
 
 
 def is_unchanged(
