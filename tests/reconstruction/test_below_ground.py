@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.scenes import Box, Plane, Scene, Texture
 
@@ -47,7 +48,7 @@ def labelled(speed):
     return np.stack(list(finder.found(poses, CAMERA))), np.stack(true)
 
 
-@pytest.mark.parametrize("speed", [0.25, 0.35])
+@pytest.mark.parametrize("speed", nightly_except(0.25, of=[0.25, 0.35]))
 def test_a_car_that_goes_ahead_is_labelled(speed):
     found, true = labelled(speed)
     car = found[true == CAR]

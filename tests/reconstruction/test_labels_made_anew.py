@@ -46,7 +46,7 @@ def shaken(count):
 
 
 @cache
-def film(path=turning, count=20, readout=0.0, size=(240, 320)):
+def film(path=turning, count=16, readout=0.0, size=(180, 240)):
     return bodies_film(path(count), *size, readout=readout)
 
 
@@ -153,7 +153,7 @@ def test_a_lens_is_found_beside_things_that_move(tmp_path):
 
 
 def test_a_shutter_is_undone_beside_things_that_move():
-    scene = film(shaken, 16, READOUT)
+    scene = film(shaken, 16, READOUT, (240, 320))
     errors = []
     for readout in (0.0, READOUT):
         result = tisfm.reconstruct(

@@ -230,6 +230,7 @@ def test_json_of_a_thing_comes_back():
     assert (again.id, again.frames, again.scale_from) == (2, (3, 4), "contact")
 
 
+@pytest.mark.nightly  # of rendered frames: the tests above
 @pytest.mark.parametrize(("clip", "least"), [("camel", 0.7), ("car-roundabout", 0.8)])
 def test_clips_of_one_thing_that_moves(clip, least):
     folder = DATA / "davis" / clip

@@ -44,6 +44,12 @@ def reconstructed(readout, of=READOUT, **options):
     )
 
 
+@cache
+def with_depth(readout):
+    """Return the reconstruction of the film by a camera of a readout, None where it is unknown."""
+    return reconstructed(readout, depth_of="keyframes")
+
+
 def bits():
     finder = PathFinder(film().camera)
     for frame in film().frames:
@@ -54,25 +60,24 @@ def bits():
 
 
 @pytest.mark.slow
-def test_the_readout_is_found_and_undone(tmp_path):
-    ignored = reconstructed(0.0)
-    found = reconstructed(None, folder=tmp_path / "found", depth_of="keyframes")
+def test_the_readout_is_found_and_undone():
+    ignored, found = with_depth(0.0), with_depth(None)
     assert (found.piece == 0).all()
     assert path_error(found.poses, shaken()) < 0.2 * path_error(ignored.poses, shaken())
     about = found.calibration
     assert abs(about.readout - READOUT) < 0.08 and 0 < about.readout_std < 0.06
     assert about.origin == "given"  # the focal length was
     assert found.camera.readout == 0.0  # that of the frames of the result
-    again = tisfm.Reconstruction.load(tmp_path / "found")
+    again = tisfm.Reconstruction.load(found.folder)
     assert again.calibration == about and again.camera == found.camera
-    assert read_camera(tmp_path / "found").readout == about.readout
+    assert read_camera(found.folder).readout == about.readout
 
 
 @pytest.mark.slow
 def test_depth_is_that_of_middle_rows():
     off = []
     for readout in (0.0, READOUT):
-        result = reconstructed(readout, depth_of="keyframes")
+        result = with_depth(readout)
         errors = []
         for key in result.keyframes:
             ratio = film().depth[key] * result.inverse_depth(key)
@@ -83,7 +88,7 @@ def test_depth_is_that_of_middle_rows():
 
 @pytest.mark.slow
 def test_a_readout_that_is_given_is_undone():
-    result = reconstructed(READOUT)
+    result = with_depth(READOUT)
     assert path_error(result.poses, shaken()) < 0.01
     assert result.calibration.readout == 0  # nothing was found
     assert result.camera.readout == 0
@@ -113,7 +118,7 @@ def test_what_is_said_of_cropped_frames_is_of_whole_ones(tmp_path):
     result = reconstructed(None, crop=(0, 6, 160, 108), folder=tmp_path / "cropped")
     assert abs(result.calibration.readout - READOUT) < 0.1
     assert read_camera(tmp_path / "cropped").readout == result.calibration.readout
-    whole = reconstructed(None).calibration
+    whole = with_depth(None).calibration
     assert 0.5 < result.calibration.readout_std / whole.readout_std < 2
 
 

@@ -209,7 +209,7 @@ def spawned(function, items):
             yield tasks[task], task.result()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # workers of the command are tests/cli/test_workers.py
 def test_other_processes_find_the_same(frames, found, tmp_path):
     there = in_chunks(frames, tmp_path / "out", finished=spawned)
     assert contents(there.folder) == contents(found.folder)

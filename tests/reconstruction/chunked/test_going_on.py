@@ -89,13 +89,13 @@ STAGES = [
     (run_module, "write_depth", 6),
     (chunk_module, "files_below", 1),
     # The camera that all share, before there is a chunk.
-    (chunk_module, "reconstruct", 1),
+    pytest.param(chunk_module, "reconstruct", 1, marks=pytest.mark.nightly),
     # The whole, half way; its record; and what is left to do then.
     (joining, "link_or_copy", 9),
-    (folder_module, "atomic_write", 20),
+    pytest.param(folder_module, "atomic_write", 20, marks=pytest.mark.nightly),
     (joining, "write_record", 1),
-    (entry, "write_asked", 2),
-    (shutil, "rmtree", 12),
+    pytest.param(entry, "write_asked", 2, marks=pytest.mark.nightly),
+    pytest.param(shutil, "rmtree", 12, marks=pytest.mark.nightly),
 ]
 
 
