@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.datasets.made import make_kitti, make_middlebury, make_sintel
+from tests.draws import nightly_except
 from tests.test_docs import PAGES, commands, name_of
 from tisfm.cli.command_line import main
 from tisfm.formats import write_png
@@ -29,7 +30,6 @@ REASONS = {
     ("doctor", "--json"): "tests/doctor has it",
     ("depth-exr,chan,undistortion",): "its lens has to distort; tests/exports has one that does",
 }
-SLOW = {"batch", "reconstruct", "doctor"}
 
 
 def reason(words):
@@ -49,12 +49,20 @@ def documented_commands():
     return found
 
 
+def with_a_word_of_their_own(all_commands):
+    """Return the commands, the longest first, that have a word which none before them has."""
+    seen, found = set(), []
+    for words in sorted(all_commands, key=len, reverse=True):
+        pairs = {(words[0], word) for word in words}
+        if not pairs <= seen:
+            found.append(words)
+            seen |= pairs
+    return found
+
+
 COMMANDS = documented_commands()
-RUN = [
-    pytest.param(words, marks=pytest.mark.slow if SLOW & set(words) else (), id=" ".join(words))
-    for words in COMMANDS
-    if reason(words) is None
-]
+RUN = [words for words in COMMANDS if reason(words) is None]
+SHORT = with_a_word_of_their_own(RUN)
 
 
 def write_video(path, frames):
@@ -110,7 +118,7 @@ def prepare(here, words):
     (here / "videos.csv").write_text("source,output,preset\ndrive.mp4,out/one,fast\n")
 
 
-@pytest.mark.parametrize("words", RUN)
+@pytest.mark.parametrize("words", nightly_except(*SHORT, of=RUN), ids=" ".join)
 def test_it_runs(words, documented_here):
     prepare(documented_here, words)
     if "-o" in words:  # results are new

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.draws import nightly_except
 from tests.metrics.test_trajectory import TURN, shaken
 from tests.trajectory.paths import random_path, similar
 from tisfm.metrics import absolute_errors, relative_errors
@@ -71,7 +72,7 @@ def test_absolute_errors(evo, paths):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [1, 5])
+@pytest.mark.parametrize("step", nightly_except(5, of=[1, 5]))
 def test_relative_errors(evo, paths, step):
     folder, truth, _ = paths
     # It counts frames that both files have, so both have all here.

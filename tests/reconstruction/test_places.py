@@ -83,7 +83,9 @@ def going_and_turning():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("textured", "most"), [(True, 0.02), (False, 0.2)])
+@pytest.mark.parametrize(
+    ("textured", "most"), [(True, 0.02), pytest.param(False, 0.2, marks=pytest.mark.nightly)]
+)
 def test_a_turn_keeps_the_scale(textured, most):
     film = room_film(going_and_turning(), 180, 240, samples=2, textured=textured)
     finder = PathFinder(film.camera)

@@ -131,7 +131,7 @@ def test_it_is_the_same_every_time(found):
     assert again.calibration == found.calibration
 
 
-@pytest.mark.parametrize("times", [0.5, 2.0])
+@pytest.mark.parametrize("times", nightly_except(2.0, of=[0.5, 2.0]))
 def test_a_given_focal_length_may_be_a_guess(times):
     film = arc()
     guess = Camera(focal=times * film.camera.focal, center=film.camera.center)
@@ -205,7 +205,10 @@ def test_a_motion_that_does_not_show_it_is_told():
     assert np.isfinite(result.poses).all()
 
 
-@pytest.mark.parametrize(("name", "answer"), [("_best_start", None), ("_of_part", (-100.0, 0.0))])
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [("_best_start", None), pytest.param("_of_part", (-100.0, 0.0), marks=pytest.mark.nightly)],
+)
 def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer):
     monkeypatch.setattr(self_calibration, name, lambda *_: answer)
     film = arc()
