@@ -5,16 +5,22 @@ from itertools import combinations, product
 import pytest
 
 
-def pairwise(*, ways=2, **choices):
+def pairwise(*, ways=2, short=False, **choices):
     """Parametrise a test so that every two values of two parameters meet in some case.
 
     The product of all choices has far more cases. Nearly all defects depend on one value, or on
     two together. Where code is written out for three together, `ways` is 3. The choice is the same
-    in every run.
+    in every run. If `short`, cases that have no value that earlier ones lack are nightly.
     """
     values = list(choices.values())
     rows = covering([len(each) for each in values], ways)
     cases = [tuple(each[i] for each, i in zip(values, row, strict=True)) for row in rows]
+    if short:
+        seen = set()
+        for k, row in enumerate(rows):
+            if seen.issuperset(enumerate(row)):
+                cases[k] = pytest.param(*cases[k], marks=pytest.mark.nightly)
+            seen.update(enumerate(row))
     return pytest.mark.parametrize(list(choices), cases)
 
 

@@ -9,7 +9,7 @@ from tests.exports.exported import retriangulated, tracks_per_image
 from tisfm.exports import write_colmap
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_walk_indoors(shared_data, tmp_path):
     settings = tisfm.Settings.preset("fast", motion="camera")
     walk = tisfm.reconstruct(

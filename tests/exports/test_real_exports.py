@@ -10,7 +10,7 @@ from tisfm.exports import SequenceFrames, write_depths, write_points, write_tum_
 from tisfm.trajectory import read_tum
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_garden(shared_data, tmp_path):
     pytest.importorskip("av")
     source = shared_data / "flowergarden"

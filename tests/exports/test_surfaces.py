@@ -72,7 +72,6 @@ def test_what_a_file_cannot_hold_is_refused(tmp_path, name, count):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
 def test_points_and_surface_of_a_film(tmp_path):
     film = walk()
     result = tisfm.reconstruct(

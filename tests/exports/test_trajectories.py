@@ -81,7 +81,6 @@ def test_a_path_without_a_pose_is_refused(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["walk"]
 
 
-@pytest.mark.slow
 def test_evo_reads_them(tmp_path):
     evo = shutil.which("evo_traj", path=os.pathsep.join(
         [str(Path(sys.executable).parent), os.environ.get("PATH", "")]

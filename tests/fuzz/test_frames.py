@@ -16,6 +16,7 @@ FAST = tisfm.Settings.preset("fast", motion="camera")
 
 
 @pairwise(
+    short=True,
     way=list(WAYS),
     kind=[*small_frames.KINDS, *SCENES],
     preset=list(PRESETS),
@@ -139,7 +140,7 @@ sys.exit(frames.main(sys.argv[1:]))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_case_that_takes_too_long_is_ended_and_reported(capfd, monkeypatch):
     """The first case has twice the limit: no second one begins within the seconds of the run."""
     monkeypatch.setattr(frames, "PROGRAM", (sys.executable, "-c", HANGING))

@@ -11,11 +11,12 @@ from tests.fuzz.targets import TARGETS, Target
 from tests.fuzz.watching import READ, REFUSED, Watch
 from tisfm.formats import FormatError
 
-INPUTS, OF_SLOW = 400, 8
+SLOW_SHARE = 50  # of a slow reader's inputs, one in so many is tried
 
 
+@pytest.mark.parametrize("inputs", [100, pytest.param(4000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", TARGETS)
-def test_data_or_a_clear_error(name, tmp_path):
+def test_data_or_a_clear_error(name, inputs, tmp_path):
     if name == "av_video":
         pytest.importorskip("av")
     target, watch, rng = TARGETS[name], Watch(), random.Random(3)
@@ -23,7 +24,7 @@ def test_data_or_a_clear_error(name, tmp_path):
     for data in seeds:
         path.write_bytes(data)
         assert watch.outcome(target, path) == READ
-    for number in range(OF_SLOW if target.slow else INPUTS):
+    for number in range(inputs // SLOW_SHARE if target.slow else inputs):
         path.write_bytes(data := mutated(rng.choice(seeds), seeds, rng))
         found = watch.outcome(target, path)
         assert found in (READ, REFUSED), (number, data)

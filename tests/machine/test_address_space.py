@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE
 from tisfm.cli import command_line
 from tisfm.formats import write_png
@@ -45,7 +46,10 @@ def frames(folder, height, width):
 
 
 @on_linux
-@pytest.mark.parametrize("kilobytes", [200_000, 400_000, 550_000, 700_000, 900_000, 1_500_000])
+@pytest.mark.parametrize(
+    "kilobytes",
+    nightly_except(200_000, 900_000, of=(200_000, 400_000, 550_000, 700_000, 900_000, 1_500_000)),
+)
 def test_too_little_is_one_line(tmp_path, kilobytes):
     """OpenCV crashed, SciPy hung or failed to load, and Taichi complained, in this order."""
     done = run(tmp_path, kilobytes, *frames(tmp_path, 24, 32))
@@ -59,7 +63,7 @@ def test_too_little_is_one_line(tmp_path, kilobytes):
 
 
 @on_linux
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_too_little_for_the_frames_is_one_line(tmp_path):
     """Where it ends depends on the machine; OpenBLAS ends the process in words of its own."""
     options = ("--no-figures", "--threads", "1")

@@ -144,7 +144,7 @@ def a_run(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_same_results_give_the_same_bytes(tisfm_run, frames, place):  # noqa: F811
     """Other processes and folders give the same bytes."""
     pages = []
@@ -164,7 +164,6 @@ def test_pairs_without_their_data_have_no_pictures(tisfm_run, frames, place):  #
     assert "did not write" in page.text and not page.all("img")
 
 
-@pytest.mark.slow
 def test_a_reconstruction_has_a_report(tisfm_run, place):  # noqa: F811
     film = walk()
     (place / "film").mkdir()

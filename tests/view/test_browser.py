@@ -101,6 +101,7 @@ def test_it_shows_the_scene_and_asks_nobody_else(look, tmp_path):
     assert hosts == {"127.0.0.1"}
 
 
+@pytest.mark.nightly
 def test_the_slider_goes_to_a_frame(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     page, tab = look(tmp_path / "r")
@@ -113,6 +114,7 @@ def test_the_slider_goes_to_a_frame(look, tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_playing_moves_the_slider(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     _, tab = look(tmp_path / "r")
@@ -165,6 +167,7 @@ def sees_whole_frame(page, client):
     return is_there and share.min() == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.nightly
 def test_all_of_the_frame_is_followed_in_any_window_also_by_those_who_come_later(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     page, tab = look(tmp_path / "r")
@@ -183,6 +186,7 @@ def test_all_of_the_frame_is_followed_in_any_window_also_by_those_who_come_later
     wait_until(late, lambda: sees_whole_frame(page, newcomer), "it does not follow")
 
 
+@pytest.mark.nightly
 def test_a_pixel_that_is_typed_is_read(look, tmp_path):
     write_reconstruction(tmp_path / "r", things=True)
     _, tab = look(tmp_path / "r")
@@ -202,6 +206,7 @@ def test_a_pixel_that_is_typed_is_read(look, tmp_path):
     assert "thing 2" in tab.get_by_test_id("reading").inner_text()
 
 
+@pytest.mark.nightly
 def test_the_view_goes_to_the_camera(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     page, tab = look(tmp_path / "r")
@@ -220,6 +225,7 @@ def test_the_view_goes_to_the_camera(look, tmp_path):
     assert abs(client.camera.wxyz @ quaternion(seen)) == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("size", [(1700, 700), (760, 480), (400, 701)])
 def test_all_is_in_sight_in_any_window_until_the_view_is_moved(look, tmp_path, size):
     write_reconstruction(tmp_path / "r")
@@ -253,6 +259,7 @@ def test_all_is_in_sight_in_any_window_until_the_view_is_moved(look, tmp_path, s
     assert client.camera.position == pytest.approx(dragged, abs=0.02)
 
 
+@pytest.mark.nightly
 def test_thresholds_and_colours(look, tmp_path):
     write_run(tmp_path / "r", 1)
     page, tab = look(tmp_path / "r")
@@ -270,6 +277,7 @@ def test_thresholds_and_colours(look, tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_a_run_that_goes_on_grows(look, tmp_path):
     shot = write_run(tmp_path / "r", 3)
     write_record_of(tmp_path / "r", shot, [0], "camera")
@@ -279,7 +287,7 @@ def test_a_run_that_goes_on_grows(look, tmp_path):
     wait_until(tab, lambda: "1 of 3" in status(tab), "it stays as it was")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_saves_pictures_films_and_pages(look, browser, tmp_path, monkeypatch):
     monkeypatch.setattr("tisfm.view.downloads.FILM_SIZE", (120, 160))
     write_reconstruction(tmp_path / "r", 3)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.draws import nightly_except
 from tests.view.browser import tab_of
 from tests.view.results import thing, write_reconstruction
 from tests.waiting import wait_for
@@ -86,7 +87,7 @@ def test_the_page_runs_no_script_of_a_folder(opened, tab, tmp_path):
     assert hacked(tab) is None
 
 
-@pytest.mark.parametrize("kind", ["static", "report"])
+@pytest.mark.parametrize("kind", nightly_except("report", of=("static", "report")))
 def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
     folder = evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>")
     if kind == "static":
