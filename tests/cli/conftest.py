@@ -1,15 +1,19 @@
 """Fixtures of the tests of the command line."""
 
+import pickle
 import time
+from concurrent.futures import Executor, Future
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.cli.command_line import FRAMES, H, W
+from tisfm import runtime
 from tisfm.cli import console, progress
 from tisfm.cli.command_line import main
 from tisfm.formats import write_flo, write_png
+from tisfm.running import pool
 
 
 @pytest.fixture(autouse=True)
@@ -28,6 +32,26 @@ def no_time_passes_for_forecasts(monkeypatch):
     monkeypatch.setattr(
         progress, "time", SimpleNamespace(monotonic=lambda: 0.0, perf_counter=time.perf_counter)
     )
+
+
+class InThisProcess(Executor):
+    """Does each piece of work at once, here, with copies as another process has them."""
+
+    def submit(self, function, /, *arguments):
+        done = Future()
+        try:
+            done.set_result(function(*pickle.loads(pickle.dumps(arguments))))
+        except BaseException as error:
+            done.set_exception(error)
+        return done
+
+
+@pytest.fixture(params=["here", pytest.param("processes", marks=pytest.mark.nightly)])
+def quick_workers(request, monkeypatch):
+    """Workers: this process in the short command, processes of their own in the nightly one."""
+    if request.param == "here":
+        runtime.start()  # with all threads, before a piece starts it with its share
+        monkeypatch.setattr(pool, "_processes", lambda workers: InThisProcess())
 
 
 @pytest.fixture

@@ -37,11 +37,18 @@ def test_a_bad_video_stops_no_other(tisfm_run, frames, jobs):
     assert tisfm_run(*alone)[0] == 0
     assert files("a b") == files("alone")
     assert "f0.ply" not in files("c")
-    code, _, err = tisfm_run("batch", "jobs.csv", "--resume")
+
+
+@pytest.mark.nightly
+def test_a_list_with_a_bad_video_goes_on(tisfm_run, frames, jobs):
+    name = jobs("source,output,preset\nframes,a,fast\ngone,bad,\n")
+    assert tisfm_run("batch", name)[0] == 1
+    code, _, err = tisfm_run("batch", name, "--resume")
     assert code == 1 and "median" not in err.splitlines()[0]  # nothing was left to interpret
 
 
 def test_sequences_are_reconstructed(tisfm_run, frames, jobs):
+    Path("rich.py").write_text("raise RuntimeError('a module of the working folder is taken')")
     text = "\ufeffsource , output,depth-of,focal\nframes,out,none,50\n"
     code, _, err = tisfm_run("batch", jobs(text), "--command", "reconstruct")
     assert code == 0 and err.endswith("1 of 1 done\n")
@@ -104,9 +111,10 @@ def test_a_job_whose_process_is_killed_is_begun_again(
     assert [("--resume" in call) for call in calls] == [False, writes, writes][: len(calls)]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "sent", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM]
+)
 def test_what_runs_ends_with_it(frames, jobs, sent):
     """The signal goes to the command alone, while a job runs that would take long."""
     for k in range(4, 200):
@@ -120,12 +128,6 @@ def test_what_runs_ends_with_it(frames, jobs, sent):
     assert process.returncode == 130 and err.endswith("tisfm: interrupted\n")
     assert not is_written_to("a")  # the job has ended
     assert len(list(Path("a").glob("*.npz"))) < 199 and not Path("b").exists()
-
-
-def test_modules_in_the_working_folder_are_not_taken(tisfm_run, frames, jobs):
-    Path("rich.py").write_text("raise RuntimeError('taken')")
-    code, _, err = tisfm_run("batch", jobs("source,output,preset\nframes,a,fast\n"))
-    assert code == 0, err
 
 
 def test_cells_are_words_of_the_command_line(jobs):

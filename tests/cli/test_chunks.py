@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command_line import TISFM, assert_one_line
+from tests.cli.conftest import InThisProcess
 from tests.reconstruction.chunked.filmed import COUNT, contents, film, in_turn, write_frames
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import Reconstruction
@@ -83,36 +84,43 @@ def test_nothing_is_left_to_do(tisfm_run, frames, place, monkeypatch):
     assert contents(place / "out") == before
 
 
-@pytest.mark.parametrize("name", ["poses.txt", "points.ply", "asked.json", "frames/000003.jpg"])
-def test_what_is_not_complete_is_made_again(tisfm_run, frames, place, name):
-    run = command(*CHUNKS[:4], "--ply")
-    assert tisfm_run(*run)[0] == 0
-    before = contents(place / "out")
-    (place / "out" / name).unlink()
-    code, _, err = tisfm_run(*run, "--resume")
-    assert code == 0 and "have a pose" in err
-    assert contents(place / "out") == before
-
-
 @pytest.mark.parametrize(
-    ("options", "text"),
+    "names",
     [
-        (("--preset", "balanced"), "settings"),
-        (("--chunk", "12"), "chunk was null, now 12"),
-        (("--stop", "20"), "stop was null, now 20"),
-        (("--size", "200"), "size was null, now 200"),
-        (("--scale", "0", "20", "3"), "scale was null, now"),
-        (("--mask", "mask.png"), "mask was null, now"),
+        ["points.ply"],
+        pytest.param(["poses.txt", "asked.json", "frames/000003.jpg"], marks=pytest.mark.nightly),
     ],
 )
-def test_resume_refuses_other_options(tisfm_run, frames, place, options, text):
+def test_an_incomplete_result_is_made_again(tisfm_run, frames, place, names):
+    run = command(*CHUNKS[:4], "--ply", "--stop", "12")
+    assert tisfm_run(*run)[0] == 0
+    before = contents(place / "out")
+    for name in names:
+        (place / "out" / name).unlink()
+        code, _, err = tisfm_run(*run, "--resume")
+        assert code == 0 and "have a pose" in err, name
+        assert contents(place / "out") == before, name
+
+
+OTHER_OPTIONS = [
+    (("--preset", "balanced"), "settings"),
+    (("--chunk", "12"), "chunk was null, now 12"),
+    (("--stop", "20"), "stop was null, now 20"),
+    (("--size", "200"), "size was null, now 200"),
+    (("--scale", "0", "8", "3"), "scale was null, now"),
+    (("--mask", "mask.png"), "mask was null, now"),
+]
+
+
+def test_resume_refuses_other_options(tisfm_run, frames, place):
     fast = ("--preset", "fast", "--depth-of", "none")
     (place / "mask.png").write_bytes((frames / "f00.png").read_bytes())
     assert tisfm_run(*command(*fast))[0] == 0
     before = contents(place / "out")
-    code, _, err = tisfm_run(*command(*fast), *options, "--resume")
-    assert_one_line(code, err, text, "without --resume")
-    assert contents(place / "out") == before
+    for options, text in OTHER_OPTIONS:
+        code, _, err = tisfm_run(*command(*fast), *options, "--resume")
+        assert_one_line(code, err, text, "without --resume")
+        assert contents(place / "out") == before
 
 
 def test_chunks_of_another_command_are_not_gone_on_with(tisfm_run, frames, place):
@@ -159,7 +167,34 @@ def begun(*arguments):
     return started([*TISFM, *arguments], stderr=pipe, stdout=nowhere, text=True)
 
 
-@pytest.mark.slow
+class InterruptedAtTheThird(InThisProcess):
+    """Finds the camera and makes a chunk; then somebody presses Ctrl-C."""
+
+    def __init__(self):
+        self.done = 0
+
+    def submit(self, function, /, *arguments):
+        self.done += 1
+        if self.done == 3:
+            raise KeyboardInterrupt
+        return super().submit(function, *arguments)
+
+
+def test_an_interrupted_command_goes_on_with_resume(
+    quick_workers, tisfm_run, frames, place, monkeypatch
+):
+    arguments = command(*CHUNKS, "--workers", "2")
+    with monkeypatch.context() as patch:
+        patch.setattr(pool, "_processes", lambda workers: InterruptedAtTheThird())
+        assert tisfm_run(*arguments)[0] == 130
+    assert Path("out/.tisfm-chunks/000.json").exists()
+    assert not Path("out/reconstruction.json").exists()
+    assert tisfm_run(*arguments, "--resume")[0] == 0
+    assert tisfm_run(*command(*CHUNKS, output="whole"))[0] == 0
+    assert contents(place / "out") == contents(place / "whole")
+
+
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
 @pytest.mark.parametrize(("workers", "seen"), [("1", "001"), ("2", "000.json")])
 def test_killed_and_given_again(tisfm_run, frames, place, workers, seen):
@@ -176,7 +211,7 @@ def test_killed_and_given_again(tisfm_run, frames, place, workers, seen):
     assert contents(place / "out") == contents(place / "whole")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
 def test_a_cluster_whose_workers_are_killed(tisfm_run, frames, place, cluster):
     """Chunks of a worker that dies are made by others; a resumed one finds them."""

@@ -9,6 +9,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import H, W, assert_one_line, files, load, promised, record
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera_file import write_camera
 from tisfm.cli import figures
@@ -24,7 +25,7 @@ DEMO_FILES = promised("demo") | {
 }
 
 
-def test_demo(tisfm_run):
+def test_demo(quick_workers, tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "60", "--width", "80", "-o", "out")
     assert code == 0
     figure = os.path.join("out", "demo_figure.png")
@@ -40,7 +41,7 @@ def test_demo(tisfm_run):
     assert list(record("out")["pairs"]) == ["demo"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_demo_has_an_output_of_its_own(tisfm_run, place):
     assert tisfm_run("demo", "--height", "24", "--width", "32")[0] == 0
     assert set(files("tisfm-demo")) == DEMO_FILES
@@ -76,9 +77,13 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize(
-    "options", [["--height", "0"], ["--width", "-3"], ["--height", "2"], ["--seed", "-1"]],
+    "options",
+    nightly_except(
+        ["--height", "0"],
+        of=(["--height", "0"], ["--width", "-3"], ["--height", "2"], ["--seed", "-1"]),
+    ),
     ids=" ".join,
-)  # fmt: skip
+)
 def test_bad_sizes_of_the_demo_are_one_line(tisfm_run, options):
     code, out, err = tisfm_run("demo", "-o", "out", "--width", "16", "--height", "12", *options)
     assert out == ""

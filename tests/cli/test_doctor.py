@@ -10,6 +10,7 @@ import pytest
 
 from tests.cli.command_line import TISFM
 from tests.doctor.hanging import hasty_trial, write_module_that_hangs
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE
 from tisfm.doctor import examination, trying
 
@@ -27,7 +28,6 @@ def doctor(*options, **environment):
     )
 
 
-@pytest.mark.slow
 def test_an_installation_that_works():
     done = doctor("--json", TI_ARCH="cpu")
     about = json.loads(done.stdout)
@@ -41,8 +41,7 @@ def test_an_installation_that_works():
     assert "doctor" not in found, found["doctor"]  # a look that failed
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("module", ["cv2", "tyro", "numpy", "taichi"])
+@pytest.mark.parametrize("module", nightly_except("cv2", of=("cv2", "tyro", "numpy", "taichi")))
 def test_a_library_that_cannot_be_imported(tmp_path, module):
     """Not even `import tisfm` works then."""
     (tmp_path / f"{module}.py").write_text("raise ImportError('libGL.so.1 is not there')")
@@ -53,7 +52,7 @@ def test_a_library_that_cannot_be_imported(tmp_path, module):
     assert f"pip install --force-reinstall '{name}" in done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_module_answers_as_the_command_does(tmp_path):
     """Also if `import tisfm` fails."""
     (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1 is not there')")
@@ -67,7 +66,7 @@ def test_the_module_answers_as_the_command_does(tmp_path):
     assert "libGL.so.1 is not there" in done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
     (tmp_path / "cv2.py").write_text("import os; os.abort()")
     done = doctor("--json", PYTHONPATH=str(tmp_path))
@@ -80,7 +79,7 @@ def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
         assert found[name]["verdict"] == "ok", found[name]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "cv2")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -93,9 +92,8 @@ def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
     assert found["tisfm"].verdict == "wrong" and found["numpy"].verdict == "ok"
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems hold no one to ulimit -v")
-@pytest.mark.parametrize("kilobytes", [120_000, 700_000])
+@pytest.mark.parametrize("kilobytes", nightly_except(120_000, of=(120_000, 700_000)))
 def test_an_address_space_that_is_too_small(kilobytes):
     call = shlex.join([sys.executable, "-c", SCRIPT, "doctor", "--json"])
     done = subprocess.run(
@@ -108,7 +106,7 @@ def test_an_address_space_that_is_too_small(kilobytes):
     assert "force-reinstall" not in done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_reads_it_may_have_had_enough():
     call = shlex.join([sys.executable, "-c", SCRIPT, "doctor"])
     done = subprocess.run(["sh", "-c", f"{call} | true"], capture_output=True, text=True)
@@ -120,7 +118,7 @@ def test_wrong_options_are_left_to_the_parser(tisfm_run):
     assert code == 2 and "did you mean --json?" in err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_arch_that_is_not_there():
     done = doctor(TI_ARCH="nonsense")
     assert done.returncode == 1 and "unset it" in done.stdout

@@ -91,7 +91,6 @@ def test_an_export_that_is_renewed(tisfm_run, place, outside):
     assert links_in(folder) == [] and (folder / "transforms.json").is_file()
 
 
-@pytest.mark.slow
 def test_eval(tisfm_run, place, outside, benchmark_folder):
     (place / "out").mkdir()
     (place / "out" / "flows").symlink_to(outside)
@@ -101,7 +100,6 @@ def test_eval(tisfm_run, place, outside, benchmark_folder):
     assert links_in(place / "out") == [] and list((place / "out").rglob("*_flow.flo"))
 
 
-@pytest.mark.slow
 def test_run(tisfm_run, place, outside):
     (place / "frames").mkdir()
     for k in range(2):
@@ -121,7 +119,6 @@ def test_run(tisfm_run, place, outside):
     assert {path.name for path in (place / "real").iterdir()} == {*names, "run.json"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("more", [[], ["--chunk", "100"]])
 def test_reconstruct_that_fails_leaves_the_earlier_result(tisfm_run, place, outside, more):
     """The folder has links in place of the folders that runs make."""

@@ -132,7 +132,6 @@ def test_the_table_of_a_run_quotes_names_and_messages(place):
     assert row["message"].startswith("'=cmd")
 
 
-@pytest.mark.slow
 def test_a_run_of_frames_named_like_formulas_goes_on(tisfm_run, place):
     """The record has the names of files, not the table."""
     (place / "frames").mkdir()

@@ -258,9 +258,15 @@ def killed(command, folder, more):
     return process.returncode
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("more", [(), ("--window", "3", "--figures", "5")], ids=" ".join)
-def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
+@pytest.mark.parametrize(
+    ("more", "most_kills"),
+    [
+        ((), 1),
+        pytest.param((), 5, marks=pytest.mark.nightly),
+        pytest.param(("--window", "3", "--figures", "5"), 5, marks=pytest.mark.nightly),
+    ],
+)
+def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more, most_kills):
     noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
     texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
     os.mkdir("many")
@@ -270,7 +276,7 @@ def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more):
     assert tisfm_run(*options, "-o", "whole")[0] == 0
     random, kills = np.random.default_rng(7), 0
     command = [*TISFM, *options, "-o", "out", "--resume"]
-    for _ in range(5):
+    for _ in range(most_kills):
         kills += killed(command, "out", random.integers(1, MANY // 2)) != 0
     assert kills > 0
     assert tisfm_run(*options, "-o", "out", "--resume")[0] == 0

@@ -393,7 +393,7 @@ def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
 # The demonstration
 
 
-def test_demo_compares_readings_of_motion(tisfm_run):
+def test_demo_compares_readings_of_motion(quick_workers, tisfm_run):
     code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
     assert code == 0
     assert "then out/camera/demo_figure.png and out/objects/demo_figure.png.\n" in err

@@ -32,6 +32,7 @@ def refuse(number):
     return number
 
 
+@pytest.mark.nightly
 def test_all_is_done_once():
     with open_pool(2) as two:
         assert sorted(two.finished(square, range(7))) == [(k, k**2) for k in range(7)]

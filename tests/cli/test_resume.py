@@ -170,7 +170,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeyp
     assert files("out") == whole
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_ctrl_c_in_a_process_of_its_own(place):
     """The signal comes at any moment, in the middle of a kernel as well."""

@@ -71,7 +71,7 @@ def test_two_workers_leave_what_one_process_leaves(tisfm_run, film):
     assert [pair["number"] for pair in record("many")["pairs"].values()] == list(range(COUNT - 1))
 
 
-def test_every_second_frame_of_a_range_with_masks(tisfm_run, film, place):
+def test_every_second_frame_of_a_range_with_masks(quick_workers, tisfm_run, film, place):
     (place / "masks").mkdir()
     for k in range(COUNT):
         mask = np.full((H, W), 255, np.uint8)
@@ -84,7 +84,7 @@ def test_every_second_frame_of_a_range_with_masks(tisfm_run, film, place):
     }
 
 
-def test_damaged_frames_that_are_skipped(tisfm_run, film):
+def test_damaged_frames_that_are_skipped(quick_workers, tisfm_run, film):
     for name in ("f00", "f05", "f06"):
         data = Path(f"film/{name}.png").read_bytes()
         Path(f"film/{name}.png").write_bytes(data[: len(data) // 2])
@@ -102,13 +102,13 @@ def make_clip():
     writer.release()
 
 
-def test_a_video(tisfm_run, place):
+def test_a_video(quick_workers, tisfm_run, place):
     make_clip()
     assert_as_one(tisfm_run, *QUIET, source="clip.avi", shared=("--workers", "3"))
 
 
 @pytest.mark.parametrize("said", [2, 5, 9, 11])
-def test_a_video_that_says_another_number_of_frames(tisfm_run, place, said):
+def test_a_video_that_says_another_number_of_frames(quick_workers, tisfm_run, place, said):
     make_clip()
     data = bytearray(Path("clip.avi").read_bytes())
     for name, offset in ((b"avih", 24), (b"strh", 40)):  # where each has the number
@@ -120,7 +120,7 @@ def test_a_video_that_says_another_number_of_frames(tisfm_run, place, said):
     assert len(record("many")["pairs"]) == 8
 
 
-def test_frames_with_decimals_are_not_shared(tisfm_run, place):
+def test_frames_with_decimals_are_not_shared(quick_workers, tisfm_run, place):
     (place / "film").mkdir()
     for k, frame in enumerate(make_frames(3)):
         assert cv2.imwrite(f"film/f{k}.tiff", frame.astype(np.float32) / 300)
@@ -128,7 +128,7 @@ def test_frames_with_decimals_are_not_shared(tisfm_run, place):
     assert_one_line(code, err, "frame f0 has decimals")
 
 
-def test_a_run_goes_on_with_workers_and_without(tisfm_run, film):
+def test_a_run_goes_on_with_workers_and_without(quick_workers, tisfm_run, film):
     whole = assert_as_one(tisfm_run, *QUIET)
     for name in ("f03_depth.png", "f07.npz"):
         Path(f"many/{name}").unlink()
@@ -139,7 +139,7 @@ def test_a_run_goes_on_with_workers_and_without(tisfm_run, film):
     assert whole_of("many") == whole
 
 
-def test_an_error_in_a_worker_is_one_line(tisfm_run, film):
+def test_an_error_in_a_worker_is_one_line(quick_workers, tisfm_run, film):
     write_png("film/f09.png", np.zeros((H, W + 3), np.uint8))
     code, _, err = tisfm_run(*RUN, *QUIET, "-o", "out", "--workers", "2")
     assert_one_line(code, err, "f08", "f09", "must have the same size")
@@ -330,6 +330,7 @@ def test_what_a_killed_worker_had_is_done_again(tisfm_run, film):
     assert whole_of("many") == whole_of("one")
 
 
+@pytest.mark.nightly
 @on_linux
 def test_workers_end_with_the_run_and_it_goes_on(tisfm_run, film):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0
@@ -364,6 +365,7 @@ def test_a_cluster_leaves_what_one_process_leaves(tisfm_run, film, cluster):
     assert_as_one(tisfm_run, "--figures", "4", shared=shared)
 
 
+@pytest.mark.nightly
 @on_linux
 def test_what_a_killed_worker_of_a_cluster_had_is_done_again(tisfm_run, film, cluster):
     assert tisfm_run(*RUN, "-o", "one")[0] == 0

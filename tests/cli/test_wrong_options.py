@@ -56,10 +56,16 @@ def test_a_mistake_is_one_line(tisfm_run, line):
     assert_one_line(code, err, *WRONG[line])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "cp1252"])
 @pytest.mark.parametrize(
-    "line", ["run frames -o out --threads two", "run frames -o out --motion camra", "run frames"]
+    ("encoding", "line"),
+    [
+        ("ascii", "run frames -o out --motion camra"),
+        *(
+            pytest.param(encoding, line, marks=pytest.mark.nightly)
+            for encoding in ("utf-8", "cp1252")
+            for line in ("run frames -o out --threads two", "run frames")
+        ),
+    ],
 )
 def test_a_mistake_is_the_same_line_in_a_terminal_of_few_characters(place, line, encoding):
     """The parser draws frames of other characters there."""
